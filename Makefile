@@ -1,0 +1,49 @@
+# make demo    sets up .venv and runs the whole chain on real renders, in about five minutes after the set-up
+# make test    sets up .venv and runs the tests
+# make lint    ruff, mypy, and the check of the Blender extension
+# make results the full run behind docs/results.md, about an hour on 2 cores
+
+# The bpy wheel pinned in constraints.txt is built for one Python version only.
+PYTHON ?= python3.11
+BIN := .venv/bin
+READY := .venv/ready
+DEMO := demo
+
+.PHONY: demo test lint setup extension results clean
+
+setup: $(READY)
+
+$(READY): pyproject.toml constraints.txt
+	@command -v $(PYTHON) >/dev/null || { \
+	  echo "error: $(PYTHON) is missing; install it with: apt-get install python3.11 python3.11-venv" \
+	       "(or name one: make PYTHON=/path/to/python3.11 ...)"; exit 2; }
+	$(PYTHON) -m venv .venv
+	$(BIN)/python -m pip install --quiet --disable-pip-version-check -c constraints.txt setuptools
+	$(BIN)/python -m pip install --quiet --disable-pip-version-check -c constraints.txt \
+	  --no-build-isolation -e ".[bpy,test]"
+	@$(BIN)/python -c "import bpy" || { \
+	  echo "error: Blender's module bpy does not load; a system library is missing (named above); install it with:" \
+	       "apt-get install libx11-6 libxxf86vm1 libxfixes3 libxi6 libxrender1 libxkbcommon0 libsm6 libice6 libgl1 libegl1"; \
+	  exit 2; }
+	@touch $(READY)
+
+demo: $(READY)
+	$(BIN)/python benchmarks/demo.py --output $(DEMO)
+
+test: $(READY)
+	$(BIN)/python -m pytest
+
+lint: $(READY)
+	$(BIN)/ruff check .
+	$(BIN)/ruff format --check .
+	$(BIN)/mypy
+	$(BIN)/python -m blender_addon.build -o dist
+
+extension: $(READY)
+	$(BIN)/python -m blender_addon.build -o dist
+
+results: $(READY)
+	$(BIN)/python benchmarks/demo.py --output results --poses 100 --resolution 64 --samples 192
+
+clean:
+	rm -rf .venv dist demo results

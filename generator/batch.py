@@ -1,0 +1,61 @@
+"""Render a data set inside Blender: ``blender -b scene.blend -P generator/batch.py -- -o DATASET [options]``.
+
+Takes the options of ``nlos-generate sweep`` but for ``--workers``: one Blender renders one shard, here and now. Start
+several with ``--shard 0/4``, ``--shard 1/4`` ... on as many machines as there are. Needs nothing installed.
+"""
+
+from __future__ import annotations
+
+import sys
+from pathlib import Path
+
+if __name__ == "__main__":  # a script given to Blender finds its package only by its own place
+    sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
+
+import bpy
+
+from generator import cli, stage, sweep, worker
+from generator.dataset import SCENE, Dataset, PoseRecord
+from generator.spec import NlosError
+
+
+def run(arguments: list[str]) -> int:
+    """Render the open scene's shard; return the exit code."""
+    options = cli.batch_parser().parse_args(arguments)
+    chosen = cli.chosen_settings(options)
+    shard = cli.parse_shard(options.shard)
+    source, path = Path(bpy.data.filepath), Path(options.output)
+    if not bpy.data.filepath:
+        raise NlosError("no scene is open; start with: blender -b scene.blend -P generator/batch.py -- ...")
+    if Dataset.exists(path):
+        dataset = Dataset.open(path)
+        sweep.check_same(dataset, source, chosen)
+    else:
+        dataset = worker.plan(bpy.context.scene, source, path, chosen)
+    worker.check_blender(dataset)
+    pending = sweep.pending_positions(dataset, shard)
+    scene = stage.open_file(dataset.path / SCENE)
+    show = cli.LineProgress()
+    show(0, len(pending))
+    done = 0
+
+    def report(_: PoseRecord) -> None:
+        nonlocal done
+        done += 1
+        show(done, len(pending))
+
+    try:
+        worker.render(scene, dataset, pending, report=report)
+    finally:
+        remaining = len(dataset.gather())
+    print(cli.summary(dataset, rendered=done, remaining=remaining))
+    return 0
+
+
+def main() -> None:
+    """Run as Blender's ``-P`` script, and leave Blender with an exit code that says how it went."""
+    sys.exit(cli.guarded(lambda: run(sys.argv[sys.argv.index("--") + 1 :] if "--" in sys.argv else [])))
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,282 @@
+"""Command line of the generator: argument parsing and words for people; all work is done elsewhere."""
+
+from __future__ import annotations
+
+import argparse
+import contextlib
+import sys
+import time
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any
+
+from generator import spec
+from generator.dataset import Dataset
+from generator.spec import NlosError, Sweep
+
+_EXAMPLES = """\
+examples:
+  nlos-generate scene room --target sphere -o room.blend
+  nlos-generate sweep room.blend -o sphere/ --poses 100 --engine patch
+  nlos-generate verify sphere/
+"""
+
+
+def main(argv: list[str] | None = None) -> int:
+    """Run ``nlos-generate``; return the exit code: 0 well, 1 unfinished or faulty, 2 bad input, 130 interrupted."""
+    parser = _parser()
+    options = parser.parse_args(argv)
+    return guarded(lambda: int(options.run(options)))
+
+
+def guarded(work: Callable[[], int]) -> int:
+    """Run a command; turn bad input into one sentence and exit code 2, Ctrl-C into 130."""
+    try:
+        return work()
+    except NlosError as error:
+        print(f"error: {error}", file=sys.stderr)
+        return 2
+    except KeyboardInterrupt:
+        print("\ninterrupted; the same command goes on from here", file=sys.stderr)
+        return 130
+
+
+def _parser() -> argparse.ArgumentParser:
+    parser = argparse.ArgumentParser(
+        prog="nlos-generate",
+        description="Build scenes with an object hidden around the corner, and render what a wall shows of it.",
+        epilog=_EXAMPLES,
+        formatter_class=argparse.RawDescriptionHelpFormatter,
+    )
+    commands = parser.add_subparsers(required=True, metavar="COMMAND")
+
+    scene = commands.add_parser(
+        "scene",
+        help="build a scene and save it as a .blend file",
+        description="Build a preset scene and save it as a .blend file, which Blender can open and edit. "
+        "Every figure can be changed: see them with --show, change one with --set, or many with --config.",
+        epilog="example:\n  nlos-generate scene room --target sphere --set spot.power=500 -o room.blend",
+        formatter_class=argparse.RawDescriptionHelpFormatter,
+    )
+    scene.add_argument("preset", choices=["room", "tabletop", "corridor"])
+    scene.add_argument(
+        "--target", default="sheet", metavar="sheet|sphere|FILE", help="the hidden object (default: sheet)"
+    )
+    scene.add_argument("-o", "--output", type=Path, metavar="FILE.blend", help="where to save it")
+    scene.add_argument("--config", type=Path, metavar="FILE.toml", help="figures that replace the preset's")
+    scene.add_argument(
+        "--set",
+        action="append",
+        default=[],
+        metavar="NAME=VALUE",
+        help="one figure, e.g. grid.shape=[3,3,3]; repeatable",
+    )
+    scene.add_argument(
+        "--ambient",
+        type=float,
+        metavar="RADIANCE",
+        help="uniform ambient light, W/m^2/sr; a closed room loses its ceiling, so that light can enter",
+    )
+    scene.add_argument("--show", action="store_true", help="print every figure as TOML (to edit, for --config)")
+    scene.set_defaults(run=_scene)
+
+    sweep = commands.add_parser(
+        "sweep",
+        help="render a data set: the target at many poses in every voxel",
+        description="Move the target through its voxels and render what the camera sees of the relay wall. "
+        "Interrupt it at any time: the same command goes on where it stopped. What is left out "
+        "follows from the data set, if there is one, else from the scene.",
+        epilog="example:\n  nlos-generate sweep room.blend -o sheet/ --poses 100 --engine patch --samples 512",
+        formatter_class=argparse.RawDescriptionHelpFormatter,
+    )
+    sweep.add_argument("scene", type=Path, help="the .blend file")
+    _add_sweep_options(sweep)
+    sweep.add_argument("--workers", type=int, default=0, metavar="W", help="processes (default: one per core)")
+    sweep.set_defaults(run=_sweep)
+
+    verify = commands.add_parser(
+        "verify",
+        help="re-read a whole data set and list what is wrong",
+        description="Re-read every picture and compare it with the manifest; exit code 1 if anything is wrong.",
+    )
+    verify.add_argument("dataset", type=Path)
+    verify.set_defaults(run=_verify)
+    return parser
+
+
+def _add_sweep_options(parser: argparse.ArgumentParser) -> None:
+    default = Sweep()
+    parser.add_argument("-o", "--output", type=Path, required=True, metavar="DATASET", help="folder of the data set")
+    parser.add_argument("--poses", type=int, metavar="N", help=f"per voxel (default: {default.poses})")
+    parser.add_argument("--seed", type=int, metavar="N", help=f"of all poses and all noise (default: {default.seed})")
+    parser.add_argument(
+        "--engine",
+        choices=["path", "patch"],
+        help="path: Cycles from the spot lamp, any scene, very noisy; "
+        f"patch: the lit patch as an emitter, same picture, far less noise (default: {default.engine})",
+    )
+    parser.add_argument("--samples", type=int, metavar="N", help=f"rays per pixel (default: {default.samples})")
+    parser.add_argument("--resolution", metavar="R", help="64 or 64x48 (default: the scene's)")
+    parser.add_argument(
+        "--paired",
+        action=argparse.BooleanOptionalAction,
+        help="render each pose's background with the pose's own noise, which then cancels; twice the time, "
+        "far less noise in the difference (default: on)",
+    )
+    parser.add_argument(
+        "--inside",
+        choices=["whole", "centre"],
+        help=f"what of the target must lie in its voxel (default: {default.inside})",
+    )
+    parser.add_argument(
+        "--rotation",
+        type=float,
+        nargs=3,
+        metavar=("X", "Y", "Z"),
+        help="largest angles, degrees (default: 15 15 90, and none for a sphere)",
+    )
+    parser.add_argument("--shard", default="0/1", metavar="i/n", help="render the i-th of n parts only (from 0)")
+
+
+def batch_parser() -> argparse.ArgumentParser:
+    """Return the parser of what stands behind ``--`` on Blender's command line."""
+    parser = argparse.ArgumentParser(
+        prog="blender -b scene.blend -P generator/batch.py --",
+        description="Render a data set inside Blender, in this one process.",
+    )
+    _add_sweep_options(parser)
+    return parser
+
+
+def chosen_settings(options: argparse.Namespace) -> dict[str, Any]:
+    """Return the fields of `Sweep` that the user named on the command line.
+
+    Raises
+    ------
+    NlosError
+        One of them cannot be.
+    """
+    chosen = {
+        name: getattr(options, name) for name in Sweep.__dataclass_fields__ if getattr(options, name) is not None
+    }
+    checked = dict(chosen)
+    if "resolution" in checked:
+        checked["resolution"] = spec.parse_resolution(checked["resolution"])
+    spec.from_dict(Sweep, checked, "--")
+    return chosen
+
+
+def parse_shard(text: str) -> tuple[int, int]:
+    """Return i and n of ``i/n``."""
+    index, _, count = text.partition("/")
+    try:
+        shard = (int(index), int(count))
+    except ValueError:
+        shard = (0, 0)
+    if not 0 <= shard[0] < shard[1]:
+        raise NlosError(f"--shard {text!r}: must read i/n with i from 0 to n - 1, for example 0/4")
+    return shard
+
+
+def summary(dataset: Dataset, *, rendered: int, remaining: int) -> str:
+    """Return the last line of a sweep."""
+    done = dataset.planned - remaining
+    state = f"{dataset.path}: {done} of {dataset.planned} pictures"
+    if rendered == 0 and remaining == 0:
+        return f"{state}; the data set is finished, nothing to do"
+    return f"{state}, {rendered} of them rendered now" + (f"; {remaining} remain" if remaining else "; finished")
+
+
+class LineProgress:
+    """Progress as plain lines, at most one every few seconds, for logs."""
+
+    def __init__(self, every: float = 10.0) -> None:
+        self._every = every
+        self._start = time.monotonic()
+        self._last = -every
+
+    def __call__(self, done: int, total: int) -> None:
+        now = time.monotonic()
+        if total == 0 or (now - self._last < self._every and done < total):
+            return
+        self._last = now
+        left = f", about {_clock((now - self._start) / done * (total - done))} left" if done else ""
+        print(f"{done} of {total} pictures{left}", flush=True)
+
+
+def _clock(seconds: float) -> str:
+    minutes, seconds = divmod(round(seconds), 60)
+    hours, minutes = divmod(minutes, 60)
+    return f"{hours}:{minutes:02d}:{seconds:02d}" if hours else f"{minutes}:{seconds:02d}"
+
+
+@contextlib.contextmanager
+def _progress() -> Iterator[Callable[[int, int], None]]:
+    if not sys.stderr.isatty():
+        yield LineProgress()
+        return
+    from rich.console import Console
+    from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
+
+    columns = (TextColumn("rendering"), BarColumn(), MofNCompleteColumn(), TimeRemainingColumn(), TextColumn("left"))
+    with Progress(*columns, console=Console(stderr=True)) as bar:
+        task = bar.add_task("", total=None)
+        yield lambda done, total: bar.update(task, completed=done, total=total)
+
+
+def _scene(options: argparse.Namespace) -> int:
+    plain = spec.to_dict(spec.preset(options.preset, options.target))
+    if options.config:
+        plain = spec.merge(plain, spec.read_toml(options.config))
+    for assignment in options.set:
+        spec.set_field(plain, assignment)
+    scene: spec.Scene = spec.from_dict(spec.Scene, plain)
+    if options.ambient is not None:
+        scene = scene.with_ambient(options.ambient)
+    if options.show:
+        print(spec.dump_toml(spec.to_dict(scene)), end="")
+    if options.output is None:
+        if not options.show:
+            raise NlosError("nothing to do: name a file to save with -o FILE.blend, or print the figures with --show")
+        return 0
+    if options.output.suffix != ".blend":
+        raise NlosError(f"{options.output}: a scene file must end in .blend")
+    from generator import stage
+
+    stage.build(stage.new_file(), scene)
+    stage.save_file(options.output)
+    print(
+        f"{options.output}: {options.preset} with a {scene.target.kind}, voxels {scene.grid.labels[0]} to "
+        f"{scene.grid.labels[-1]}, {scene.resolution[0]} x {scene.resolution[1]} pixels"
+    )
+    return 0
+
+
+def _sweep(options: argparse.Namespace) -> int:
+    from generator import sweep
+
+    chosen = chosen_settings(options)
+    shard = parse_shard(options.shard)
+    if options.workers < 0:
+        raise NlosError(f"--workers {options.workers}: must be 1 or more, or 0 for one per core")
+    with _progress() as progress:
+        outcome = sweep.run(
+            options.scene, options.output, chosen, workers=options.workers, shard=shard, progress=progress
+        )
+    for failure in outcome.failed:
+        print(f"failed: {failure}", file=sys.stderr)
+    print(summary(outcome.dataset, rendered=outcome.rendered, remaining=outcome.remaining))
+    return 1 if outcome.failed else 0
+
+
+def _verify(options: argparse.Namespace) -> int:
+    dataset = Dataset.open(options.dataset)
+    faults = dataset.verify()
+    for fault in faults:
+        print(fault)
+    print(f"{options.dataset}: {dataset.planned} poses, {len(faults)} faults")
+    return 1 if faults else 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())

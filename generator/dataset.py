@@ -1,0 +1,505 @@
+"""The data set on disk: write, read, resume, verify.
+
+A data set is a folder::
+
+    dataset.toml        format version, sweep settings, scene, radiometry, software
+    scene.blend         the scene as rendered
+    background.exr      no hidden object; background-ambient.exr too where ambient light is on
+    poses.csv           one row per planned pose; file, hash, seconds and samples once it is rendered
+    A/0000.exr ...      one float32 picture per pose, in a folder per voxel
+
+Each picture carries its pose, its pixels' hash and the fingerprint of its sweep in its header, so workers need no
+common file: a picture that was put in place by rename is done, and the manifest is gathered from the pictures.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import csv
+import hashlib
+import io
+import json
+import os
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from generator import exr
+from generator.spec import NlosError, Sweep, Vector, VoxelGrid, dump_toml, from_dict, read_toml
+
+FORMAT = 1
+MANIFEST = "dataset.toml"
+POSES = "poses.csv"
+SCENE = "scene.blend"
+BACKGROUND = "background.exr"
+BACKGROUND_AMBIENT = "background-ambient.exr"
+
+Picture = NDArray[np.float32]
+
+_OURS = "nlos:"
+
+_COLUMNS = [
+    *("index", "voxel", "label", "x", "y", "z", "rx", "ry", "rz", "seed"),
+    *("file", "pixel_hash", "seconds", "samples"),
+]
+
+
+@dataclass(frozen=True)
+class PoseRecord:
+    """One row of ``poses.csv``.
+
+    Attributes
+    ----------
+    index : int
+        Of the pose within its voxel.
+    voxel, label : int, str
+        Which voxel the target stands in.
+    position : (float, float, float)
+        Of the target's origin, metres.
+    rotation : (float, float, float)
+        Euler angles about x, then y, then z, degrees.
+    seed : int
+        Of the renderer's noise, 31 bits.
+    file : str
+        Picture, relative to the data set.
+    pixel_hash : str
+        Empty until the picture is rendered.
+    seconds : float
+        Spent on rendering it.
+    samples : int
+        Camera rays per pixel.
+    """
+
+    index: int
+    voxel: int
+    label: str
+    position: Vector
+    rotation: Vector
+    seed: int
+    file: str
+    pixel_hash: str = ""
+    seconds: float = 0.0
+    samples: int = 0
+
+    @property
+    def done(self) -> bool:
+        """Whether the picture has been rendered."""
+        return bool(self.pixel_hash)
+
+    def row(self) -> list[str]:
+        """Return the record as strings, in the manifest's order; floats keep every digit."""
+        plan = [self.index, self.voxel, self.label, *self.position, *self.rotation, self.seed, self.file]
+        result = [self.pixel_hash, f"{self.seconds:.3f}", self.samples] if self.done else ["", "", ""]
+        return [repr(float(v)) if isinstance(v, float) else str(v) for v in plan] + [str(v) for v in result]
+
+    @classmethod
+    def from_row(cls, row: Mapping[str, str]) -> PoseRecord:
+        """Return the record of a manifest's row; ValueError or KeyError if it is none."""
+        file = row["file"]
+        if Path(file).is_absolute() or ".." in Path(file).parts:
+            raise ValueError(f"file {file!r} lies outside the data set")
+        return cls(
+            index=int(row["index"]),
+            voxel=int(row["voxel"]),
+            label=row["label"],
+            position=(float(row["x"]), float(row["y"]), float(row["z"])),
+            rotation=(float(row["rx"]), float(row["ry"]), float(row["rz"])),
+            seed=int(row["seed"]),
+            file=file,
+            pixel_hash=row["pixel_hash"],
+            seconds=float(row["seconds"] or 0.0),
+            samples=int(row["samples"] or 0),
+        )
+
+
+def pixel_hash(pixels: Picture) -> str:
+    """Return the SHA-256 of a picture's shape and little-endian float32 pixels."""
+    data = np.ascontiguousarray(pixels, dtype="<f4")
+    return hashlib.sha256(repr(data.shape).encode() + data.tobytes()).hexdigest()
+
+
+def fingerprint(settings: Mapping[str, Any]) -> str:
+    """Return a short hash of settings: what two sweeps that render the same picture have in common."""
+    return hashlib.sha256(json.dumps(settings, sort_keys=True).encode()).hexdigest()[:16]
+
+
+def scene_hash(path: Path) -> str:
+    """Return the SHA-256 of a scene file.
+
+    Raises
+    ------
+    NlosError
+        It cannot be read.
+    """
+    try:
+        return hashlib.sha256(path.read_bytes()).hexdigest()
+    except OSError as error:
+        raise NlosError(f"{path}: no such scene file ({error.strerror})") from None
+
+
+@contextlib.contextmanager
+def atomic(path: Path) -> Iterator[Path]:
+    """Give a temporary name beside ``path``; on success flush it to disk and rename it into place.
+
+    Raises
+    ------
+    NlosError
+        The file cannot be written.
+    """
+    temporary = path.with_name(f".{path.name}.{os.getpid()}.tmp")
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        yield temporary
+        with open(temporary, "rb") as file:
+            os.fsync(file.fileno())
+        os.replace(temporary, path)
+    except OSError as error:
+        raise NlosError(f"{path}: cannot be written ({error.strerror or error})") from None
+    finally:
+        temporary.unlink(missing_ok=True) if path.parent.is_dir() else None
+
+
+def write_text(path: Path, text: str) -> None:
+    """Write a text file by temporary name and rename."""
+    with atomic(path) as temporary:
+        temporary.write_text(text, encoding="utf-8", newline="")
+
+
+def write_picture(path: Path, pixels: Picture, header: Mapping[str, str]) -> str:
+    """Write a float32 EXR, ZIP-compressed, by temporary name and rename.
+
+    Parameters
+    ----------
+    path : Path
+    pixels : ndarray of shape (height, width, 3), float32
+        Scene-linear radiance, W/m^2/sr; row 0 is the top.
+    header : mapping of str to str
+        Attributes; each is stored as ``nlos:NAME``.
+
+    Returns
+    -------
+    str
+        The pixels' hash, stored in the header too.
+
+    Raises
+    ------
+    NlosError
+        The pixels have another shape or are not finite, or the file cannot be written.
+    """
+    if pixels.ndim != 3 or pixels.shape[2] != 3:
+        raise NlosError(f"{path}: a picture must have shape (height, width, 3), not {pixels.shape}")
+    if not np.isfinite(pixels).all():
+        raise NlosError(f"{path}: the picture holds NaN or infinite pixels")
+    digest = pixel_hash(pixels)
+    attributes = {f"{_OURS}{key}": value for key, value in {**header, "pixel_hash": digest}.items()}
+    with atomic(path) as temporary:
+        exr.write(temporary, {name: pixels[..., i] for i, name in enumerate("RGB")}, attributes)
+    return digest
+
+
+def read_picture(path: Path) -> tuple[Picture, dict[str, str]]:
+    """Read an EXR.
+
+    Parameters
+    ----------
+    path : Path
+        A picture with channels R, G, B (or one channel, which stands for all three).
+
+    Returns
+    -------
+    pixels : ndarray of shape (height, width, 3), float32
+        Scene-linear radiance, W/m^2/sr.
+    header : dict of str to str
+        The attributes that `write_picture` stored.
+
+    Raises
+    ------
+    NlosError
+        The file is missing, truncated or no such picture.
+    """
+    path = Path(path)
+    if not path.is_file():
+        raise NlosError(f"{path}: no such picture")
+    try:
+        channels, attributes = exr.read(path)
+    except exr.ExrError as error:
+        raise NlosError(f"{path}: is not a whole EXR picture ({error})") from None
+    except OSError as error:
+        raise NlosError(f"{path}: cannot be read ({error.strerror})") from None
+    header = {name.removeprefix(_OURS): value for name, value in attributes.items() if name.startswith(_OURS)}
+    if len(channels) == 1:
+        channels = dict.fromkeys("RGB", next(iter(channels.values())))
+    missing = [name for name in "RGB" if name not in channels]
+    if missing:
+        raise NlosError(f"{path}: lacks the channels {', '.join(missing)}; it holds {', '.join(channels)}")
+    return np.stack([channels[name] for name in "RGB"], axis=-1), header
+
+
+class Dataset:
+    """A data set on disk.
+
+    Attributes
+    ----------
+    path : Path
+    meta : dict
+        All of ``dataset.toml``.
+    poses : list of PoseRecord
+        Every planned pose, rendered or not.
+    """
+
+    def __init__(self, path: Path, meta: dict[str, Any], poses: list[PoseRecord]) -> None:
+        self.path = path
+        self.meta = meta
+        self.poses = poses
+
+    @classmethod
+    def exists(cls, path: Path) -> bool:
+        """Whether a data set stands at that path, finished or not."""
+        return (path / MANIFEST).is_file()
+
+    @classmethod
+    def open(cls, path: Path) -> Dataset:
+        """Open a data set.
+
+        Raises
+        ------
+        NlosError
+            There is none, its format is newer than this software, or its manifest is broken.
+        """
+        path = Path(path)
+        if not cls.exists(path):
+            raise NlosError(f"{path}: is not a data set (it holds no {MANIFEST})")
+        meta = read_toml(path / MANIFEST)
+        version = meta.get("format")
+        if not isinstance(version, int):
+            raise NlosError(f"{path / MANIFEST}: lacks the field 'format'")
+        if version > FORMAT:
+            raise NlosError(
+                f"{path}: has data set format {version}; this software reads up to {FORMAT}, so update it"
+            )
+        for name, kind in {"sweep": dict, "scene": dict, "reference_radiance": float, "fingerprint": str}.items():
+            if not isinstance(meta.get(name), kind):
+                raise NlosError(f"{path / MANIFEST}: lacks the field '{name}'")
+        return cls(path, meta, _read_poses(path / POSES))
+
+    @classmethod
+    def create(cls, path: Path, meta: Mapping[str, Any], poses: Sequence[PoseRecord]) -> Dataset:
+        """Put a new data set in place, with no picture yet; ``dataset.toml`` comes last and makes it one.
+
+        Parameters
+        ----------
+        path : Path
+            A new or empty folder.
+        meta : mapping
+            ``sweep``, ``scene`` (tables), ``reference_radiance`` (float, W/m^2/sr), ``software`` (table).
+        poses : sequence of PoseRecord
+
+        Raises
+        ------
+        NlosError
+            The folder holds something else, or cannot be written.
+        """
+        check_free(path)
+        dataset = cls(path, {"format": FORMAT, "fingerprint": fingerprint(meta["sweep"]), **meta}, list(poses))
+        dataset.write_manifest()
+        write_text(path / MANIFEST, dump_toml(dataset.meta))
+        return dataset
+
+    @cached_property
+    def grid(self) -> VoxelGrid:
+        """The voxel grid."""
+        grid: VoxelGrid = from_dict(VoxelGrid, self.meta["scene"].get("grid", {}), "grid.")
+        return grid
+
+    @property
+    def settings(self) -> dict[str, Any]:
+        """The sweep's settings."""
+        settings: dict[str, Any] = self.meta["sweep"]
+        return settings
+
+    @property
+    def sweep(self) -> Sweep:
+        """The sweep's settings, typed."""
+        known = {name: value for name, value in self.settings.items() if name in Sweep.__dataclass_fields__}
+        sweep: Sweep = from_dict(Sweep, known, "sweep.")
+        return sweep
+
+    @property
+    def background_names(self) -> list[str]:
+        """The background pictures this set has: a second one where ambient light is on."""
+        return [BACKGROUND] + [BACKGROUND_AMBIENT] * (float(self.meta["scene"].get("ambient", 0.0)) > 0)
+
+    @property
+    def target_kind(self) -> str:
+        """The kind of target: sheet, sphere or mesh."""
+        return str(self.meta["scene"].get("target", {}).get("kind", "mesh"))
+
+    @property
+    def reference_radiance(self) -> float:
+        """Radiance of the directly lit patch around w1, W/m^2/sr: the scene's own scale of light."""
+        return float(self.meta["reference_radiance"])
+
+    @property
+    def records(self) -> list[PoseRecord]:
+        """The poses whose pictures are rendered."""
+        return [pose for pose in self.poses if pose.done]
+
+    @property
+    def planned(self) -> int:
+        """How many poses the sweep has."""
+        return len(self.poses)
+
+    def background(self) -> Picture:
+        """Return the picture without the hidden object, (height, width, 3), ambient light included where it is on."""
+        return read_picture(self.path / self.background_names[-1])[0]
+
+    def picture(self, record: PoseRecord) -> Picture:
+        """Return a pose's picture, (height, width, 3), W/m^2/sr.
+
+        Raises
+        ------
+        NlosError
+            It is truncated, or its pixels are not those that were rendered.
+        """
+        pixels, _ = read_picture(self.path / record.file)
+        if pixel_hash(pixels) != record.pixel_hash:
+            raise NlosError(f"{self.path / record.file}: its pixels differ from the hash in {POSES}")
+        return pixels
+
+    def write_pose(self, pose: PoseRecord, pixels: Picture, *, seconds: float, samples: int) -> PoseRecord:
+        """Write a pose's picture and return its finished record; the manifest is left to `gather`."""
+        header = {
+            **self._identity(pose),
+            "position": " ".join(map(repr, pose.position)),
+            "rotation": " ".join(map(repr, pose.rotation)),
+            "seconds": f"{seconds:.3f}",
+            "samples": str(samples),
+        }
+        digest = write_picture(self.path / pose.file, pixels, header)
+        return replace(pose, pixel_hash=digest, seconds=round(seconds, 3), samples=samples)
+
+    def write_background(self, name: str, pixels: Picture, *, seed: int, samples: int) -> None:
+        """Write a background picture."""
+        write_picture(self.path / name, pixels, {**self._common(), "seed": str(seed), "samples": str(samples)})
+
+    def has_background(self, name: str) -> bool:
+        """Whether a sound background picture of this sweep is there."""
+        try:
+            pixels, header = read_picture(self.path / name)
+        except NlosError:
+            return False
+        return header.get("sweep") == self.meta["fingerprint"] and header.get("pixel_hash") == pixel_hash(pixels)
+
+    def _common(self) -> dict[str, str]:
+        return {
+            "sweep": self.meta["fingerprint"],
+            "engine": str(self.settings["engine"]),
+            "reflection_order": str(self.meta["scene"]["reflection_order"]),
+            "units": "W/m^2/sr",
+        }
+
+    def _identity(self, pose: PoseRecord) -> dict[str, str]:
+        return {**self._common(), "label": pose.label, "index": str(pose.index), "seed": str(pose.seed)}
+
+    def inspect(self, pose: PoseRecord) -> PoseRecord:
+        """Return the pose as its picture on disk tells it: finished if the picture is whole and this sweep's own."""
+        undone = replace(pose, pixel_hash="", seconds=0.0, samples=0)
+        try:
+            pixels, header = read_picture(self.path / pose.file)
+        except NlosError:
+            return undone
+        expected = {**self._identity(pose), "pixel_hash": pixel_hash(pixels)}
+        if any(header.get(key) != value for key, value in expected.items()):
+            return undone
+        return replace(
+            pose,
+            pixel_hash=expected["pixel_hash"],
+            seconds=float(header.get("seconds", "0")),
+            samples=int(header.get("samples", "0")),
+        )
+
+    def gather(self) -> list[PoseRecord]:
+        """Look at every picture on disk, bring the manifest up to date, and return the poses still to render."""
+        self.poses = [self.inspect(pose) for pose in self.poses]
+        self.write_manifest()
+        return [pose for pose in self.poses if not pose.done]
+
+    def write_manifest(self) -> None:
+        """Write ``poses.csv`` by temporary name and rename."""
+        text = io.StringIO()
+        writer = csv.writer(text, lineterminator="\n")
+        writer.writerow(_COLUMNS)
+        writer.writerows(pose.row() for pose in self.poses)
+        write_text(self.path / POSES, text.getvalue())
+
+    def verify(self) -> list[str]:
+        """Re-read everything.
+
+        Returns
+        -------
+        list of str
+            One sentence per fault: a missing, truncated or altered picture, one of another sweep, two pictures
+            with the same pixels. Empty when all is well.
+        """
+        faults = []
+        faults += [
+            f"{self.path / name}: the background is missing or broken; run the sweep again to render it"
+            for name in self.background_names
+            if not self.has_background(name)
+        ]
+        if not (self.path / SCENE).is_file():
+            faults.append(f"{self.path / SCENE}: the scene is missing")
+        seen: dict[str, str] = {}
+        for pose in self.poses:
+            found = self.inspect(pose)
+            file = self.path / pose.file
+            if not pose.done:
+                faults.append(f"{file}: not rendered yet" + (" according to the manifest" if found.done else ""))
+            elif not found.done:
+                faults.append(f"{file}: missing, broken or of another sweep; run the sweep again to render it")
+            elif found.pixel_hash != pose.pixel_hash:
+                faults.append(f"{file}: its pixels differ from the hash in {POSES}")
+            elif found.pixel_hash in seen:
+                faults.append(f"{file}: holds the same pixels as {seen[found.pixel_hash]}")
+            seen.setdefault(found.pixel_hash, pose.file)
+        return faults
+
+
+def check_free(path: Path) -> None:
+    """Raise NlosError unless a data set can be created at that path."""
+    if path.exists() and not path.is_dir():
+        raise NlosError(f"{path}: is a file; name a folder for the data set")
+    leftovers = {POSES, SCENE}
+    foreign = (
+        [p.name for p in path.iterdir() if p.name not in leftovers and not p.name.endswith(".tmp")]
+        if path.exists()
+        else []
+    )
+    if foreign:
+        raise NlosError(f"{path}: holds other files ({', '.join(sorted(foreign)[:3])}); name a new or empty folder")
+    parent = next(p for p in [path, *path.absolute().parents] if p.exists())
+    if not os.access(parent, os.W_OK | os.X_OK):
+        raise NlosError(f"{path}: cannot be written (no permission in {parent})")
+
+
+def _read_poses(path: Path) -> list[PoseRecord]:
+    try:
+        with path.open(newline="", encoding="utf-8") as file:
+            return list(_parse_poses(csv.DictReader(file), path))
+    except OSError as error:
+        raise NlosError(f"{path}: cannot be read ({error.strerror})") from None
+    except (UnicodeDecodeError, csv.Error) as error:
+        raise NlosError(f"{path}: is not a CSV file ({error})") from None
+
+
+def _parse_poses(rows: Iterable[Mapping[str, str]], path: Path) -> Iterator[PoseRecord]:
+    for line, row in enumerate(rows, start=2):
+        try:
+            yield PoseRecord.from_row(row)
+        except (KeyError, ValueError, TypeError) as error:
+            raise NlosError(f"{path}, line {line}: is not a pose ({error})") from None

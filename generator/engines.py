@@ -1,0 +1,328 @@
+"""One interface, two engines: Cycles from the true spot (`path`), and Cycles from the lit patch (`patch`).
+
+Both give the same scene-linear radiance in the same units; they differ in what they model and in their noise.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import math
+import tempfile
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import bpy
+import numpy as np
+from bpy_extras.object_utils import world_to_camera_view
+from mathutils import Matrix, Vector
+
+from generator import stage
+from generator.dataset import Picture, read_picture
+from generator.extract import LitPatch, lit_patch
+from generator.spec import NlosError
+
+ENGINES = ("path", "patch")
+
+_LIFT = 1e-3
+"""How far in front of the wall the patch lamp hovers, in its own minor radius, lest shadow rays meet the wall."""
+
+
+class Renderer:
+    """Renders what the camera sees on the relay wall.
+
+    Made by `opened`, which also puts the scene back as it was.
+    """
+
+    def __init__(self, scene: bpy.types.Scene, folder: Path) -> None:
+        self._scene = scene
+        self._file = folder / "render.exr"
+
+    def render(self, *, samples: int, seed: int, target: bool = True, ambient: bool = True) -> Picture:
+        """Render one picture.
+
+        Parameters
+        ----------
+        samples : int
+            Camera rays per pixel.
+        seed : int
+            Of the noise, 0 to 2^31 - 1.
+        target : bool
+            With the hidden object, or the background without it.
+        ambient : bool
+            With the world's light, where there is any.
+
+        Returns
+        -------
+        ndarray of shape (height, width, 3), float32
+            Radiance, W/m^2/sr; row 0 is the top.
+
+        Raises
+        ------
+        NlosError
+            Cycles failed, or left a picture with NaN or infinite pixels.
+        """
+        scene = self._scene
+        hidden = stage.find(scene, "target")
+        with _Overrides() as overrides:
+            overrides.set(scene.cycles, "samples", samples)
+            overrides.set(scene.cycles, "seed", seed)
+            overrides.set(scene.render, "filepath", str(self._file))
+            if not target:
+                overrides.set(hidden, "hide_render", True)
+            elif hidden.hide_render:
+                raise NlosError(f"{bpy.data.filepath}: the target {hidden.name!r} is hidden from renders; show it")
+            if not ambient:
+                overrides.set(scene, "world", None)
+            # With persistent data Cycles keeps the old samples and seed unless the scene is marked as changed.
+            scene.update_tag()
+            self._file.unlink(missing_ok=True)
+            with stage.quiet():
+                bpy.ops.render.render(write_still=True, scene=scene.name)
+        scene.update_tag()
+        pixels, _ = read_picture(self._file)
+        if not np.isfinite(pixels).all():
+            raise NlosError(f"{bpy.data.filepath}: Cycles rendered NaN or infinite pixels (seed {seed})")
+        return pixels
+
+
+@contextlib.contextmanager
+def opened(
+    scene: bpy.types.Scene, engine: str, *, resolution: tuple[int, int], threads: int = 0
+) -> Iterator[Renderer]:
+    """Make a scene ready to be rendered by an engine; on leaving, put it back as it was.
+
+    Parameters
+    ----------
+    scene : bpy.types.Scene
+    engine : {"path", "patch"}
+    resolution : (int, int)
+        Width and height, pixels.
+    threads : int
+        0 takes all cores. The pixels do not depend on it.
+
+    Raises
+    ------
+    NlosError
+        The engine is unknown, or cannot honour something in the scene.
+    """
+    if engine not in ENGINES:
+        raise NlosError(f"engine {engine!r}: there is none; choose from {', '.join(ENGINES)}")
+    order = stage.reflection_order(scene)
+    camera = stage.find(scene, "camera")
+    with tempfile.TemporaryDirectory(prefix="nlos-") as folder, _Overrides() as overrides:
+        overrides.set(scene, "camera", camera)
+        _linear_output(scene, overrides)
+        _plain_cycles(scene, overrides)
+        overrides.set(scene.render, "resolution_x", resolution[0])
+        overrides.set(scene.render, "resolution_y", resolution[1])
+        overrides.set(scene.render, "threads_mode", "FIXED" if threads else "AUTO")
+        if threads:
+            overrides.set(scene.render, "threads", threads)
+        with _patch_lamp(scene, order, overrides) if engine == "patch" else contextlib.nullcontext():
+            yield Renderer(scene, Path(folder))
+
+
+def _linear_output(scene: bpy.types.Scene, overrides: _Overrides) -> None:
+    """Float32 radiance straight from the renderer: no view transform, crop, compositor, dither or denoiser."""
+    render = scene.render
+    image = render.image_settings
+    if hasattr(image, "media_type"):  # Blender 5
+        overrides.set(image, "media_type", "IMAGE")
+    for owner, name, value in (
+        (image, "file_format", "OPEN_EXR"),
+        (image, "color_mode", "RGB"),
+        (image, "color_depth", "32"),
+        (image, "exr_codec", "NONE"),
+        (render, "engine", "CYCLES"),
+        (render, "resolution_percentage", 100),
+        (render, "pixel_aspect_x", 1.0),
+        (render, "pixel_aspect_y", 1.0),
+        (render, "use_border", False),
+        (render, "use_compositing", False),
+        (render, "use_sequencer", False),
+        (render, "use_motion_blur", False),
+        (render, "use_simplify", False),
+        (render, "use_file_extension", False),
+        (render, "use_overwrite", True),
+        (render, "use_multiview", False),
+        (render, "film_transparent", False),
+        (render, "use_persistent_data", True),
+    ):
+        overrides.set(owner, name, value)
+
+
+def _plain_cycles(scene: bpy.types.Scene, overrides: _Overrides) -> None:
+    """Unbiased Cycles: a fixed number of samples, nothing clamped, filtered, denoised, guessed or cut short."""
+    for name, value in {
+        "device": "CPU",
+        "use_adaptive_sampling": False,
+        "use_denoising": False,
+        "time_limit": 0.0,
+        "sample_clamp_direct": 0.0,
+        "sample_clamp_indirect": 0.0,
+        "blur_glossy": 0.0,
+        "caustics_reflective": True,
+        "caustics_refractive": True,
+        "light_sampling_threshold": 0.0,
+        "pixel_filter_type": "BOX",
+        "film_exposure": 1.0,
+        "use_fast_gi": False,
+        "use_animated_seed": False,
+        "use_guiding": False,
+        "sampling_pattern": "TABULATED_SOBOL",
+        "use_sample_subset": False,
+        "sample_offset": 0,
+    }.items():
+        if name in scene.cycles.bl_rna.properties or hasattr(scene.cycles, name):
+            overrides.set(scene.cycles, name, value)
+    for layer in scene.view_layers:
+        overrides.set(layer, "samples", 0)
+
+
+@contextlib.contextmanager
+def _patch_lamp(scene: bpy.types.Scene, order: int, overrides: _Overrides) -> Iterator[None]:
+    """Put an area lamp in the place of the lit patch, which stands for the first reflection.
+
+    The spot itself stays for the light of order 1, which Cycles finds without noise, if the camera sees the patch.
+    What comes from the patch lamp has one reflection behind it already, so it may make one bounce less than the
+    scene allows.
+    """
+    patch = lit_patch(scene)
+    spot = stage.find(scene, "spot")
+    overrides.set(spot.data.cycles, "max_bounces", 0)
+    seen = _in_view(scene, patch)
+    if not seen:
+        overrides.set(spot, "hide_render", True)
+    if order < 2:
+        yield
+        return
+    if not seen and not _other_light(scene, spot):
+        # With one lamp there is nothing to choose among, and after its last bounce nothing left to find.
+        overrides.set(scene.cycles, "use_light_tree", False)
+        overrides.set(scene.cycles, "max_bounces", order - 2)
+    light = bpy.data.lights.new("NLOS lit patch", "AREA")
+    lamp = bpy.data.objects.new("NLOS lit patch", light)
+    try:
+        _shape_lamp(lamp, patch)
+        light.cycles.max_bounces = order - 2
+        # A ray that meets the lamp by chance is not held to the limit above, so only direct sampling may find it.
+        light.cycles.use_multiple_importance_sampling = False
+        lamp.visible_camera = False
+        scene.collection.objects.link(lamp)
+        yield
+    finally:
+        bpy.data.lights.remove(light)  # takes the object with it
+
+
+def _in_view(scene: bpy.types.Scene, patch: LitPatch) -> bool:
+    """Whether the camera may see some of the patch, judged by the rectangle around it: a no is sure."""
+    turns = np.linspace(0.0, 2.0 * math.pi, 64, endpoint=False)
+    rim = [patch.centre + 1.05 * (math.cos(t) * patch.major + math.sin(t) * patch.minor) for t in turns]
+    seen = np.array([world_to_camera_view(scene, scene.camera, Vector(p)) for p in rim])
+    behind = seen[:, 2] <= 0.0
+    if behind.any() and not behind.all():
+        return True
+    low, high = seen.min(axis=0), seen.max(axis=0)
+    return bool(not behind.all() and low[0] < 1.0 and high[0] > 0.0 and low[1] < 1.0 and high[1] > 0.0)
+
+
+def _other_light(scene: bpy.types.Scene, spot: bpy.types.Object) -> bool:
+    """Whether anything but the spot may give light: a lamp, the world, a material."""
+    if stage.ambient(scene) > 0.0 or any(o.type == "LIGHT" and o != spot for o in scene.objects):
+        return True
+    materials = {slot.material for o in scene.objects for slot in o.material_slots if slot.material}
+    trees = [m.node_tree for m in materials if m.node_tree]
+    return any(_may_glow(node) for tree in trees for node in tree.nodes)
+
+
+def _may_glow(node: bpy.types.Node) -> bool:
+    strength = node.inputs.get("Emission Strength")
+    glows = strength is not None and (strength.is_linked or strength.default_value != 0.0)
+    return glows or node.type in ("EMISSION", "GROUP", "SCRIPT")
+
+
+def _shape_lamp(lamp: bpy.types.Object, patch: LitPatch) -> None:
+    light: Any = lamp.data
+    major, minor = (float(np.linalg.norm(v)) for v in (patch.major, patch.minor))
+    light.shape = "ELLIPSE"
+    light.size, light.size_y = 2.0 * major, 2.0 * minor
+    # Cycles' area lamp of power P has radiance P / (pi A), here 1; the nodes multiply it.
+    light.energy = math.pi * math.pi * major * minor
+    light.color = (1.0, 1.0, 1.0)
+    light.spread = math.pi
+    x, z = patch.major / major, -patch.normal  # a lamp shines along its -z
+    frame = np.eye(4)
+    frame[:3, 0], frame[:3, 1], frame[:3, 2] = x, np.cross(z, x), z
+    frame[:3, 3] = patch.centre + _LIFT * minor * patch.normal
+    lamp.matrix_world = Matrix(frame.tolist())
+    _radiance_nodes(light, patch)
+
+
+def _radiance_nodes(light: Any, patch: LitPatch) -> None:
+    """Radiance of the patch, point by point (`LitPatch`), as shader nodes."""
+    if light.node_tree is None or not light.use_nodes:
+        light.use_nodes = True
+    tree = light.node_tree
+    tree.nodes.clear()
+
+    def node(kind: str, **settings: Any) -> Any:
+        made = tree.nodes.new(kind)
+        for key, value in settings.items():
+            setattr(made, key, value)
+        return made
+
+    def vector(operation: str, a: Any, b: Any = None) -> Any:
+        made = node("ShaderNodeVectorMath", operation=operation)
+        tree.links.new(a, made.inputs[0])
+        if b is not None:
+            made.inputs[1].default_value = tuple(float(v) for v in b)
+        return made.outputs["Value" if operation in ("LENGTH", "DOT_PRODUCT") else "Vector"]
+
+    def math_node(operation: str, a: Any, b: Any) -> Any:
+        made = node("ShaderNodeMath", operation=operation)
+        for socket, value in zip(made.inputs, (a, b), strict=False):
+            if isinstance(value, float):
+                socket.default_value = value
+            else:
+                tree.links.new(value, socket)
+        return made.outputs[0]
+
+    way = vector("SUBTRACT", node("ShaderNodeNewGeometry").outputs["Position"], patch.lamp)
+    distance = vector("LENGTH", way)
+    # In units of the height the ratio is near 1 at any scale; its cube never leaves float32's range.
+    ratio = math_node("DIVIDE", patch.height, distance)
+    strength = math_node("POWER", ratio, 3.0)
+    if patch.cos_width > 0:
+        cosine = math_node("DIVIDE", vector("DOT_PRODUCT", way, patch.axis), distance)
+        fade = node("ShaderNodeMapRange", interpolation_type="SMOOTHSTEP")
+        fade.inputs["From Min"].default_value = patch.cos_outer
+        fade.inputs["From Max"].default_value = patch.cos_outer + patch.cos_width
+        tree.links.new(cosine, fade.inputs["Value"])
+        strength = math_node("MULTIPLY", strength, fade.outputs[0])
+    peak = patch.albedo / math.pi * patch.intensity / patch.height**2
+    brightest = float(peak.max())
+    emission = node("ShaderNodeEmission")
+    emission.inputs["Color"].default_value = (*(float(p) / brightest if brightest else 0.0 for p in peak), 1.0)
+    tree.links.new(math_node("MULTIPLY", strength, brightest), emission.inputs["Strength"])
+    tree.links.new(emission.outputs["Emission"], node("ShaderNodeOutputLight").inputs["Surface"])
+
+
+class _Overrides:
+    """Set attributes of Blender's data and set them back on leaving, last first."""
+
+    def __init__(self) -> None:
+        self._old: list[tuple[Any, str, Any]] = []
+
+    def __enter__(self) -> _Overrides:
+        return self
+
+    def set(self, owner: Any, name: str, value: Any) -> None:
+        self._old.append((owner, name, getattr(owner, name)))
+        setattr(owner, name, value)
+
+    def __exit__(self, *_: object) -> None:
+        for owner, name, value in reversed(self._old):
+            # A codec or depth that only the old file format has comes back with that format, set after it.
+            with contextlib.suppress(TypeError):
+                setattr(owner, name, value)

@@ -1,0 +1,213 @@
+"""Float EXR pictures in plain Python, so that they can be written and read inside Blender.
+
+The OpenEXR module cannot be relied on there: its wheel binds to the OpenEXR library that Blender has already loaded,
+of another version, and crashes (seen with 3.5.3 in Debian's Blender 4.3.2). This module knows single-part scanline
+files, uncompressed or ZIP, as Blender and this software write them; for any other it asks the OpenEXR module, which
+is there wherever pictures from elsewhere are read. A test holds the two equal.
+
+Layout: "Technical Introduction to OpenEXR" and "OpenEXR File Layout", Academy Software Foundation.
+"""
+
+from __future__ import annotations
+
+import struct
+import zlib
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+Planes = dict[str, NDArray[np.float32]]
+
+MAX_PIXELS = 2**28
+_MAGIC = b"\x76\x2f\x31\x01"
+_LONG_NAMES = 0x400
+_TILED_DEEP_OR_MULTIPART = 0x200 | 0x800 | 0x1000
+_LINES = {0: 1, 2: 1, 3: 16}
+_ZIP = 3
+_TYPES = {0: np.dtype("<u4"), 1: np.dtype("<f2"), 2: np.dtype("<f4")}
+
+
+class ExrError(Exception):
+    """The file is not a whole EXR picture."""
+
+
+class _ForeignError(Exception):
+    """The file may be a sound EXR, but of a kind that this module does not know."""
+
+
+def write(path: Path, planes: Planes, attributes: Mapping[str, str]) -> None:
+    """Write a ZIP-compressed float32 scanline file.
+
+    Parameters
+    ----------
+    path : Path
+    planes : dict of str to ndarray of shape (height, width), float32
+        Channels by name.
+    attributes : mapping of str to str
+        Stored in the header as strings.
+    """
+    names = sorted(planes)
+    height, width = planes[names[0]].shape
+    window = struct.pack("<4i", 0, 0, width - 1, height - 1)
+    channels = b"".join(n.encode() + b"\0" + struct.pack("<iB3xii", 2, 0, 1, 1) for n in names) + b"\0"
+    header = b"".join(
+        [
+            _attribute("channels", "chlist", channels),
+            _attribute("compression", "compression", bytes([_ZIP])),
+            _attribute("dataWindow", "box2i", window),
+            _attribute("displayWindow", "box2i", window),
+            _attribute("lineOrder", "lineOrder", b"\0"),
+            _attribute("pixelAspectRatio", "float", struct.pack("<f", 1.0)),
+            _attribute("screenWindowCenter", "v2f", struct.pack("<2f", 0.0, 0.0)),
+            _attribute("screenWindowWidth", "float", struct.pack("<f", 1.0)),
+            *(_attribute(name, "string", value.encode()) for name, value in attributes.items()),
+            b"\0",
+        ]
+    )
+    rows = np.stack([planes[n] for n in names], axis=1).astype("<f4")  # (height, channel, width), as in the file
+    chunks = []
+    for y in range(0, height, _LINES[_ZIP]):
+        raw = rows[y : y + _LINES[_ZIP]].tobytes()
+        packed = zlib.compress(_shuffle(raw))
+        data = packed if len(packed) < len(raw) else raw
+        chunks.append(struct.pack("<ii", y, len(data)) + data)
+    start = _MAGIC + struct.pack("<I", 2 | _LONG_NAMES) + header
+    position, offsets = len(start) + 8 * len(chunks), []
+    for chunk in chunks:
+        offsets.append(position)
+        position += len(chunk)
+    path.write_bytes(b"".join([start, struct.pack(f"<{len(offsets)}Q", *offsets), *chunks]))
+
+
+def read(path: Path) -> tuple[Planes, dict[str, str]]:
+    """Read a picture.
+
+    Returns
+    -------
+    planes : dict of str to ndarray of shape (height, width), float32
+    attributes : dict of str to str
+        The header's string attributes.
+
+    Raises
+    ------
+    ExrError
+        The file is truncated, broken, or larger than 2^28 pixels.
+    """
+    data = path.read_bytes()
+    if data[:4] != _MAGIC:
+        raise ExrError("it does not start like an EXR file")
+    try:
+        return _read(data)
+    except (struct.error, zlib.error, ValueError, IndexError, KeyError, UnicodeDecodeError) as error:
+        raise ExrError(f"it is truncated or broken: {error}") from None
+    except _ForeignError as kind:
+        return _read_foreign(path, str(kind))
+
+
+def _read(data: bytes) -> tuple[Planes, dict[str, str]]:
+    flags = struct.unpack_from("<I", data, 4)[0]
+    if flags & _TILED_DEEP_OR_MULTIPART:
+        raise _ForeignError("tiled, deep or multi-part")
+    header, position = _read_header(data)
+    x0, y0, x1, y1 = struct.unpack("<4i", header["dataWindow"][1])
+    width, height = x1 - x0 + 1, y1 - y0 + 1
+    if width < 1 or height < 1 or width * height > MAX_PIXELS:
+        raise ExrError(f"it claims {width} x {height} pixels")
+    compression = header["compression"][1][0]
+    if compression not in _LINES:
+        raise _ForeignError(f"compression {compression}")
+    lines = _LINES[compression]
+    layout = np.dtype([(name, kind, (width,)) for name, kind in _read_channels(header["channels"][1])])
+    n_chunks = -(-height // lines)
+    offsets = struct.unpack_from(f"<{n_chunks}Q", data, position)
+    blocks: list[bytes] = [b""] * n_chunks
+    for offset in offsets:
+        y, size = struct.unpack_from("<ii", data, offset)
+        index = (y - y0) // lines
+        if not 0 <= index < n_chunks or size < 0:
+            raise ValueError(f"a block claims line {y}")
+        packed = data[offset + 8 : offset + 8 + size]
+        wanted = layout.itemsize * min(lines, height - index * lines)
+        if len(packed) == size == wanted:
+            blocks[index] = packed
+        else:
+            blocks[index] = _unshuffle(zlib.decompressobj().decompress(packed, wanted))
+        if len(blocks[index]) != wanted:
+            raise ValueError(f"the block at line {y} is incomplete")
+    rows = np.frombuffer(b"".join(blocks), dtype=layout)
+    if len(rows) != height:
+        raise ValueError("lines are missing")
+    names = layout.names or ()
+    strings = {name: value.decode() for name, (kind, value) in header.items() if kind == "string"}
+    return {name: rows[name].astype(np.float32) for name in names}, strings
+
+
+def _read_header(data: bytes) -> tuple[dict[str, tuple[str, bytes]], int]:
+    header: dict[str, tuple[str, bytes]] = {}
+    position = 8
+    while data[position]:
+        name, position = _read_name(data, position)
+        kind, position = _read_name(data, position)
+        size = struct.unpack_from("<i", data, position)[0]
+        position += 4
+        if size < 0 or position + size > len(data):
+            raise ValueError(f"the attribute {name} is incomplete")
+        header[name] = (kind, data[position : position + size])
+        position += size
+    return header, position + 1
+
+
+def _read_channels(data: bytes) -> list[tuple[str, Any]]:
+    channels, position = [], 0
+    while data[position]:
+        name, position = _read_name(data, position)
+        kind, _, x_step, y_step = struct.unpack_from("<iB3xii", data, position)
+        position += 16
+        if (x_step, y_step) != (1, 1):
+            raise _ForeignError("subsampled channels")
+        channels.append((name, _TYPES[kind]))
+    return channels
+
+
+def _read_name(data: bytes, position: int) -> tuple[str, int]:
+    end = data.index(b"\0", position, position + 256)
+    return data[position:end].decode(), end + 1
+
+
+def _read_foreign(path: Path, kind: str) -> tuple[Planes, dict[str, str]]:
+    try:
+        import OpenEXR
+    except ImportError:
+        raise ExrError(f"it is {kind}; reading that needs: python -m pip install OpenEXR") from None
+    try:
+        with OpenEXR.File(str(path), separate_channels=True) as file:
+            planes = {name: np.array(c.pixels, dtype=np.float32) for name, c in file.channels().items()}
+            header = {name: value for name, value in file.header().items() if isinstance(value, str)}
+    except (RuntimeError, ValueError, TypeError) as error:
+        raise ExrError(str(error).splitlines()[0] if str(error) else "it is unreadable") from None
+    return planes, header
+
+
+def _attribute(name: str, kind: str, value: bytes) -> bytes:
+    return name.encode() + b"\0" + kind.encode() + b"\0" + struct.pack("<i", len(value)) + value
+
+
+def _shuffle(raw: bytes) -> bytes:
+    """Even bytes first, then odd ones, each as its difference to the one before: what ZIP packs well."""
+    a = np.frombuffer(raw, dtype=np.uint8)
+    b = np.concatenate([a[::2], a[1::2]])
+    b[1:] = b[1:] - b[:-1] + np.uint8(128)
+    return bytes(b)
+
+
+def _unshuffle(packed: bytes) -> bytes:
+    b = np.frombuffer(packed, dtype=np.uint8).copy()
+    b[1:] -= np.uint8(128)
+    b = np.cumsum(b, dtype=np.uint8)
+    a = np.empty_like(b)
+    half = (len(b) + 1) // 2
+    a[::2], a[1::2] = b[:half], b[half:]
+    return bytes(a)

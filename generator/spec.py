@@ -1,0 +1,584 @@
+"""What a scene, a voxel grid and a target are: validated values, to and from TOML.
+
+Lengths are metres, angles degrees, power watts, radiance W/m^2/sr. The frame is Blender's: right-handed, z up.
+The relay wall is the plane y = 0 and faces +y; x runs along it.
+"""
+
+from __future__ import annotations
+
+import json
+import math
+import tomllib
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass, field, fields, is_dataclass, replace
+from pathlib import Path
+from types import UnionType
+from typing import Any, Literal, Union, get_args, get_origin, get_type_hints
+
+import numpy as np
+from numpy.typing import NDArray
+
+Vector = tuple[float, float, float]
+Range = tuple[float, float]
+Array = NDArray[np.float64]
+
+ROOM_SURFACES = ("floor", "ceiling", "back", "left", "right")
+TARGET_KINDS = ("sheet", "sphere", "mesh")
+
+
+class NlosError(ValueError):
+    """Bad input, told in one sentence: what is wrong, where, and what would be right."""
+
+
+def _check(ok: bool, message: str) -> None:
+    if not ok:
+        raise NlosError(message)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Wall:
+    """The relay wall: a rectangle in the plane y = 0.
+
+    Attributes
+    ----------
+    x, z : (float, float)
+        Extent, metres.
+    albedo : float, optional
+        Fraction of light reflected, Lambertian, 0 to 1; None (here and below) if read from a file where the
+        material is not plainly Lambertian.
+    """
+
+    x: Range
+    z: Range
+    albedo: float | None = 0.8
+
+
+@dataclass(frozen=True, kw_only=True)
+class Room:
+    """The surfaces that close the room, apart from the relay wall.
+
+    Attributes
+    ----------
+    x, y, z : (float, float)
+        Extent, metres; y starts at the relay wall.
+    albedo : float
+        Of every surface, Lambertian.
+    surfaces : tuple of str
+        Which of floor, ceiling, back, left, right are there.
+    """
+
+    x: Range
+    y: Range
+    z: Range
+    albedo: float | None = 0.8
+    surfaces: tuple[str, ...] = ROOM_SURFACES
+
+
+@dataclass(frozen=True, kw_only=True)
+class Partition:
+    """The screen in a plane of constant x that hides the object from lamp and camera.
+
+    Attributes
+    ----------
+    x : float
+        Where its plane stands, metres.
+    depth : float
+        How far it reaches towards +x, metres: 0 is a thin screen, more is a solid corner.
+    y, z : (float, float)
+        Extent, metres.
+    albedo : float
+        0 is matt black.
+    """
+
+    x: float
+    y: Range
+    z: Range
+    depth: float = 0.0
+    albedo: float | None = 0.0
+
+
+@dataclass(frozen=True, kw_only=True)
+class Spot:
+    """The spot lamp.
+
+    Attributes
+    ----------
+    location, aim : (float, float, float)
+        The lamp and w1, the centre of the patch that it lights on the relay wall, metres.
+    half_angle : float
+        Of its cone, degrees.
+    power : float
+        Blender's watts: radiant intensity I = power / (4 pi) W/sr inside the cone, whatever its angle.
+    """
+
+    location: Vector
+    aim: Vector
+    half_angle: float
+    power: float = 1000.0
+
+    @property
+    def intensity(self) -> float:
+        """Radiant intensity inside the cone, W/sr."""
+        return self.power / (4.0 * math.pi)
+
+    def irradiance(self, normal: Vector = (0.0, 1.0, 0.0)) -> float:
+        """Irradiance I cos / d^2 at w1 of a surface with that unit normal, W/m^2."""
+        to_lamp = np.subtract(self.location, self.aim)
+        distance = float(np.linalg.norm(to_lamp))
+        return self.intensity * max(0.0, float(to_lamp @ np.asarray(normal))) / distance**3
+
+
+@dataclass(frozen=True, kw_only=True)
+class Camera:
+    """The camera and the rectangle of the relay wall that it watches.
+
+    The camera looks straight at the wall; the lens is shifted so that the picture is exactly the watched
+    rectangle, without keystone. Facing the wall, the camera's right is -x: column 0 of a picture is the
+    largest x, row 0 the largest z.
+
+    Attributes
+    ----------
+    location : (float, float, float)
+        Metres.
+    x, z : (float, float)
+        The watched rectangle, metres.
+    projection : {"perspective", "orthographic"}
+    """
+
+    location: Vector
+    x: Range
+    z: Range
+    projection: Literal["perspective", "orthographic"] = "perspective"
+
+
+@dataclass(frozen=True, kw_only=True)
+class VoxelGrid:
+    """The hidden volume, cut into equal boxes; x runs fastest, then y, then z.
+
+    Attributes
+    ----------
+    lo, hi : (float, float, float)
+        Opposite corners, metres.
+    shape : (int, int, int)
+        Number of voxels along x, y, z.
+    """
+
+    lo: Vector
+    hi: Vector
+    shape: tuple[int, int, int] = (3, 3, 1)
+
+    def __post_init__(self) -> None:
+        _check(all(n >= 1 for n in self.shape), f"grid.shape: {self.shape} has a count below 1")
+        _check(self.n_voxels <= 100_000, f"grid.shape: {self.n_voxels} voxels; at most 100000 can be labelled")
+        _check(
+            all(math.isfinite(a) and math.isfinite(b) and a < b for a, b in zip(self.lo, self.hi, strict=True)),
+            f"grid: lo {self.lo} must lie below hi {self.hi} on every axis",
+        )
+
+    @property
+    def n_voxels(self) -> int:
+        """How many voxels there are."""
+        return math.prod(self.shape)
+
+    @property
+    def size(self) -> Vector:
+        """Edge lengths of one voxel, metres."""
+        x, y, z = ((b - a) / n for a, b, n in zip(self.lo, self.hi, self.shape, strict=True))
+        return (x, y, z)
+
+    @property
+    def labels(self) -> list[str]:
+        """A, B, ... Z, AA, AB, ... in voxel order, like the columns of a spreadsheet."""
+        return [voxel_label(i) for i in range(self.n_voxels)]
+
+    def cell(self, voxel: int) -> tuple[int, int, int]:
+        """Indices of a voxel along x, y, z."""
+        nx, ny, _ = self.shape
+        return voxel % nx, voxel // nx % ny, voxel // (nx * ny)
+
+    def bounds(self, voxel: int) -> tuple[Array, Array]:
+        """Lowest and highest corner of a voxel, each of shape (3,), metres."""
+        lo = np.asarray(self.lo) + np.asarray(self.cell(voxel)) * np.asarray(self.size)
+        return lo, lo + np.asarray(self.size)
+
+
+def voxel_label(index: int) -> str:
+    """Return the spreadsheet-style name of a voxel: 0 is A, 25 is Z, 26 is AA."""
+    label = ""
+    index += 1
+    while index:
+        index, letter = divmod(index - 1, 26)
+        label = chr(ord("A") + letter) + label
+    return label
+
+
+@dataclass(frozen=True, kw_only=True)
+class Target:
+    """The hidden object.
+
+    Attributes
+    ----------
+    kind : {"sheet", "sphere", "mesh"}
+        A square sheet (two-sided, normal along y when unrotated), a sphere, or a mesh from a file.
+    size : float
+        Edge of the sheet, diameter of the sphere, longest edge of the mesh's bounding box, metres; for a mesh
+        0 keeps the file's own size.
+    albedo : float
+        Lambertian; 1 is the paper's "perfectly reflecting" sphere.
+    mesh : str
+        File of a mesh target (.obj, .ply or .stl), else empty.
+    """
+
+    kind: Literal["sheet", "sphere", "mesh"] = "sheet"
+    size: float = 0.5
+    albedo: float | None = 0.9
+    mesh: str = ""
+
+    @classmethod
+    def named(cls, name: str, scale: float = 1.0) -> Target:
+        """Return the sheet (0.5 m, albedo 0.9) or the sphere (radius 0.2 m, albedo 1) to scale, or a mesh file."""
+        if name == "sheet":
+            return cls(kind="sheet", size=0.5 * scale, albedo=0.9)
+        if name == "sphere":
+            return cls(kind="sphere", size=0.4 * scale, albedo=1.0)
+        _check(
+            Path(name).suffix.lower() in MESH_SUFFIXES,
+            f"target {name!r}: must be sheet, sphere or a mesh file ({', '.join(MESH_SUFFIXES)})",
+        )
+        return cls(kind="mesh", size=0.0, albedo=0.9, mesh=name)
+
+
+MESH_SUFFIXES = (".obj", ".ply", ".stl")
+
+
+@dataclass(frozen=True, kw_only=True)
+class Scene:
+    """A whole scene.
+
+    Attributes
+    ----------
+    preset : str
+        The preset it started from.
+    ambient : float
+        Uniform radiance of the world, W/m^2/sr; 0 is off.
+    reflection_order : int
+        How many diffuse reflections a picture may hold; three is lamp, w1, object, w2, camera.
+    resolution : (int, int)
+        Width and height of a picture, pixels.
+    """
+
+    preset: str
+    wall: Wall
+    spot: Spot
+    camera: Camera
+    grid: VoxelGrid
+    target: Target = field(default_factory=Target)
+    room: Room | None = None
+    partition: Partition | None = None
+    ambient: float = 0.0
+    reflection_order: int = 3
+    resolution: tuple[int, int] = (64, 64)
+
+    def __post_init__(self) -> None:
+        for name, value in _leaves(self):
+            if isinstance(value, float):
+                _check(math.isfinite(value), f"{name}: {value} is not a finite number")
+            if name.endswith("albedo") and value is not None:
+                _check(0.0 <= value <= 1.0, f"{name}: {value} must lie between 0 and 1")
+        for part in ("wall", "room", "partition", "camera"):
+            for axis in "xyz":
+                extent = getattr(getattr(self, part), axis, None)
+                if isinstance(extent, tuple):
+                    _check(extent[0] < extent[1], f"{part}.{axis}: {extent} must run from low to high")
+        _check(self.spot.power >= 0, f"spot.power: {self.spot.power} must not be negative")
+        _check(
+            0 < self.spot.half_angle < 90,
+            f"spot.half_angle: {self.spot.half_angle} must lie between 0 and 90 degrees",
+        )
+        _check(self.spot.location != self.spot.aim, "spot.aim: must differ from spot.location")
+        _check(self.ambient >= 0, f"ambient: {self.ambient} must not be negative")
+        _check(self.target.size >= 0, f"target.size: {self.target.size} must not be negative")
+        _check(self.target.size > 0 or self.target.kind == "mesh", "target.size: must be above 0")
+        _check(
+            1 <= self.reflection_order <= 1024,
+            f"reflection_order: {self.reflection_order} must be from 1 to 1024",
+        )
+        _check(
+            all(1 <= n <= 65536 for n in self.resolution),
+            f"resolution: {self.resolution} must be from 1 to 65536",
+        )
+        if self.room:
+            unknown = set(self.room.surfaces) - set(ROOM_SURFACES)
+            _check(
+                not unknown,
+                f"room.surfaces: {sorted(unknown)} unknown; choose from {', '.join(ROOM_SURFACES)}",
+            )
+
+    @property
+    def reference_radiance(self) -> float:
+        """Radiance of the directly lit relay wall at w1, rho/pi I cos/d^2, W/m^2/sr; rho = 1 if unknown."""
+        albedo = 1.0 if self.wall.albedo is None else self.wall.albedo
+        return albedo / math.pi * self.spot.irradiance()
+
+    def with_ambient(self, radiance: float) -> Scene:
+        """Return the scene under uniform ambient light; a closed room loses its ceiling, or none could enter."""
+        room = self.room
+        if radiance > 0 and room and set(ROOM_SURFACES) <= set(room.surfaces):
+            room = replace(room, surfaces=tuple(s for s in room.surfaces if s != "ceiling"))
+        return replace(self, ambient=radiance, room=room)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Sweep:
+    """What a sweep renders: all that decides the pixels of a data set besides the scene itself.
+
+    Attributes
+    ----------
+    engine : {"path", "patch"}
+    samples : int
+        Camera rays per pixel.
+    paired : bool
+        Render each pose's background with the pose's own noise and keep only the difference of the two on top of
+        the common background: unbiased, twice the cost, and a far smaller error where the object changes little.
+    resolution : (int, int)
+        Width and height, pixels.
+    poses : int
+        Per voxel.
+    seed : int
+        Of the sweep; every pose's own follows from it.
+    inside : {"whole", "centre"}
+        What stays inside the voxel: all of the target, or its origin only.
+    rotation : (float, float, float)
+        Largest angles about x, y, z, degrees; each is drawn between minus and plus that.
+    """
+
+    engine: Literal["path", "patch"] = "patch"
+    samples: int = 512
+    paired: bool = True
+    resolution: tuple[int, int] = (64, 64)
+    poses: int = 100
+    seed: int = 0
+    inside: Literal["whole", "centre"] = "whole"
+    rotation: Vector = (0.0, 0.0, 0.0)
+
+    def __post_init__(self) -> None:
+        _check(1 <= self.samples <= 2**24, f"samples: {self.samples} must be from 1 to {2**24}")
+        _check(1 <= self.poses <= 1_000_000, f"poses: {self.poses} must be from 1 to 1000000")
+        _check(0 <= self.seed < 2**63, f"seed: {self.seed} must be from 0 to 2^63 - 1")
+        _check(
+            all(1 <= n <= 65536 for n in self.resolution), f"resolution: {self.resolution} must be from 1 to 65536"
+        )
+        _check(all(0 <= a <= 180 for a in self.rotation), f"rotation: {self.rotation} must be from 0 to 180 degrees")
+
+
+def preset(name: str, target: str = "sheet") -> Scene:
+    """Return one of the three preset scenes.
+
+    Parameters
+    ----------
+    name : {"room", "tabletop", "corridor"}
+        A room 5 m wide; the synthetic experiment of Klein et al. 2016 (2 m x 2 m of wall seen
+        orthographically, a 10 cm square 50 cm from it); an L-shaped corridor at building scale.
+    target : str
+        "sheet", "sphere" (both to the preset's scale) or the name of a mesh file.
+
+    Raises
+    ------
+    NlosError
+        There is no such preset or target.
+    """
+    if name == "room":
+        x, y, z = (-2.4, 2.6), (0.0, 3.4), (0.0, 2.6)
+        return Scene(
+            preset=name,
+            wall=Wall(x=x, z=z),
+            room=Room(x=x, y=y, z=z),
+            partition=Partition(x=0.0, y=(1.3, 3.4), z=z),
+            spot=Spot(location=(-1.0, 3.0, 1.7), aim=(0.3, 0.0, 1.3), half_angle=1.39),
+            camera=Camera(location=(-1.1, 3.0, 1.4), x=(-0.95, 0.05), z=(0.8, 1.8)),
+            grid=VoxelGrid(lo=(0.8, 0.4, 0.4), hi=(2.3, 1.9, 2.2)),
+            target=Target.named(target),
+        )
+    if name == "tabletop":
+        # Lamp and camera stand between wall and object, as in the paper's synthetic data: they are points
+        # that block nothing, and the object hides nothing from them.
+        return Scene(
+            preset=name,
+            wall=Wall(x=(-1.0, 1.0), z=(-1.0, 1.0)),
+            spot=Spot(location=(0.0, 0.2, 0.0), aim=(0.0, 0.0, 0.0), half_angle=5.0),
+            camera=Camera(location=(0.0, 0.25, 0.0), x=(-1.0, 1.0), z=(-1.0, 1.0), projection="orthographic"),
+            grid=VoxelGrid(lo=(-0.3, 0.35, -0.3), hi=(0.3, 0.65, 0.3), shape=(3, 1, 3)),
+            target=Target.named(target, 0.2),
+        )
+    if name == "corridor":
+        x, y, z = (-3.0, 14.0), (0.0, 10.0), (0.0, 3.0)
+        return Scene(
+            preset=name,
+            wall=Wall(x=x, z=z),
+            room=Room(x=x, y=y, z=z),
+            partition=Partition(x=0.0, y=(2.5, 10.0), z=z, depth=14.0, albedo=0.8),
+            spot=Spot(location=(-1.8, 8.0, 1.8), aim=(0.6, 0.0, 1.5), half_angle=1.0),
+            camera=Camera(location=(-2.0, 8.0, 1.5), x=(-2.4, -0.4), z=(0.5, 2.5)),
+            grid=VoxelGrid(lo=(1.5, 0.4, 0.3), hi=(6.0, 2.2, 2.3)),
+            target=Target.named(target, 1.2),
+        )
+    raise NlosError(f"preset {name!r}: there is none; choose from room, tabletop, corridor")
+
+
+def _leaves(value: Any, prefix: str = "") -> list[tuple[str, Any]]:
+    """Every plain figure inside nested dataclasses and tuples, with its dotted name."""
+    if is_dataclass(value) and not isinstance(value, type):
+        return [
+            leaf
+            for f in fields(value)
+            for leaf in _leaves(getattr(value, f.name), f"{prefix}.{f.name}" if prefix else f.name)
+        ]
+    if isinstance(value, tuple):
+        return [leaf for item in value for leaf in _leaves(item, prefix)]
+    return [(prefix, value)]
+
+
+def from_dict(cls: type, data: Mapping[str, Any], where: str = "") -> Any:
+    """Build a dataclass of this module from plain TOML values.
+
+    Raises
+    ------
+    NlosError
+        A field is unknown, missing or of the wrong type; the message names it with its dotted path.
+    """
+    hints = get_type_hints(cls)
+    known = {f.name for f in fields(cls)}
+    for key in data:
+        _check(key in known, f"{where}{key}: no such field; known are {', '.join(sorted(known))}")
+    try:
+        return cls(**{key: _convert(hints[key], value, f"{where}{key}") for key, value in data.items()})
+    except TypeError as error:
+        raise NlosError(f"{where or 'scene'}: {error}") from None
+
+
+def _convert(hint: Any, value: Any, where: str) -> Any:
+    origin, args = get_origin(hint), get_args(hint)
+    if origin in (Union, UnionType):
+        return None if value is None else _convert(args[0], value, where)
+    if is_dataclass(hint) and isinstance(hint, type):
+        _check(isinstance(value, Mapping), f"{where}: must be a table")
+        return from_dict(hint, value, f"{where}.")
+    if origin is tuple:
+        _check(isinstance(value, list | tuple), f"{where}: must be a list")
+        if len(args) == 2 and args[1] is Ellipsis:
+            return tuple(_convert(args[0], item, where) for item in value)
+        _check(len(value) == len(args), f"{where}: must hold {len(args)} values, not {len(value)}")
+        return tuple(_convert(arg, item, where) for arg, item in zip(args, value, strict=True))
+    if origin is Literal:
+        _check(value in args, f"{where}: {value!r} must be one of {', '.join(map(str, args))}")
+        return value
+    if hint is float:
+        _check(
+            isinstance(value, int | float) and not isinstance(value, bool),
+            f"{where}: {value!r} must be a number",
+        )
+        return float(value)
+    if hint is int:
+        _check(
+            isinstance(value, int) and not isinstance(value, bool),
+            f"{where}: {value!r} must be a whole number",
+        )
+        return value
+    _check(isinstance(value, hint), f"{where}: {value!r} must be of type {hint.__name__}")
+    return value
+
+
+def to_dict(value: Any) -> dict[str, Any]:
+    """Return a dataclass of this module as plain values, leaving out what is None (TOML has no null)."""
+    plain: dict[str, Any] = _without_none(asdict(value))
+    return plain
+
+
+def _without_none(value: Any) -> Any:
+    if isinstance(value, dict):
+        return {key: _without_none(item) for key, item in value.items() if item is not None}
+    return value
+
+
+def parse_resolution(text: str, aspect: float = 1.0) -> tuple[int, int]:
+    """Return width and height from ``64`` (the height follows from the aspect) or ``64x48``.
+
+    Raises
+    ------
+    NlosError
+        It is neither.
+    """
+    width, cross, height = text.lower().partition("x")
+    try:
+        return int(width), int(height) if cross else max(1, round(int(width) / aspect))
+    except ValueError:
+        raise NlosError(f"resolution {text!r}: must read 64 or 64x48") from None
+
+
+def set_field(data: dict[str, Any], assignment: str) -> None:
+    """Set one figure of a plain scene from ``dotted.name=value``, where value is TOML.
+
+    Raises
+    ------
+    NlosError
+        It is not an assignment, or the value is not TOML.
+    """
+    name, equals, text = assignment.partition("=")
+    keys = name.strip().split(".")
+    _check(bool(equals) and all(keys), f"--set {assignment!r}: must read NAME=VALUE, for example spot.power=500")
+    try:
+        value = tomllib.loads(f"value = {text}")["value"]
+    except tomllib.TOMLDecodeError:
+        value = text.strip()
+    for key in keys[:-1]:
+        data = data.setdefault(key, {})
+        _check(isinstance(data, dict), f"--set {assignment!r}: {key} is not a table")
+    data[keys[-1]] = value
+
+
+def merge(base: dict[str, Any], over: Mapping[str, Any]) -> dict[str, Any]:
+    """Return ``base`` with the values of ``over`` laid on top, table by table."""
+    merged = dict(base)
+    for key, value in over.items():
+        below = merged.get(key)
+        merged[key] = merge(below, value) if isinstance(below, dict) and isinstance(value, Mapping) else value
+    return merged
+
+
+def read_toml(path: Path) -> dict[str, Any]:
+    """Read a TOML file.
+
+    Raises
+    ------
+    NlosError
+        The file is missing or is not TOML.
+    """
+    try:
+        return tomllib.loads(path.read_text(encoding="utf-8"))
+    except OSError as error:
+        raise NlosError(f"{path}: cannot be read ({error.strerror})") from None
+    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
+        raise NlosError(f"{path}: is not a TOML file ({error})") from None
+
+
+def dump_toml(data: Mapping[str, Any], prefix: str = "") -> str:
+    """Return plain values as TOML text; tables come after the keys of their parent."""
+    lines = [f"{_key(key)} = {_value(value)}" for key, value in data.items() if not isinstance(value, Mapping)]
+    for key, value in data.items():
+        if isinstance(value, Mapping):
+            name = f"{prefix}{_key(key)}"
+            lines += ["", f"[{name}]", dump_toml(value, f"{name}.")]
+    return "\n".join(lines).rstrip() + ("\n" if not prefix else "")
+
+
+def _key(key: str) -> str:
+    return key if key.replace("_", "").replace("-", "").isalnum() and key.isascii() else json.dumps(key)
+
+
+def _value(value: Any) -> str:
+    if isinstance(value, list | tuple):
+        return "[" + ", ".join(_value(item) for item in value) + "]"
+    if isinstance(value, float) and not math.isfinite(value):
+        return repr(value)
+    # JSON's strings, numbers and booleans are TOML's too, but for DEL, which TOML wants escaped.
+    return json.dumps(value, ensure_ascii=False).replace("\x7f", "\\u007f")

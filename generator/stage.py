@@ -1,0 +1,638 @@
+"""Builds the Blender scene from a spec, reads the spec back out of any ``.blend``, and moves the target.
+
+The file is the truth: which object plays which role is a custom property on the object (``nlos_role``), the voxel
+grid is three custom properties on the scene, and the reflection order is what Cycles' own light-path panel shows. All
+of them can be read and edited in Blender without any add-on.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import math
+import os
+import sys
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import bpy
+
+# isort: split
+import bmesh  # exists only once bpy is imported
+import numpy as np
+from mathutils import Euler, Matrix, Vector
+
+from generator import spec
+from generator.spec import Array, NlosError
+
+ROLE = "nlos_role"
+KIND = "nlos_target_kind"
+SURFACE = "nlos_surface"
+GRID_LO, GRID_HI, GRID_SHAPE = "nlos_grid_lo", "nlos_grid_hi", "nlos_grid_shape"
+PRESET = "nlos_preset"
+COLLECTION = "NLOS"
+
+# Roles that exactly one object plays; "room" and "partition" are played by any number.
+SINGLE_ROLES = ("relay_wall", "spot", "camera", "target")
+
+_FACES = {
+    "floor": ("z", 0),
+    "ceiling": ("z", 1),
+    "back": ("y", 1),
+    "left": ("x", 0),
+    "right": ("x", 1),
+}
+
+
+@contextlib.contextmanager
+def quiet() -> Iterator[None]:
+    """Silence what Blender prints about its own doings (file descriptor 1, since C prints it)."""
+    sys.stdout.flush()
+    saved, nowhere = os.dup(1), os.open(os.devnull, os.O_WRONLY)
+    try:
+        os.dup2(nowhere, 1)
+        yield
+    finally:
+        os.dup2(saved, 1)
+        os.close(saved)
+        os.close(nowhere)
+
+
+def open_file(path: Path) -> bpy.types.Scene:
+    """Open a ``.blend``, running none of the scripts stored in it, and return its active scene.
+
+    Raises
+    ------
+    NlosError
+        There is no such file, or Blender cannot read it.
+    """
+    if not path.is_file():
+        raise NlosError(f"{path}: no such scene file")
+    try:
+        with quiet():
+            bpy.ops.wm.open_mainfile(filepath=str(path), load_ui=False, use_scripts=False)
+    except RuntimeError as error:
+        raise NlosError(f"{path}: is not a scene Blender {bpy.app.version_string} can open ({error})") from None
+    return bpy.context.scene
+
+
+def save_file(path: Path) -> None:
+    """Save a compressed copy of the open file by temporary name and rename; textures keep their place."""
+    from generator.dataset import atomic
+
+    with atomic(path) as temporary, quiet():
+        try:
+            bpy.ops.wm.save_as_mainfile(
+                filepath=str(temporary), copy=True, compress=True, check_existing=False, relative_remap=True
+            )
+        except RuntimeError as error:
+            raise NlosError(f"{path}: cannot be written ({str(error).strip()})") from None
+
+
+def new_file() -> bpy.types.Scene:
+    """Start an empty file and return its scene."""
+    bpy.ops.wm.read_factory_settings(use_empty=True)
+    return bpy.context.scene
+
+
+def build(scene: bpy.types.Scene, wanted: spec.Scene) -> None:
+    """Build a scene from its spec, in place of what an earlier call built.
+
+    Parameters
+    ----------
+    scene : bpy.types.Scene
+        Objects without a role are left alone.
+    wanted : spec.Scene
+
+    Raises
+    ------
+    NlosError
+        The mesh file cannot be read, or the watched rectangle does not fit the resolution.
+    """
+    width, height = wanted.resolution
+    x, z = wanted.camera.x, wanted.camera.z
+    aspect = (x[1] - x[0]) / (z[1] - z[0])
+    if abs(aspect - width / height) > 0.5 / max(width, height) * aspect:
+        raise NlosError(
+            f"resolution: {width} x {height} pixels do not fit the watched rectangle of "
+            f"{x[1] - x[0]:g} x {z[1] - z[0]:g} m; pixels must be square"
+        )
+    _clear(scene)
+    collection = bpy.data.collections.get(COLLECTION) or bpy.data.collections.new(COLLECTION)
+    if collection.name not in scene.collection.children:
+        scene.collection.children.link(collection)
+    wall = _quad("Relay wall", "y", 0.0, {"x": wanted.wall.x, "z": wanted.wall.z}, wanted.wall.albedo, inward=1)
+    _add(collection, wall, "relay_wall")
+    if wanted.room:
+        extent = {axis: getattr(wanted.room, axis) for axis in "xyz"}
+        for surface in wanted.room.surfaces:
+            axis, end = _FACES[surface]
+            across = {a: r for a, r in extent.items() if a != axis}
+            quad = _quad(
+                surface.capitalize(), axis, extent[axis][end], across, wanted.room.albedo, inward=1 - 2 * end
+            )
+            quad[SURFACE] = surface
+            _add(collection, quad, "room")
+    if wanted.partition:
+        for screen in _partition(wanted.partition):
+            _add(collection, screen, "partition")
+    _add(collection, _spot(wanted.spot), "spot")
+    camera = _camera(wanted)
+    _add(collection, camera, "camera")
+    scene.camera = camera
+    target = _target(wanted.target)
+    _add(collection, target, "target")
+    target.location = np.add(wanted.grid.lo, wanted.grid.hi) / 2.0
+    _world(scene, wanted.ambient)
+    scene[PRESET] = wanted.preset
+    write_grid(scene, wanted.grid)
+    scene.render.resolution_x, scene.render.resolution_y = wanted.resolution
+    scene.render.resolution_percentage = 100
+    limit_reflections(scene, wanted.reflection_order)
+    bpy.context.view_layer.update()
+
+
+def limit_reflections(scene: bpy.types.Scene, order: int) -> None:
+    """Let Cycles follow light over that many reflections and no more: the one place that translates.
+
+    Cycles counts bounces after the camera ray's first hit, which is itself a reflection, so order n is n - 1 bounces.
+    """
+    scene.render.engine = "CYCLES"
+    cycles = scene.cycles
+    for kind in ("max_bounces", "diffuse_bounces", "glossy_bounces", "transmission_bounces"):
+        setattr(cycles, kind, order - 1)
+    cycles.volume_bounces = 0
+    # Russian roulette saves nothing on paths this short and adds noise.
+    cycles.min_light_bounces = min(order, 1024)
+
+
+def reflection_order(scene: bpy.types.Scene) -> int:
+    """Return the reflection order that the scene's Cycles settings allow."""
+    return int(min(scene.cycles.max_bounces, scene.cycles.diffuse_bounces)) + 1
+
+
+def write_grid(scene: bpy.types.Scene, grid: spec.VoxelGrid) -> None:
+    """Store the voxel grid in the scene."""
+    scene[GRID_LO], scene[GRID_HI], scene[GRID_SHAPE] = grid.lo, grid.hi, grid.shape
+
+
+def find(scene: bpy.types.Scene, role: str) -> bpy.types.Object:
+    """Return the one object that plays a role.
+
+    Raises
+    ------
+    NlosError
+        None does, or more than one does.
+    """
+    found = players(scene, role)
+    words = role.replace("_", " ")
+    if not found:
+        raise NlosError(
+            f"{_file()}: no object is the {words}; give one the custom property {ROLE} = {role!r} in Blender"
+        )
+    if len(found) > 1:
+        names = ", ".join(repr(o.name) for o in found)
+        raise NlosError(
+            f"{_file()}: {len(found)} objects are named as {words} ({names}); only one may have {ROLE} = {role!r}"
+        )
+    return found[0]
+
+
+def players(scene: bpy.types.Scene, role: str) -> list[bpy.types.Object]:
+    """Return every object of the scene that plays a role."""
+    return [o for o in scene.objects if o.get(ROLE) == role]
+
+
+def read(scene: bpy.types.Scene) -> spec.Scene:
+    """Read the spec back out of a scene, as edited.
+
+    Raises
+    ------
+    NlosError
+        A role is missing or played twice, the voxel grid is missing, the relay wall is not in the plane y = 0, or the
+        spot lamp does not point at it.
+    """
+    wall, lamp, camera, target = (find(scene, role) for role in SINGLE_ROLES)
+    low, high = _box([wall])
+    size = float(max(high - low))
+    if max(abs(low[1]), abs(high[1])) > 1e-5 * size:
+        raise NlosError(f"{_file()}: the relay wall {wall.name!r} must lie in the plane y = 0")
+    room, screens = players(scene, "room"), players(scene, "partition")
+    return spec.Scene(
+        preset=str(scene.get(PRESET, "custom")),
+        wall=spec.Wall(x=_range(low, high, 0), z=_range(low, high, 2), albedo=albedo(wall)),
+        room=_read_room(room) if room else None,
+        partition=_read_partition(screens) if screens else None,
+        spot=_read_spot(lamp),
+        camera=_read_camera(scene, camera),
+        grid=_read_grid(scene),
+        target=spec.Target(
+            kind=target.get(KIND, "mesh"),
+            size=_short(max(np.ptp(hull(scene), axis=0))),
+            albedo=albedo(target),
+        ),
+        ambient=ambient(scene),
+        reflection_order=reflection_order(scene),
+        resolution=(
+            max(1, scene.render.resolution_x * scene.render.resolution_percentage // 100),
+            max(1, scene.render.resolution_y * scene.render.resolution_percentage // 100),
+        ),
+    )
+
+
+def others(scene: bpy.types.Scene) -> list[str]:
+    """Return the names of rendered objects that play no role: what an artist added."""
+    return sorted(o.name for o in scene.objects if ROLE not in o and not o.hide_render and o.type != "EMPTY")
+
+
+def hull(scene: bpy.types.Scene) -> Array:
+    """Return the target's evaluated vertices relative to its origin, unrotated but scaled, (n, 3), metres.
+
+    Raises
+    ------
+    NlosError
+        There is not exactly one target, or it has no surface.
+    """
+    target = find(scene, "target")
+    vertices = evaluated_vertices(target)
+    if not len(vertices):
+        raise NlosError(f"{_file()}: the target {target.name!r} has no surface to reflect light")
+    scaled: Array = vertices * np.asarray(target.matrix_world.to_scale(), dtype=np.float64)
+    return scaled
+
+
+def evaluated_vertices(obj: bpy.types.Object) -> Array:
+    """Return an object's vertices after modifiers, in its own frame, (n, 3); empty if it has no surface."""
+    evaluated = obj.evaluated_get(bpy.context.evaluated_depsgraph_get())
+    try:
+        mesh = evaluated.to_mesh()
+    except RuntimeError:  # lamps, empties and the like
+        return np.empty((0, 3))
+    vertices = np.empty(3 * len(mesh.vertices), dtype=np.float32)
+    mesh.vertices.foreach_get("co", vertices)
+    evaluated.to_mesh_clear()
+    return vertices.reshape(-1, 3).astype(np.float64)
+
+
+def move_target(scene: bpy.types.Scene, position: spec.Vector, rotation: spec.Vector) -> None:
+    """Put the target's origin at a position, turned about x, then y, then z.
+
+    Parameters
+    ----------
+    position : (float, float, float)
+        Metres.
+    rotation : (float, float, float)
+        Degrees.
+
+    Raises
+    ------
+    NlosError
+        Something else holds the target in place: a constraint, a driver, an animation.
+    """
+    target = find(scene, "target")
+    turn = Euler([math.radians(a) for a in rotation], "XYZ")
+    wanted = Matrix.LocRotScale(Vector(position), turn, target.matrix_world.to_scale())
+    target.matrix_world = wanted
+    bpy.context.view_layer.update()
+    got = target.evaluated_get(bpy.context.evaluated_depsgraph_get()).matrix_world
+    tolerance = 1e-5 * (1.0 + max(map(abs, position)))
+    if any(abs(a - b) > tolerance for r, s in zip(wanted, got, strict=True) for a, b in zip(r, s, strict=True)):
+        raise NlosError(
+            f"{_file()}: the target {target.name!r} does not go where it is put; remove its constraints, drivers "
+            "and animation"
+        )
+
+
+def albedo(obj: bpy.types.Object) -> float | None:
+    """Return the mean albedo of an object's material if it is plainly Lambertian, else None."""
+    colour = diffuse_colour(obj)
+    return None if colour is None else _short(sum(colour) / 3.0)
+
+
+def diffuse_colour(obj: bpy.types.Object) -> tuple[float, float, float] | None:
+    """Return the RGB albedo of an object whose only material is a constant Lambertian reflector, else None."""
+    materials = {slot.material for slot in obj.material_slots}
+    if len(materials) != 1 or None in materials:
+        return None
+    tree = next(iter(materials)).node_tree
+    output = (
+        next((n for n in tree.nodes if n.type == "OUTPUT_MATERIAL" and n.is_active_output), None) if tree else None
+    )
+    if output is None or not output.inputs["Surface"].is_linked:
+        return None
+    if output.inputs["Displacement"].is_linked or output.inputs["Volume"].is_linked:
+        return None
+    shader = output.inputs["Surface"].links[0].from_node
+    inputs = shader.inputs
+    if any(i.is_linked for i in inputs):
+        return None
+    if shader.type == "BSDF_DIFFUSE" and inputs["Roughness"].default_value == 0.0:
+        colour = inputs["Color"].default_value
+    elif shader.type == "BSDF_PRINCIPLED" and _only_diffuse(inputs):
+        colour = inputs["Base Color"].default_value
+    else:
+        return None
+    return (float(colour[0]), float(colour[1]), float(colour[2]))
+
+
+def _only_diffuse(inputs: Any) -> bool:
+    weights = ("Metallic", "Specular IOR Level", "Transmission Weight", "Subsurface Weight", "Coat Weight")
+    zero = (*weights, "Sheen Weight", "Emission Strength", "Diffuse Roughness", "Thin Film Thickness")
+    return inputs["Alpha"].default_value == 1.0 and all(
+        inputs[name].default_value == 0.0 for name in zero if name in inputs
+    )
+
+
+def ambient(scene: bpy.types.Scene) -> float:
+    """Return the world's mean radiance, W/m^2/sr; for a world with a texture, its strength."""
+    node = _background_node(scene)
+    if node is None:
+        return 0.0 if scene.world is None or scene.world.node_tree else float(sum(scene.world.color) / 3.0)
+    strength = _short(node.inputs["Strength"].default_value)
+    colour = node.inputs["Color"]
+    return strength if colour.is_linked else strength * float(sum(colour.default_value[:3])) / 3.0
+
+
+def _background_node(scene: bpy.types.Scene) -> Any:
+    tree = scene.world.node_tree if scene.world else None
+    return next((n for n in tree.nodes if n.type == "BACKGROUND"), None) if tree else None
+
+
+def _file() -> str:
+    return bpy.data.filepath or "scene"
+
+
+def _clear(scene: bpy.types.Scene) -> None:
+    for obj in [o for o in scene.objects if ROLE in o]:
+        data = obj.data
+        bpy.data.objects.remove(obj, do_unlink=True)
+        if data is not None and data.users == 0:
+            bpy.data.batch_remove([data])
+    unused = [m for m in bpy.data.materials if m.name.startswith("NLOS ") and m.users == 0]
+    bpy.data.batch_remove(unused)
+
+
+def _add(collection: bpy.types.Collection, obj: bpy.types.Object, role: str) -> None:
+    obj[ROLE] = role
+    collection.objects.link(obj)
+
+
+def _material(name: str, reflectance: float | None) -> bpy.types.Material:
+    material = bpy.data.materials.new(f"NLOS {name}")
+    if material.node_tree is None:  # Blender 5 makes the tree itself and warns of the old switch
+        material.use_nodes = True
+    nodes = material.node_tree.nodes
+    nodes.clear()
+    value = 0.0 if reflectance is None else reflectance
+    shader, output = nodes.new("ShaderNodeBsdfDiffuse"), nodes.new("ShaderNodeOutputMaterial")
+    shader.inputs["Color"].default_value = (value, value, value, 1.0)
+    shader.inputs["Roughness"].default_value = 0.0
+    output.location.x = 250.0
+    material.node_tree.links.new(shader.outputs["BSDF"], output.inputs["Surface"])
+    material.diffuse_color = (value, value, value, 1.0)
+    return material
+
+
+def _mesh(name: str, vertices: list[spec.Vector], faces: list[tuple[int, ...]], reflectance: float | None) -> Any:
+    mesh = bpy.data.meshes.new(name)
+    mesh.from_pydata(vertices, [], faces)
+    mesh.materials.append(_material(name, reflectance))
+    return bpy.data.objects.new(name, mesh)
+
+
+def _quad(
+    name: str, axis: str, at: float, across: dict[str, spec.Range], reflectance: float | None, *, inward: int
+) -> bpy.types.Object:
+    """A rectangle in a plane of constant ``axis``; its normal points along it if ``inward`` is 1, else back."""
+    (a, (a0, a1)), (b, (b0, b1)) = across.items()
+    corners = [{axis: at, a: u, b: v} for u, v in ((a0, b0), (a1, b0), (a1, b1), (a0, b1))]
+    vertices = [(c["x"], c["y"], c["z"]) for c in corners]
+    normal = np.cross(np.subtract(vertices[1], vertices[0]), np.subtract(vertices[2], vertices[1]))
+    if normal["xyz".index(axis)] * inward < 0:
+        vertices.reverse()
+    return _mesh(name, vertices, [(0, 1, 2, 3)], reflectance)
+
+
+def _partition(screen: spec.Partition) -> list[bpy.types.Object]:
+    reflectance = screen.albedo
+    quads = [_quad("Partition", "x", screen.x, {"y": screen.y, "z": screen.z}, reflectance, inward=-1)]
+    if screen.depth > 0:
+        reach = (screen.x, screen.x + screen.depth)
+        quads.append(_quad("Partition side", "y", screen.y[0], {"x": reach, "z": screen.z}, reflectance, inward=-1))
+    return quads
+
+
+def _spot(lamp: spec.Spot) -> bpy.types.Object:
+    light = bpy.data.lights.new("Spot", "SPOT")
+    light.energy = lamp.power
+    light.spot_size = 2.0 * math.radians(lamp.half_angle)
+    light.spot_blend = 0.0
+    light.shadow_soft_size = 0.0
+    obj = bpy.data.objects.new("Spot", light)
+    obj.location = lamp.location
+    obj.rotation_euler = Vector(np.subtract(lamp.aim, lamp.location)).to_track_quat("-Z", "Y").to_euler()
+    return obj
+
+
+def _camera(wanted: spec.Scene) -> bpy.types.Object:
+    view = wanted.camera
+    camera = bpy.data.cameras.new("Camera")
+    width = view.x[1] - view.x[0]
+    distance = view.location[1]
+    camera.sensor_fit = "HORIZONTAL"
+    if view.projection == "orthographic":
+        camera.type = "ORTHO"
+        camera.ortho_scale = width
+    else:
+        camera.angle_x = 2.0 * math.atan2(width / 2.0, distance)
+    # Facing the wall, the camera's right is -x.
+    camera.shift_x = (view.location[0] - (view.x[0] + view.x[1]) / 2.0) / width
+    camera.shift_y = ((view.z[0] + view.z[1]) / 2.0 - view.location[2]) / width
+    camera.clip_start, camera.clip_end = 1e-3 * distance, 1e3 * distance
+    obj = bpy.data.objects.new("Camera", camera)
+    obj.location = view.location
+    obj.rotation_euler = (math.pi / 2.0, 0.0, math.pi)
+    return obj
+
+
+def _target(wanted: spec.Target) -> bpy.types.Object:
+    if wanted.kind == "sheet":
+        h = wanted.size / 2.0
+        target = _quad("Target", "y", 0.0, {"x": (-h, h), "z": (-h, h)}, wanted.albedo, inward=-1)
+    elif wanted.kind == "sphere":
+        target = _sphere(wanted)
+    else:
+        target = _import_mesh(wanted)
+    target[KIND] = wanted.kind
+    return target
+
+
+def _sphere(wanted: spec.Target) -> bpy.types.Object:
+    """A geodesic sphere of 5120 triangles with the true sphere's area.
+
+    A convex body's mean projected area is a quarter of its surface (Cauchy 1841), so the light it catches is right on
+    average over directions though its vertices stand out by 0.04 %.
+    """
+    radius = wanted.size / 2.0
+    shape = bmesh.new()
+    bmesh.ops.create_icosphere(shape, subdivisions=5, radius=radius)
+    area = sum(face.calc_area() for face in shape.faces)
+    bmesh.ops.scale(shape, vec=[math.sqrt(4.0 * math.pi * radius**2 / area)] * 3, verts=shape.verts)
+    mesh = bpy.data.meshes.new("Target")
+    shape.to_mesh(mesh)
+    shape.free()
+    mesh.materials.append(_material("Target", wanted.albedo))
+    return bpy.data.objects.new("Target", mesh)
+
+
+def _import_mesh(wanted: spec.Target) -> bpy.types.Object:
+    path = Path(wanted.mesh)
+    if not path.is_file():
+        raise NlosError(f"target.mesh: {path} is no such file")
+    importers = {".obj": bpy.ops.wm.obj_import, ".ply": bpy.ops.wm.ply_import, ".stl": bpy.ops.wm.stl_import}
+    before = set(bpy.data.objects)
+    try:
+        importers[path.suffix.lower()](filepath=str(path.absolute()))
+    except (RuntimeError, KeyError):
+        raise NlosError(f"target.mesh: {path} is not a mesh file Blender can read (.obj, .ply, .stl)") from None
+    shape = bmesh.new()
+    for obj in [o for o in bpy.data.objects if o not in before]:
+        if obj.type == "MESH":
+            obj.data.transform(obj.matrix_basis)
+            shape.from_mesh(obj.data)
+        bpy.data.objects.remove(obj, do_unlink=True)
+    if not shape.faces:
+        raise NlosError(f"target.mesh: {path} holds no faces")
+    corners = np.array([v.co for v in shape.verts])
+    low, high = corners.min(axis=0), corners.max(axis=0)
+    factor = wanted.size / max(high - low) if wanted.size else 1.0
+    bmesh.ops.translate(shape, vec=-(low + high) / 2.0, verts=shape.verts)
+    bmesh.ops.scale(shape, vec=[factor] * 3, verts=shape.verts)
+    mesh = bpy.data.meshes.new("Target")
+    shape.to_mesh(mesh)
+    shape.free()
+    mesh.materials.clear()
+    mesh.materials.append(_material("Target", wanted.albedo))
+    return bpy.data.objects.new("Target", mesh)
+
+
+def _world(scene: bpy.types.Scene, radiance: float) -> None:
+    if scene.world is None:
+        scene.world = bpy.data.worlds.new("NLOS world")
+    if scene.world.node_tree is None:
+        scene.world.use_nodes = True
+    tree = scene.world.node_tree
+    tree.nodes.clear()
+    background, output = tree.nodes.new("ShaderNodeBackground"), tree.nodes.new("ShaderNodeOutputWorld")
+    background.inputs["Color"].default_value = (1.0, 1.0, 1.0, 1.0)
+    background.inputs["Strength"].default_value = radiance
+    output.location.x = 250.0
+    tree.links.new(background.outputs["Background"], output.inputs["Surface"])
+
+
+def _box(objects: list[bpy.types.Object]) -> tuple[Array, Array]:
+    """Bounding box of objects after modifiers, in the world, two arrays of shape (3,)."""
+    points = []
+    for obj in objects:
+        matrix = np.asarray(obj.matrix_world)
+        points.append(evaluated_vertices(obj) @ matrix[:3, :3].T + matrix[:3, 3])
+    every = np.concatenate(points)
+    if not len(every):
+        raise NlosError(f"{_file()}: {objects[0].name!r} has no surface")
+    return every.min(axis=0), every.max(axis=0)
+
+
+def _short(value: float) -> float:
+    """The shortest decimal that Blender's float32 stands for: 0.05, not 0.05000000074505806."""
+    return float(str(np.float32(value)))
+
+
+def _range(low: Array, high: Array, axis: int) -> spec.Range:
+    return (_short(low[axis]), _short(high[axis]))
+
+
+def _read_room(surfaces: list[bpy.types.Object]) -> spec.Room:
+    low, high = _box(surfaces)
+    names = {str(o.get(SURFACE)) for o in surfaces}
+    return spec.Room(
+        x=_range(low, high, 0),
+        y=_range(low, high, 1),
+        z=_range(low, high, 2),
+        albedo=albedo(surfaces[0]) if len({albedo(o) for o in surfaces}) == 1 else None,
+        surfaces=tuple(s for s in spec.ROOM_SURFACES if s in names),
+    )
+
+
+def _read_partition(screens: list[bpy.types.Object]) -> spec.Partition:
+    low, high = _box(screens)
+    x = _range(low, high, 0)
+    return spec.Partition(
+        x=x[0],
+        depth=_short(x[1] - x[0]),
+        y=_range(low, high, 1),
+        z=_range(low, high, 2),
+        albedo=albedo(screens[0]),
+    )
+
+
+def lamp_power(light: Any) -> float:
+    """Return a lamp's power in watts, exposure and colour's mean included."""
+    mean = sum(light.color) / 3.0
+    return float(light.energy * 2.0 ** getattr(light, "exposure", 0.0) * mean)
+
+
+def _read_spot(lamp: bpy.types.Object) -> spec.Spot:
+    if lamp.type != "LIGHT" or lamp.data.type != "SPOT":
+        raise NlosError(f"{_file()}: the spot {lamp.name!r} must be a spot lamp")
+    matrix = lamp.matrix_world
+    origin, axis = matrix.translation, -matrix.to_3x3().col[2].normalized()
+    if axis.y >= -1e-9 or origin.y <= 0.0:
+        raise NlosError(f"{_file()}: the spot {lamp.name!r} does not point at the relay wall (the plane y = 0)")
+    aim = origin - axis * (origin.y / axis.y)
+    return spec.Spot(
+        location=_vector(origin),
+        aim=_vector(aim),
+        half_angle=_short(math.degrees(lamp.data.spot_size) / 2.0),
+        power=lamp_power(lamp.data),
+    )
+
+
+def _vector(values: Any) -> spec.Vector:
+    return (_short(values[0]), _short(values[1]), _short(values[2]))
+
+
+def _read_camera(scene: bpy.types.Scene, camera: bpy.types.Object) -> spec.Camera:
+    if camera.type != "CAMERA" or camera.data.type not in ("PERSP", "ORTHO"):
+        raise NlosError(f"{_file()}: the camera {camera.name!r} must be a perspective or orthographic camera")
+    matrix = camera.matrix_world
+    orthographic = camera.data.type == "ORTHO"
+    corners = []
+    for corner in camera.data.view_frame(scene=scene):
+        start = matrix @ Vector((corner.x, corner.y, 0.0)) if orthographic else matrix.translation
+        ray = matrix @ corner - start
+        if ray.y >= 0.0 or start.y <= 0.0:
+            raise NlosError(
+                f"{_file()}: the camera {camera.name!r} does not look at the relay wall (the plane y = 0)"
+            )
+        corners.append(start - ray * (start.y / ray.y))
+    points = np.array(corners)
+    low, high = points.min(axis=0), points.max(axis=0)
+    return spec.Camera(
+        location=_vector(matrix.translation),
+        x=_range(low, high, 0),
+        z=_range(low, high, 2),
+        projection="orthographic" if orthographic else "perspective",
+    )
+
+
+def _read_grid(scene: bpy.types.Scene) -> spec.VoxelGrid:
+    missing = [key for key in (GRID_LO, GRID_HI, GRID_SHAPE) if key not in scene]
+    if missing:
+        raise NlosError(f"{_file()}: lacks the voxel grid (custom property {missing[0]} of the scene)")
+    data = {
+        "lo": [_short(v) for v in scene[GRID_LO]],
+        "hi": [_short(v) for v in scene[GRID_HI]],
+        "shape": [int(v) for v in scene[GRID_SHAPE]],
+    }
+    grid: spec.VoxelGrid = spec.from_dict(spec.VoxelGrid, data, "grid.")
+    return grid

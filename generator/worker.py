@@ -1,0 +1,208 @@
+"""One process, one Blender: plans a data set from a scene, and renders the poses it is told to.
+
+Run as ``python -m generator.worker`` by the coordinator (`generator.sweep`), which never imports bpy itself. Commands
+come as JSON lines on standard input and answers leave as lines that start with ``nlos``, because Blender writes to
+standard output as well. When the coordinator dies its end of the pipe closes, and the worker ends too.
+"""
+
+from __future__ import annotations
+
+import json
+import sys
+import time
+from collections.abc import Callable, Iterable, Mapping
+from importlib import metadata
+from pathlib import Path
+from typing import Any
+
+import bpy
+import numpy as np
+from mathutils import Matrix, Vector
+from mathutils.bvhtree import BVHTree
+
+from generator import engines, poses, spec, stage
+from generator.dataset import BACKGROUND_AMBIENT, SCENE, Dataset, Picture, PoseRecord, check_free, scene_hash
+from generator.spec import NlosError, Sweep
+from generator.sweep import ANSWER
+
+BACKGROUND_FACTOR = 16
+"""The background is rendered with this many times a pose's samples: its noise stands in every difference."""
+
+TURNS = {"sphere": (0.0, 0.0, 0.0), "sheet": (15.0, 15.0, 90.0), "mesh": (15.0, 15.0, 90.0)}
+"""Largest rotations, degrees, where the user names none. About z, +-90 covers a two-sided sheet once."""
+
+
+def plan(scene: bpy.types.Scene, source: Path, path: Path, chosen: Mapping[str, Any]) -> Dataset:
+    """Create a data set from the open scene: settings, a copy of the scene, every pose; no picture yet.
+
+    Parameters
+    ----------
+    scene : bpy.types.Scene
+    source : Path
+        The file the scene was opened from; its hash is recorded.
+    path : Path
+        Of the data set.
+    chosen : mapping
+        Fields of `Sweep` that the user chose; ``resolution`` may be text. The rest follow from the scene.
+
+    Raises
+    ------
+    NlosError
+        The scene lacks a role, the engine cannot honour it, the target fits nowhere, or nothing can be written.
+    """
+    check_free(path)
+    described = stage.read(scene)
+    width, height = described.resolution
+    settings = {"resolution": [width, height], "rotation": list(TURNS[described.target.kind]), **chosen}
+    if isinstance(settings["resolution"], str):
+        settings["resolution"] = list(spec.parse_resolution(settings["resolution"], width / height))
+    sweep: Sweep = spec.from_dict(Sweep, settings, "")
+    with engines.opened(scene, sweep.engine, resolution=sweep.resolution):
+        pass  # refuses now what it could not honour later
+    records = poses.plan(described.grid, sweep, stage.hull(scene), _clearance(scene))
+    stage.save_file(path / SCENE)
+    meta = {
+        "sweep": {**spec.to_dict(sweep), "scene_sha256": scene_hash(source)},
+        "reference_radiance": described.reference_radiance,
+        "scene": spec.to_dict(described),
+        "extra_objects": stage.others(scene),
+        "software": {"nlos-lab": _version(), "blender": bpy.app.version_string, "numpy": np.__version__},
+    }
+    return Dataset.create(path, meta, records)
+
+
+def _version() -> str:
+    try:
+        return metadata.version("nlos-lab")
+    except metadata.PackageNotFoundError:  # run from a checkout, inside Blender
+        return "unknown"
+
+
+def _clearance(scene: bpy.types.Scene) -> Callable[[spec.Vector, spec.Vector], bool]:
+    """Return the test whether the target at a pose cuts none of the scene's other surfaces."""
+    target = stage.find(scene, "target")
+    depsgraph = bpy.context.evaluated_depsgraph_get()
+    surfaces = []
+    for obj in scene.objects:
+        if obj.type == "MESH" and obj != target and not obj.hide_render:
+            vertices, faces = _polygons(obj, depsgraph)
+            placed = [obj.matrix_world @ v for v in vertices]
+            surfaces.append(BVHTree.FromPolygons(placed, faces))
+    vertices, faces = _polygons(target, depsgraph)
+    scale = Matrix.LocRotScale(None, None, target.matrix_world.to_scale())
+    vertices = [scale @ v for v in vertices]
+    radius = max((v.length for v in vertices), default=0.0)
+
+    def is_free(position: spec.Vector, rotation: spec.Vector) -> bool:
+        near = [tree for tree in surfaces if tree.find_nearest(Vector(position), radius)[0] is not None]
+        if not near:
+            return True
+        turn = Matrix(poses.rotation_matrix(rotation).tolist())
+        placed = BVHTree.FromPolygons([turn @ v + Vector(position) for v in vertices], faces)
+        return not any(placed.overlap(tree) for tree in near)
+
+    return is_free
+
+
+def _polygons(obj: bpy.types.Object, depsgraph: Any) -> tuple[list[Vector], list[tuple[int, ...]]]:
+    mesh = obj.evaluated_get(depsgraph).to_mesh()
+    vertices = [v.co.copy() for v in mesh.vertices]
+    faces = [tuple(p.vertices) for p in mesh.polygons]
+    obj.evaluated_get(depsgraph).to_mesh_clear()
+    return vertices, faces
+
+
+def check_blender(dataset: Dataset) -> None:
+    """Raise NlosError unless this Blender is the one that the data set was planned with."""
+    planned = str(dataset.meta.get("software", {}).get("blender"))
+    if planned != bpy.app.version_string:
+        raise NlosError(
+            f"{dataset.path}: was begun with Blender {planned}, and this is {bpy.app.version_string}, which may "
+            "render other pixels; go on with the same version"
+        )
+
+
+def render(
+    scene: bpy.types.Scene,
+    dataset: Dataset,
+    positions: Iterable[int],
+    *,
+    threads: int = 0,
+    report: Callable[[PoseRecord], None] = lambda _: None,
+) -> None:
+    """Render the background, if it is missing, and then poses.
+
+    Parameters
+    ----------
+    scene : bpy.types.Scene
+        The data set's own scene, open.
+    dataset : Dataset
+    positions : iterable of int
+        Which of ``dataset.poses``.
+    threads : int
+        0 takes all cores.
+    report : callable
+        Is told of each finished pose.
+    """
+    sweep = dataset.sweep
+    with engines.opened(scene, sweep.engine, resolution=sweep.resolution, threads=threads) as renderer:
+        background = _background(renderer, dataset, sweep)
+        for position in positions:
+            pose = dataset.poses[position]
+            start = time.perf_counter()
+            stage.move_target(scene, pose.position, pose.rotation)
+            pixels = renderer.render(samples=sweep.samples, seed=pose.seed)
+            if sweep.paired and background.any():
+                # A control variate of weight 1: rays that never meet the target are the same in both, and cancel.
+                own = renderer.render(samples=sweep.samples, seed=pose.seed, target=False)
+                pixels = pixels + (background - own)
+            seconds = time.perf_counter() - start
+            report(dataset.write_pose(pose, pixels, seconds=seconds, samples=sweep.samples))
+
+
+def _background(renderer: engines.Renderer, dataset: Dataset, sweep: Sweep) -> Picture:
+    seed = poses.noise_seed(sweep.seed, 0)
+    samples = BACKGROUND_FACTOR * sweep.samples
+    for name in dataset.background_names:
+        if not dataset.has_background(name):
+            pixels = renderer.render(samples=samples, seed=seed, target=False, ambient=name == BACKGROUND_AMBIENT)
+            dataset.write_background(name, pixels, seed=seed, samples=samples)
+    return dataset.background()
+
+
+def _answer(**fields: Any) -> None:
+    print(ANSWER + json.dumps(fields), flush=True)
+
+
+def _commands() -> Iterable[int]:
+    _answer(ready=True)
+    for line in sys.stdin:
+        yield int(line)
+
+
+def main(argv: list[str]) -> int:
+    """Plan (``plan SCENE DATASET SETTINGS``) or render (``render DATASET THREADS``, positions on standard input)."""
+    try:
+        if argv[0] == "plan":
+            source = Path(argv[1])
+            plan(stage.open_file(source), source, Path(argv[2]), json.loads(argv[3]))
+            _answer(planned=True)
+        else:
+            dataset = Dataset.open(Path(argv[1]))
+            check_blender(dataset)
+            scene = stage.open_file(dataset.path / SCENE)
+            render(
+                scene,
+                dataset,
+                _commands(),
+                threads=int(argv[2]),
+                report=lambda pose: _answer(file=pose.file, seconds=pose.seconds),
+            )
+    except NlosError as error:
+        _answer(error=str(error))
+        return 2
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main(sys.argv[1:]))
