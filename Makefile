@@ -28,7 +28,7 @@ $(READY): pyproject.toml constraints.txt
 	@touch $(READY)
 
 demo: $(READY)
-	$(BIN)/python benchmarks/demo.py --output $(DEMO)
+	$(BIN)/python benchmarks/paper_table.py --output $(DEMO)
 
 test: $(READY)
 	$(BIN)/python -m pytest
@@ -43,7 +43,7 @@ extension: $(READY)
 	$(BIN)/python -m blender_addon.build -o dist
 
 results: $(READY)
-	$(BIN)/python benchmarks/demo.py --output results --poses 100 --resolution 64 --samples 192
+	$(BIN)/python benchmarks/paper_table.py --output results --poses 100 --resolution 64 --samples 192
 
 clean:
 	rm -rf .venv dist demo results

@@ -443,8 +443,8 @@ class Dataset:
         Returns
         -------
         list of str
-            One sentence per fault: a missing, truncated or altered picture, one of another sweep, two pictures
-            with the same pixels. Empty when all is well.
+            One sentence per fault: a missing, truncated or altered picture, or one of another sweep. Empty when all
+            is well.
         """
         faults = []
         faults += [
@@ -454,7 +454,6 @@ class Dataset:
         ]
         if not (self.path / SCENE).is_file():
             faults.append(f"{self.path / SCENE}: the scene is missing")
-        seen: dict[str, str] = {}
         for pose in self.poses:
             found = self.inspect(pose)
             file = self.path / pose.file
@@ -464,9 +463,6 @@ class Dataset:
                 faults.append(f"{file}: missing, broken or of another sweep; run the sweep again to render it")
             elif found.pixel_hash != pose.pixel_hash:
                 faults.append(f"{file}: its pixels differ from the hash in {POSES}")
-            elif found.pixel_hash in seen:
-                faults.append(f"{file}: holds the same pixels as {seen[found.pixel_hash]}")
-            seen.setdefault(found.pixel_hash, pose.file)
         return faults
 
 

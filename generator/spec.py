@@ -572,7 +572,7 @@ def dump_toml(data: Mapping[str, Any], prefix: str = "") -> str:
 
 
 def _key(key: str) -> str:
-    return key if key.replace("_", "").replace("-", "").isalnum() and key.isascii() else json.dumps(key)
+    return key if key.replace("_", "").replace("-", "").isalnum() and key.isascii() else _json(key)
 
 
 def _value(value: Any) -> str:
@@ -580,5 +580,9 @@ def _value(value: Any) -> str:
         return "[" + ", ".join(_value(item) for item in value) + "]"
     if isinstance(value, float) and not math.isfinite(value):
         return repr(value)
+    return _json(value)
+
+
+def _json(value: Any) -> str:
     # JSON's strings, numbers and booleans are TOML's too, but for DEL, which TOML wants escaped.
     return json.dumps(value, ensure_ascii=False).replace("\x7f", "\\u007f")

@@ -71,8 +71,8 @@ def open_file(path: Path) -> bpy.types.Scene:
     try:
         with quiet():
             bpy.ops.wm.open_mainfile(filepath=str(path), load_ui=False, use_scripts=False)
-    except RuntimeError as error:
-        raise NlosError(f"{path}: is not a scene Blender {bpy.app.version_string} can open ({error})") from None
+    except RuntimeError:
+        raise NlosError(f"{path}: is not a scene Blender {bpy.app.version_string} can open") from None
     return bpy.context.scene
 
 
@@ -86,7 +86,7 @@ def save_file(path: Path) -> None:
                 filepath=str(temporary), copy=True, compress=True, check_existing=False, relative_remap=True
             )
         except RuntimeError as error:
-            raise NlosError(f"{path}: cannot be written ({str(error).strip()})") from None
+            raise NlosError(f"{path}: cannot be written ({' '.join(str(error).split())})") from None
 
 
 def new_file() -> bpy.types.Scene:
@@ -290,10 +290,17 @@ def move_target(scene: bpy.types.Scene, position: spec.Vector, rotation: spec.Ve
         Something else holds the target in place: a constraint, a driver, an animation.
     """
     target = find(scene, "target")
+    if target.parent is not None:
+        placed = target.matrix_world.copy()
+        target.parent = None
+        target.matrix_world = placed
+    # Never through the matrix: its scale, read back and set again, would drift by a rounding with every pose, and
+    # the pixels would depend on the poses before.
     turn = Euler([math.radians(a) for a in rotation], "XYZ")
-    wanted = Matrix.LocRotScale(Vector(position), turn, target.matrix_world.to_scale())
-    target.matrix_world = wanted
+    target.rotation_mode = "XYZ"
+    target.location, target.rotation_euler = position, turn
     bpy.context.view_layer.update()
+    wanted = Matrix.LocRotScale(Vector(position), turn, target.scale)
     got = target.evaluated_get(bpy.context.evaluated_depsgraph_get()).matrix_world
     tolerance = 1e-5 * (1.0 + max(map(abs, position)))
     if any(abs(a - b) > tolerance for r, s in zip(wanted, got, strict=True) for a, b in zip(r, s, strict=True)):

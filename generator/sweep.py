@@ -25,6 +25,8 @@ from generator.spec import NlosError
 
 ANSWER = "nlos "
 
+_HOME = str(Path(__file__).resolve().parents[1])
+
 TRIES = 3
 """How often a pose is given to a worker before it is listed as failed."""
 
@@ -162,7 +164,7 @@ class _Worker:
             encoding="utf-8",
             errors="replace",
             start_new_session=True,  # Ctrl-C is the coordinator's to handle
-            env={**os.environ, "PYTHONPATH": os.pathsep.join(p for p in sys.path if p)},
+            env={**os.environ, "PYTHONPATH": os.pathsep.join(filter(None, [_HOME, os.environ.get("PYTHONPATH")]))},
         )
 
     def __enter__(self) -> _Worker:

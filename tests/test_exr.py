@@ -1,0 +1,86 @@
+"""Our EXR files against the format's own library, both ways, and against every way to cut one short."""
+
+from __future__ import annotations
+
+import numpy as np
+import OpenEXR
+import pytest
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
+
+from generator.dataset import pixel_hash, read_picture, write_picture
+from generator.spec import NlosError
+
+
+def random_picture(height, width, seed=0):
+    rng = np.random.default_rng(seed)
+    picture = rng.normal(size=(height, width, 3)) * 10.0 ** rng.integers(-20, 20, size=(height, width, 1))
+    return picture.astype(np.float32)
+
+
+@pytest.mark.parametrize("shape", [(1, 1), (17, 3), (16, 64), (33, 20)])
+def test_library_reads_what_we_write(tmp_path, shape):
+    picture = random_picture(*shape)
+    write_picture(tmp_path / "p.exr", picture, {"label": "A", "name": "Würfel"})
+    with OpenEXR.File(str(tmp_path / "p.exr")) as file:
+        np.testing.assert_array_equal(file.channels()["RGB"].pixels, picture)
+        assert file.header()["nlos:label"] == "A"
+    pixels, header = read_picture(tmp_path / "p.exr")
+    np.testing.assert_array_equal(pixels, picture)
+    assert header == {"label": "A", "name": "Würfel", "pixel_hash": pixel_hash(picture)}
+
+
+@pytest.mark.parametrize("compression", ["NO", "ZIPS", "ZIP", "PIZ", "RLE"])
+@pytest.mark.parametrize("kind", [np.float32, np.float16])
+def test_we_read_what_the_library_writes(tmp_path, compression, kind):
+    picture = random_picture(33, 20).clip(-6e4, 6e4).astype(kind)
+    header = {"compression": getattr(OpenEXR, f"{compression}_COMPRESSION"), "type": OpenEXR.scanlineimage}
+    OpenEXR.File(header, {"RGB": picture}).write(str(tmp_path / "p.exr"))
+    np.testing.assert_array_equal(read_picture(tmp_path / "p.exr")[0], picture.astype(np.float32))
+
+
+def test_one_channel_stands_for_three(tmp_path):
+    picture = np.ascontiguousarray(random_picture(5, 4)[..., 0])
+    OpenEXR.File({"type": OpenEXR.scanlineimage}, {"Y": picture}).write(str(tmp_path / "p.exr"))
+    np.testing.assert_array_equal(read_picture(tmp_path / "p.exr")[0], np.repeat(picture[..., None], 3, axis=2))
+
+
+def test_every_truncation_is_refused(tmp_path):
+    write_picture(tmp_path / "p.exr", random_picture(20, 6), {})
+    data = (tmp_path / "p.exr").read_bytes()
+    for size in range(len(data)):
+        (tmp_path / "cut.exr").write_bytes(data[:size])
+        with pytest.raises(NlosError, match=r"cut\.exr: is not a whole EXR picture"):
+            read_picture(tmp_path / "cut.exr")
+
+
+@given(st.integers(0, 10_000), st.integers(0, 255))
+@settings(max_examples=300, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
+def test_a_changed_byte_gives_a_picture_or_a_sentence(tmp_path, where, value):
+    write_picture(tmp_path / "p.exr", random_picture(20, 6), {"label": "A"})
+    data = bytearray((tmp_path / "p.exr").read_bytes())
+    data[where % len(data)] = value
+    (tmp_path / "broken.exr").write_bytes(data)
+    try:
+        pixels, _ = read_picture(tmp_path / "broken.exr")
+    except NlosError:
+        return
+    assert pixels.ndim == 3
+
+
+def test_nan_is_never_written(tmp_path):
+    picture = random_picture(4, 4)
+    picture[1, 2, 0] = np.nan
+    with pytest.raises(NlosError, match="NaN"):
+        write_picture(tmp_path / "p.exr", picture, {})
+    assert not list(tmp_path.iterdir())
+
+
+def test_a_huge_claim_is_refused(tmp_path):
+    write_picture(tmp_path / "p.exr", random_picture(4, 4), {})
+    data = (tmp_path / "p.exr").read_bytes()
+    window = np.array([0, 0, 3, 3], dtype="<i4").tobytes()
+    huge = np.array([0, 0, 2**30, 2**30], dtype="<i4").tobytes()
+    (tmp_path / "huge.exr").write_bytes(data.replace(window, huge))
+    with pytest.raises(NlosError, match="claims"):
+        read_picture(tmp_path / "huge.exr")

@@ -1,0 +1,297 @@
+"""What is built is what is read back, what an artist changes is what counts, and bad scenes are named."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import bpy
+import numpy as np
+import pytest
+import radiometry
+
+from generator import engines, spec, stage, worker
+from generator.spec import NlosError, Scene, preset
+
+PRESETS = ["room", "tabletop", "corridor"]
+
+
+def built(scene):
+    blender = stage.new_file()
+    stage.build(blender, scene)
+    return blender
+
+
+def assert_close(got, wanted):
+    """Equal but for float32, inside Blender, and for what a mesh makes of a sphere."""
+    for (name, a), (_, b) in zip(spec._leaves(got), spec._leaves(wanted), strict=True):
+        if isinstance(b, float):
+            tolerance = 1e-3 if name == "target.size" else 1e-6
+            assert a == pytest.approx(b, rel=tolerance, abs=1e-6), name
+        elif name != "target.mesh":
+            assert a == b, name
+
+
+@pytest.mark.parametrize("name", PRESETS)
+@pytest.mark.parametrize("target", ["sheet", "sphere"])
+def test_what_is_built_is_read_back(name, target):
+    scene = preset(name, target)
+    assert_close(stage.read(built(scene)), scene)
+
+
+@pytest.mark.parametrize("name", PRESETS)
+def test_shipped_scenes_are_the_presets(name):
+    from pathlib import Path
+
+    path = Path(__file__).resolve().parents[1] / "blend_scenes" / f"{name}.blend"
+    assert_close(stage.read(stage.open_file(path)), preset(name))
+
+
+def test_building_twice_leaves_nothing_behind():
+    blender = built(preset("room"))
+    count = {kind: len(getattr(bpy.data, kind)) for kind in ("objects", "meshes", "materials", "lights", "cameras")}
+    stage.build(blender, preset("room"))
+    assert {kind: len(getattr(bpy.data, kind)) for kind in count} == count
+
+
+def test_an_edited_scene_is_rendered_as_edited(tmp_path):
+    blender = built(preset("room"))
+    stage.find(blender, "spot").data.energy = 500.0
+    stage.find(blender, "target").data.materials[0].node_tree.nodes["Diffuse BSDF"].inputs[0].default_value = (
+        1,
+        0,
+        0,
+        1,
+    )
+    stage.write_grid(blender, spec.VoxelGrid(lo=(1, 0.5, 0.5), hi=(2, 1.5, 1.5), shape=(2, 2, 2)))
+    bpy.ops.mesh.primitive_cube_add(size=0.2, location=(2.4, 3.0, 0.2))
+    bpy.context.object.name = "Cupboard"
+    stage.save_file(tmp_path / "edited.blend")
+    again = stage.open_file(tmp_path / "edited.blend")
+    scene = stage.read(again)
+    assert scene.spot.power == 500.0
+    assert scene.grid.n_voxels == 8
+    assert scene.target.albedo == pytest.approx(1 / 3, abs=1e-6)
+    assert stage.others(again) == ["Cupboard"]
+
+
+def test_a_mesh_file_becomes_the_target(tmp_path):
+    (tmp_path / "wedge.obj").write_text("v 0 0 0\nv 2 0 0\nv 0 1 0\nv 0 0 1\nf 1 2 3\nf 1 3 4\nf 1 2 4\nf 2 3 4\n")
+    scene = preset("room", str(tmp_path / "wedge.obj"))
+    scene = replace(scene, target=replace(scene.target, size=0.3))
+    hull = stage.hull(built(scene))
+    np.testing.assert_allclose(np.ptp(hull, axis=0).max(), 0.3, rtol=1e-6)
+    np.testing.assert_allclose(hull.min(axis=0) + hull.max(axis=0), 0.0, atol=1e-6)
+
+
+@pytest.mark.parametrize(
+    ("name", "text", "words"),
+    [
+        ("none.obj", None, "no such file"),
+        ("bad.ply", "nonsense", "not a mesh file|no faces"),
+        ("e.obj", "", "no faces"),
+    ],
+)
+def test_bad_mesh_files_are_named(tmp_path, name, text, words):
+    if text is not None:
+        (tmp_path / name).write_text(text)
+    with pytest.raises(NlosError, match=words):
+        built(preset("room", str(tmp_path / name)))
+
+
+def test_reflection_order_is_what_cycles_shows():
+    for order in (1, 2, 3, 5):
+        blender = built(replace(preset("room"), reflection_order=order))
+        assert blender.cycles.diffuse_bounces == order - 1
+        assert stage.read(blender).reflection_order == order
+
+
+def test_camera_sees_the_watched_rectangle():
+    """A glowing cube in the corner of largest x and z shows in the picture's first pixel."""
+    scene = preset("room")
+    blender = built(scene)
+    got = stage.read(blender).camera
+    assert got.x == pytest.approx(scene.camera.x, abs=1e-6)
+    assert got.z == pytest.approx(scene.camera.z, abs=1e-6)
+    glow = bpy.data.materials.new("glow")
+    if glow.node_tree is None:
+        glow.use_nodes = True
+    glow.node_tree.nodes.clear()
+    emission = glow.node_tree.nodes.new("ShaderNodeEmission")
+    output = glow.node_tree.nodes.new("ShaderNodeOutputMaterial")
+    glow.node_tree.links.new(emission.outputs[0], output.inputs[0])
+    bpy.ops.mesh.primitive_cube_add(size=0.1, location=(scene.camera.x[1] - 0.05, 0.0, scene.camera.z[1] - 0.05))
+    bpy.context.object.data.materials.append(glow)
+    with engines.opened(blender, "path", resolution=(10, 10)) as renderer:
+        picture = renderer.render(samples=4, seed=0)[..., 0]
+    assert np.unravel_index(picture.argmax(), picture.shape) == (0, 0), "largest x is column 0, largest z row 0"
+    assert picture[0, 0] > 0.5
+
+
+def test_engines_leave_the_scene_as_it_was():
+    blender = built(preset("room"))
+    watched = [(blender.render, n) for n in ("engine", "filepath", "resolution_x", "use_persistent_data")]
+    watched += [(blender.cycles, n) for n in ("samples", "seed", "max_bounces", "use_light_tree", "use_denoising")]
+    before = [getattr(owner, name) for owner, name in watched]
+    with engines.opened(blender, "patch", resolution=(8, 8)) as renderer:
+        renderer.render(samples=2, seed=1, target=False)
+    assert [getattr(owner, name) for owner, name in watched] == before
+    assert [o.type for o in blender.objects].count("LIGHT") == 1
+    assert not stage.find(blender, "target").hide_render
+    assert not stage.find(blender, "spot").hide_render
+
+
+def test_samples_and_seed_are_not_ignored():
+    """With persistent data on, Cycles keeps the old ones unless it is told."""
+    blender = built(preset("room"))
+    with engines.opened(blender, "patch", resolution=(16, 16)) as renderer:
+        first = renderer.render(samples=4, seed=1)
+        other_seed = renderer.render(samples=4, seed=2)
+        more = renderer.render(samples=256, seed=1)
+        again = renderer.render(samples=4, seed=1)
+    assert (first != other_seed).mean() > 0.99
+    assert more.std() < 0.5 * first.std()
+    np.testing.assert_array_equal(first, again)
+
+
+def test_pixels_do_not_depend_on_threads():
+    blender = built(preset("room"))
+    pictures = []
+    for threads in (1, 2):
+        with engines.opened(blender, "patch", resolution=(16, 16), threads=threads) as renderer:
+            pictures.append(renderer.render(samples=8, seed=5))
+    np.testing.assert_array_equal(*pictures)
+
+
+def test_ambient_light_adds_the_world():
+    scene = radiometry.bare_scene().with_ambient(0.5)
+    with engines.opened(built(scene), "patch", resolution=(8, 8)) as renderer:
+        lit = renderer.render(samples=64, seed=1, target=False)
+        dark = renderer.render(samples=64, seed=1, target=False, ambient=False)
+    # A lone wall under a uniform sky L shows albedo times L, whatever the order.
+    np.testing.assert_allclose((lit - dark).mean(), scene.wall.albedo * 0.5, rtol=1e-3)
+
+
+def test_clutter_inside_a_voxel_is_kept_clear_of():
+    blender = built(preset("room", "sphere"))
+    bpy.ops.mesh.primitive_cube_add(size=0.6, location=(1.05, 0.65, 1.9))
+    bpy.context.view_layer.update()
+    is_free = worker._clearance(blender)
+    assert is_free((1.05, 0.65, 1.0), (0.0, 0.0, 0.0))
+    assert not is_free((1.05, 0.65, 1.5), (0.0, 0.0, 0.0))
+    assert not is_free((1.05, 0.05, 1.0), (0.0, 0.0, 0.0)), "the relay wall is a surface too"
+
+
+def second_target(blender):
+    copy = stage.find(blender, "target").copy()
+    blender.collection.objects.link(copy)
+
+
+def no_target(blender):
+    bpy.data.objects.remove(stage.find(blender, "target"))
+
+
+def no_grid(blender):
+    del blender[stage.GRID_LO]
+
+
+def wall_away(blender):
+    stage.find(blender, "relay_wall").location.y = 0.1
+    bpy.context.view_layer.update()
+
+
+def spot_away(blender):
+    stage.find(blender, "spot").rotation_euler = (0, 0, 0)
+    bpy.context.view_layer.update()
+
+
+def camera_away(blender):
+    stage.find(blender, "camera").rotation_euler = (0, 0, 0)
+    bpy.context.view_layer.update()
+
+
+@pytest.mark.parametrize(
+    ("spoil", "words"),
+    [
+        (no_target, "no object is the target"),
+        (second_target, "2 objects are named as target"),
+        (no_grid, "lacks the voxel grid"),
+        (wall_away, "must lie in the plane y = 0"),
+        (spot_away, "does not point at the relay wall"),
+        (camera_away, "does not look at the relay wall"),
+    ],
+)
+def test_a_scene_that_cannot_be_rendered_says_why(spoil, words):
+    blender = built(preset("room"))
+    spoil(blender)
+    with pytest.raises(NlosError, match=words):
+        stage.read(blender)
+
+
+def held(blender):
+    constraint = stage.find(blender, "target").constraints.new("LIMIT_LOCATION")
+    constraint.use_max_x, constraint.max_x = True, 0.0
+
+
+def test_a_target_that_is_held_in_place_is_named():
+    blender = built(preset("room"))
+    held(blender)
+    with pytest.raises(NlosError, match="does not go where it is put"):
+        stage.move_target(blender, (1.0, 1.0, 1.0), (0.0, 0.0, 0.0))
+
+
+def something_in_the_beam(blender):
+    bpy.ops.mesh.primitive_cube_add(size=0.1, location=(0.0, 0.7, 1.4))
+
+
+def textured_wall(blender):
+    tree = stage.find(blender, "relay_wall").data.materials[0].node_tree
+    noise = tree.nodes.new("ShaderNodeTexNoise")
+    tree.links.new(noise.outputs[0], tree.nodes["Diffuse BSDF"].inputs[0])
+
+
+def wide_lamp(blender):
+    stage.find(blender, "spot").data.spot_size = 3.0
+
+
+@pytest.mark.parametrize(
+    ("spoil", "words"),
+    [
+        (something_in_the_beam, "'Cube' stands in the cone"),
+        (textured_wall, "not one constant diffuse colour"),
+        (wide_lamp, "grazes the wall|misses the plane|stands in the cone"),
+    ],
+)
+def test_patch_refuses_what_it_cannot_honour(spoil, words):
+    blender = built(preset("room"))
+    spoil(blender)
+    bpy.context.view_layer.update()
+    with pytest.raises(NlosError, match=words), engines.opened(blender, "patch", resolution=(8, 8)):
+        pass
+
+
+def test_scene_files_of_other_scales_read_back(tmp_path):
+    """A thousandth and a thousand times the room: the same figures to scale."""
+    for scale in (1e-3, 1e3):
+        plain = spec.to_dict(preset("room"))
+        for table, keys in {
+            "wall": ("x", "z"),
+            "room": ("x", "y", "z"),
+            "partition": ("y", "z"),
+            "spot": ("location", "aim"),
+            "camera": ("location", "x", "z"),
+            "grid": ("lo", "hi"),
+        }.items():
+            for key in keys:
+                plain[table][key] = [v * scale for v in plain[table][key]]
+        plain["target"]["size"] *= scale
+        plain["spot"]["power"] *= scale**2
+        scene = spec.from_dict(Scene, plain)
+        blender = built(scene)
+        got = stage.read(blender)
+        assert got.camera.x == pytest.approx(scene.camera.x, abs=1e-4 * scale)
+        assert got.reference_radiance == pytest.approx(preset("room").reference_radiance, rel=1e-5)
+        with engines.opened(blender, "patch", resolution=(8, 8)) as renderer:
+            level = renderer.render(samples=64, seed=1, target=False).mean()
+        reference = built(preset("room"))
+        with engines.opened(reference, "patch", resolution=(8, 8)) as renderer:
+            assert level == pytest.approx(renderer.render(samples=64, seed=1, target=False).mean(), rel=0.02)
