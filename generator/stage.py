@@ -117,10 +117,14 @@ def build(scene: bpy.types.Scene, wanted: spec.Scene) -> None:
             f"resolution: {width} x {height} pixels do not fit the watched rectangle of "
             f"{x[1] - x[0]:g} x {z[1] - z[0]:g} m; pixels must be square"
         )
+    target = _target(wanted.target)  # first: a mesh file that cannot be read must leave the scene as it was
     _clear(scene)
-    collection = bpy.data.collections.get(COLLECTION) or bpy.data.collections.new(COLLECTION)
-    if collection.name not in scene.collection.children:
+    collection = scene.collection.children.get(COLLECTION)
+    if collection is None:
+        collection = bpy.data.collections.new(COLLECTION)
         scene.collection.children.link(collection)
+    for layer in scene.view_layers:
+        layer.layer_collection.children[collection.name].exclude = False
     wall = _quad("Relay wall", "y", 0.0, {"x": wanted.wall.x, "z": wanted.wall.z}, wanted.wall.albedo, inward=1)
     _add(collection, wall, "relay_wall")
     if wanted.room:
@@ -140,7 +144,6 @@ def build(scene: bpy.types.Scene, wanted: spec.Scene) -> None:
     camera = _camera(wanted)
     _add(collection, camera, "camera")
     scene.camera = camera
-    target = _target(wanted.target)
     _add(collection, target, "target")
     target.location = np.add(wanted.grid.lo, wanted.grid.hi) / 2.0
     _world(scene, wanted.ambient)
@@ -242,7 +245,9 @@ def read(scene: bpy.types.Scene) -> spec.Scene:
 
 def others(scene: bpy.types.Scene) -> list[str]:
     """Return the names of rendered objects that play no role: what an artist added."""
-    return sorted(o.name for o in scene.objects if ROLE not in o and not o.hide_render and o.type != "EMPTY")
+    return sorted(
+        o.name for o in scene.objects if ROLE not in o and not o.hide_render and o.type not in ("EMPTY", "CAMERA")
+    )
 
 
 def hull(scene: bpy.types.Scene) -> Array:
@@ -504,11 +509,15 @@ def _import_mesh(wanted: spec.Target) -> bpy.types.Object:
         raise NlosError(f"target.mesh: {path} is not a mesh file Blender can read (.obj, .ply, .stl)") from None
     shape = bmesh.new()
     for obj in [o for o in bpy.data.objects if o not in before]:
+        data = obj.data
         if obj.type == "MESH":
-            obj.data.transform(obj.matrix_basis)
-            shape.from_mesh(obj.data)
+            data.transform(obj.matrix_basis)
+            shape.from_mesh(data)
         bpy.data.objects.remove(obj, do_unlink=True)
+        if data is not None and data.users == 0:
+            bpy.data.batch_remove([data])
     if not shape.faces:
+        shape.free()
         raise NlosError(f"target.mesh: {path} holds no faces")
     corners = np.array([v.co for v in shape.verts])
     low, high = corners.min(axis=0), corners.max(axis=0)

@@ -1,0 +1,300 @@
+"""What the panel shows: a draft of a scene's figures, kept with the Blender scene.
+
+The draft decides nothing by itself: `spec_of` turns it into a spec that an operator writes into the scene, and `fill`
+brings it in line with a spec that was read from the scene.
+"""
+
+# Blender reads the calls below, in the place of types, as the properties' definitions.
+# mypy: disable-error-code="valid-type,misc"
+
+import math
+from dataclasses import replace
+from typing import Any
+
+import bpy
+import numpy as np
+from bpy.props import (
+    BoolProperty,
+    EnumProperty,
+    FloatProperty,
+    FloatVectorProperty,
+    IntProperty,
+    IntVectorProperty,
+    PointerProperty,
+    StringProperty,
+)
+
+from generator import spec
+
+_ROOM = spec.preset("room")
+
+_PRESETS = (
+    ("room", "Room", "A room 5 m wide with a matt black partition that hides the object"),
+    ("tabletop", "Tabletop", "2 m x 2 m of wall seen orthographically, a small object half a metre from it"),
+    ("corridor", "Corridor", "An L-shaped corridor at building scale; the object is behind the corner"),
+)
+_KINDS = (
+    ("sheet", "Sheet", "A square sheet, two-sided; unrotated it faces the wall"),
+    ("sphere", "Sphere", "A sphere"),
+    ("mesh", "Mesh File", "A mesh from an OBJ, PLY or STL file"),
+)
+_ENGINES = (
+    (
+        "patch",
+        "Lit Patch",
+        "Start from the patch of wall that the lamp lights, as an emitter. Far less noise; needs a diffuse wall",
+    ),
+    (
+        "path",
+        "Full Path",
+        "Follow all light from the lamp itself. Honours any material, but finds the small lit patch by chance only",
+    ),
+)
+
+
+def _preset_changed(settings: Any, _: Any) -> None:
+    kind = settings.target_kind
+    fill(settings, spec.preset(settings.preset, "sheet" if kind == "mesh" else kind), target=kind != "mesh")
+
+
+def _kind_changed(settings: Any, _: Any) -> None:
+    if settings.target_kind == "mesh":
+        settings.target_size = 0.0
+    else:
+        target = spec.preset(settings.preset, settings.target_kind).target
+        settings.target_size, settings.target_albedo = target.size, target.albedo
+
+
+class NlosSettings(bpy.types.PropertyGroup):
+    """The draft."""
+
+    preset: EnumProperty(
+        name="Preset",
+        description="Scene to start from. Choosing one sets all figures below to its own",
+        items=_PRESETS,
+        update=_preset_changed,
+    )
+    target_kind: EnumProperty(
+        name="Kind", description="What hides around the corner", items=_KINDS, update=_kind_changed
+    )
+    target_size: FloatProperty(
+        name="Size",
+        description="Edge of the sheet, diameter of the sphere, longest edge of the mesh's bounding box; "
+        "for a mesh, 0 keeps the file's own size",
+        default=_ROOM.target.size,
+        min=0.0,
+        soft_max=10.0,
+        step=1,
+        precision=3,
+        subtype="DISTANCE",
+        unit="LENGTH",
+    )
+    target_albedo: FloatProperty(
+        name="Albedo",
+        description="Fraction of the light that the target reflects, alike in all directions (Lambertian)",
+        default=_ROOM.target.albedo,
+        min=0.0,
+        max=1.0,
+        precision=3,
+        subtype="FACTOR",
+    )
+    target_mesh: StringProperty(name="File", description="Mesh file: OBJ, PLY or STL", subtype="FILE_PATH")
+    light_power: FloatProperty(
+        name="Power",
+        description="Power of the spot lamp. Its radiant intensity is power / 4 pi inside the cone, whatever the "
+        "cone's angle; radiance grows in proportion",
+        default=_ROOM.spot.power,
+        min=0.0,
+        soft_max=1e5,
+        subtype="POWER",
+        unit="POWER",
+    )
+    light_half_angle: FloatProperty(
+        name="Half Angle",
+        description="Between the lamp's axis and the edge of its cone: how wide a patch of wall it lights",
+        default=math.radians(_ROOM.spot.half_angle),
+        min=math.radians(0.001),
+        max=math.radians(89.0),
+        soft_min=math.radians(0.1),
+        soft_max=math.radians(30.0),
+        step=10,
+        precision=3,
+        subtype="ANGLE",
+        unit="ROTATION",
+    )
+    use_ambient: BoolProperty(
+        name="Ambient Light", description="Light the scene uniformly from all around; a closed room loses its ceiling"
+    )
+    ambient_radiance: FloatProperty(
+        name="Radiance",
+        description="Radiance of the surroundings, W/m²/sr. The hidden object's signal is usually far weaker",
+        default=0.01,
+        min=0.0,
+        soft_max=10.0,
+        step=0.1,
+        precision=5,
+    )
+    grid_counts: IntVectorProperty(
+        name="Voxels",
+        description="How many voxels the hidden volume is cut into along each axis. They are named A, B, C and so "
+        "on, along X first, then Y, then Z",
+        size=3,
+        default=_ROOM.grid.shape,
+        min=1,
+        soft_max=10,
+        subtype="XYZ",
+    )
+    grid_lo: FloatVectorProperty(
+        name="From",
+        description="Corner of the hidden volume with the smallest coordinates",
+        size=3,
+        default=_ROOM.grid.lo,
+        step=1,
+        precision=3,
+        subtype="XYZ_LENGTH",
+        unit="LENGTH",
+    )
+    grid_hi: FloatVectorProperty(
+        name="To",
+        description="Corner of the hidden volume with the largest coordinates",
+        size=3,
+        default=_ROOM.grid.hi,
+        step=1,
+        precision=3,
+        subtype="XYZ_LENGTH",
+        unit="LENGTH",
+    )
+    reflection_order: IntProperty(
+        name="Reflections",
+        description="How many diffuse reflections light may make on its way. "
+        "Three are: wall, hidden object, wall again",
+        default=_ROOM.reflection_order,
+        min=1,
+        max=1024,
+        soft_max=8,
+    )
+    engine: EnumProperty(name="Engine", description="How the light is followed", items=_ENGINES)
+    samples: IntProperty(
+        name="Samples",
+        description="Rays per pixel. Four times as many halve the noise",
+        default=512,
+        min=1,
+        max=2**24,
+        soft_max=8192,
+    )
+    resolution: IntVectorProperty(
+        name="Resolution",
+        description="Width and height of the picture in pixels; pixels must be square on the wall",
+        size=2,
+        default=_ROOM.resolution,
+        min=1,
+        max=65536,
+        soft_max=512,
+    )
+    seed: IntProperty(
+        name="Seed",
+        description="Of the noise: the same seed gives the same picture",
+        default=0,
+        min=0,
+    )
+    difference: BoolProperty(
+        name="Difference",
+        description="Also render the scene without the hidden object, and subtract: the object's own doing is left",
+        default=True,
+    )
+
+
+def spec_of(settings: Any) -> spec.Scene:
+    """Return the scene that the draft describes: the preset with the draft's figures in place of its own.
+
+    Raises
+    ------
+    NlosError
+        The figures contradict each other, or a mesh target has no file.
+    """
+    kind, mesh = settings.target_kind, ""
+    if kind == "mesh":
+        if not settings.target_mesh:
+            raise spec.NlosError("target: choose a mesh file (OBJ, PLY or STL)")
+        mesh = spec.Target.named(bpy.path.abspath(settings.target_mesh)).mesh
+    base = spec.preset(settings.preset)
+    wanted = replace(
+        base,
+        target=spec.Target(
+            kind=kind, size=_short(settings.target_size), albedo=_short(settings.target_albedo), mesh=mesh
+        ),
+        spot=replace(base.spot, power=_short(settings.light_power), half_angle=half_angle(settings)),
+        grid=grid(settings),
+        reflection_order=settings.reflection_order,
+        resolution=tuple(settings.resolution),
+    )
+    return wanted.with_ambient(_short(settings.ambient_radiance) if settings.use_ambient else 0.0)
+
+
+def grid(settings: Any) -> spec.VoxelGrid:
+    """Return the draft's voxel grid.
+
+    Raises
+    ------
+    NlosError
+        A corner is not below the other.
+    """
+    return spec.VoxelGrid(
+        lo=_vector(settings.grid_lo), hi=_vector(settings.grid_hi), shape=tuple(settings.grid_counts)
+    )
+
+
+def half_angle(settings: Any) -> float:
+    """Return the half angle of the lamp's cone, degrees."""
+    return _short(math.degrees(settings.light_half_angle))
+
+
+def fill(settings: Any, scene: spec.Scene, *, target: bool = True) -> None:
+    """Set the draft to a scene's figures; what it says on rendering stays.
+
+    Parameters
+    ----------
+    settings : NlosSettings
+    scene : spec.Scene
+        A preset of no known name and albedos of None leave the draft's own.
+    target : bool
+        The target's figures too.
+    """
+    known = scene.preset in {name for name, *_ in _PRESETS}
+    if known and settings.preset != scene.preset:
+        settings.preset = scene.preset  # fills in the preset's figures, so it comes first
+    if target:
+        settings.target_kind = scene.target.kind
+        settings.target_size = scene.target.size
+        if scene.target.albedo is not None:
+            settings.target_albedo = scene.target.albedo
+    settings.light_power = scene.spot.power
+    settings.light_half_angle = math.radians(scene.spot.half_angle)
+    settings.use_ambient = scene.ambient > 0
+    if scene.ambient > 0:
+        settings.ambient_radiance = scene.ambient
+    settings.grid_counts = scene.grid.shape
+    settings.grid_lo, settings.grid_hi = scene.grid.lo, scene.grid.hi
+    settings.reflection_order = scene.reflection_order
+    settings.resolution = scene.resolution
+
+
+def _short(value: float) -> float:
+    """The shortest decimal that Blender's float32 stands for: 0.05, not 0.05000000074505806."""
+    return float(str(np.float32(value)))
+
+
+def _vector(values: Any) -> spec.Vector:
+    return (_short(values[0]), _short(values[1]), _short(values[2]))
+
+
+def register() -> None:
+    """Give every scene a draft."""
+    bpy.utils.register_class(NlosSettings)
+    bpy.types.Scene.nlos = PointerProperty(type=NlosSettings, name="NLOS")
+
+
+def unregister() -> None:
+    """Take it away."""
+    del bpy.types.Scene.nlos
+    bpy.utils.unregister_class(NlosSettings)

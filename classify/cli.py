@@ -1,0 +1,246 @@
+"""Command line of the classifier: argument parsing and words for people; all work is done elsewhere."""
+
+from __future__ import annotations
+
+import argparse
+import contextlib
+import json
+import sys
+from collections.abc import Callable, Iterator
+from pathlib import Path
+
+from generator.cli import guarded
+from generator.spec import NlosError
+
+_EXAMPLES = """\
+examples:
+  nlos-classify features sheet/ -o sheet.h5 --set global
+  nlos-classify compare sheet.h5 sphere.h5 -o report/
+  nlos-classify train sheet.h5 -o sheet.skops --classifier SVM
+  nlos-classify predict sheet.skops sheet/E/0007.exr
+"""
+_RAW = argparse.RawDescriptionHelpFormatter
+
+
+def main(argv: list[str] | None = None) -> int:
+    """Run ``nlos-classify``; return the exit code: 0 well, 2 bad input, 130 interrupted."""
+    options = _parser().parse_args(argv)
+    return guarded(lambda: int(options.run(options)))
+
+
+def _parser() -> argparse.ArgumentParser:
+    parser = argparse.ArgumentParser(
+        prog="nlos-classify",
+        description="Tell from pictures of the relay wall in which voxel the hidden object stands.",
+        epilog=_EXAMPLES,
+        formatter_class=_RAW,
+    )
+    commands = parser.add_subparsers(required=True, metavar="COMMAND")
+
+    features = commands.add_parser(
+        "features",
+        help="describe every picture of a data set by numbers, into HDF5",
+        description="Describe every picture of a data set by numbers, into one HDF5 file.",
+        epilog="example:\n  nlos-classify features sheet/ -o sheet.h5 --set spatial-hog",
+        formatter_class=_RAW,
+    )
+    features.add_argument("dataset", type=Path)
+    features.add_argument("-o", "--output", type=Path, required=True, metavar="FILE.h5")
+    features.add_argument(
+        "--set",
+        choices=["global", "spatial-hog"],
+        default="global",
+        help="global: colour histogram, Hu moments, Haralick texture; spatial-hog: small copy, colour histogram, HOG",
+    )
+    features.add_argument(
+        "--input",
+        choices=["difference", "raw"],
+        default="difference",
+        help="picture minus background, or the picture itself (default: difference)",
+    )
+    features.add_argument(
+        "--tone",
+        choices=["log", "linear"],
+        default="log",
+        help="log keeps shades in near and far voxels alike; linear is like 8 bits of the brightest (default: log)",
+    )
+    features.add_argument(
+        "--floor",
+        type=float,
+        default=1e-7,
+        metavar="F",
+        help="where log turns linear, in units of the lit patch's radiance (default: 1e-7)",
+    )
+    features.add_argument(
+        "--ceiling",
+        type=float,
+        default=1e-3,
+        metavar="F",
+        help="what counts as white, in the same units (default: 1e-3)",
+    )
+    features.add_argument(
+        "--size", type=int, default=32, metavar="N", help="average down to N pixels a side (default: 32)"
+    )
+    features.add_argument("--partial", action="store_true", help="take an unfinished data set as it is")
+    features.set_defaults(run=_features)
+
+    compare = commands.add_parser(
+        "compare",
+        help="compare seven classifiers on one or two sets of features",
+        description="Compare seven classifiers, by the paper's settings and tuned: each set cross-validated, and "
+        "with two also trained on one and tested on the other.",
+        epilog="example:\n  nlos-classify compare sheet.h5 sphere.h5 -o report/",
+        formatter_class=_RAW,
+    )
+    compare.add_argument("features", type=Path, nargs="+", metavar="FILE.h5", help="one or two")
+    compare.add_argument(
+        "-o", "--output", type=Path, required=True, metavar="FOLDER", help="for tables, figures and page"
+    )
+    compare.add_argument("--folds", type=int, default=10, metavar="N", help="default: 10")
+    compare.add_argument("--seed", type=int, default=0, metavar="N", help="of folds and classifiers (default: 0)")
+    compare.add_argument("--settings", choices=["paper", "tuned", "both"], default="both", help="default: both")
+    compare.set_defaults(run=_compare)
+
+    train = commands.add_parser(
+        "train",
+        help="train one classifier on all of a set, and save it",
+        description="Train one classifier on all of a set, and save it with what it needs to read a picture.",
+        epilog="example:\n  nlos-classify train sheet.h5 -o sheet.skops --classifier SVM",
+        formatter_class=_RAW,
+    )
+    train.add_argument("features", type=Path, metavar="FILE.h5")
+    train.add_argument("-o", "--output", type=Path, required=True, metavar="FILE.skops")
+    train.add_argument(
+        "--classifier", default="SVM", metavar="NAME", help="LR, LDA, KNN, CART, RF, SVM or NB (default: SVM)"
+    )
+    train.add_argument("--settings", choices=["paper", "tuned"], default="tuned", help="default: tuned")
+    train.add_argument("--seed", type=int, default=0, metavar="N", help="default: 0")
+    train.set_defaults(run=_train)
+
+    predict = commands.add_parser(
+        "predict",
+        help="say in which voxel the object stands, picture by picture",
+        description="Say for each picture in which voxel the object stands, and how probable each voxel is.",
+        epilog="example:\n  nlos-classify predict sheet.skops sheet/E/0007.exr --json",
+        formatter_class=_RAW,
+    )
+    predict.add_argument("model", type=Path, metavar="FILE.skops")
+    predict.add_argument("pictures", type=Path, nargs="+", metavar="PICTURE.exr")
+    predict.add_argument("--json", action="store_true", help="one JSON object per picture and line")
+    predict.add_argument(
+        "--background",
+        type=Path,
+        metavar="FILE.exr",
+        help="picture without the object (default: the training scene's)",
+    )
+    predict.set_defaults(run=_predict)
+    return parser
+
+
+@contextlib.contextmanager
+def _progress(what: str) -> Iterator[Callable[[int, int, str], None]]:
+    if not sys.stderr.isatty():
+        yield lambda done, total, now: None
+        return
+    from rich.console import Console
+    from rich.progress import Progress
+
+    with Progress(console=Console(stderr=True), transient=True) as bar:
+        task = bar.add_task(what, total=None)
+        yield lambda done, total, now: bar.update(task, completed=done, total=total, description=now or what)
+
+
+def _features(options: argparse.Namespace) -> int:
+    from classify import store
+    from classify.features import FeatureSettings
+    from generator.dataset import Dataset
+
+    settings = FeatureSettings(
+        set=options.set,
+        input=options.input,
+        tone=options.tone,
+        floor=options.floor,
+        ceiling=options.ceiling,
+        size=options.size,
+    )
+    dataset = Dataset.open(options.dataset)
+    with _progress("describing") as progress:
+        features = store.extract(
+            dataset, settings, partial=options.partial, progress=lambda done, total: progress(done, total, "")
+        )
+    store.write(options.output, features)
+    n, d = features.values.shape
+    missing = "" if n == dataset.planned else f" (of {dataset.planned} planned)"
+    print(f"{options.output}: {n} pictures{missing}, {d} features each ({settings.set}, {settings.input})")
+    return 0
+
+
+def _compare(options: argparse.Namespace) -> int:
+    from rich.console import Console
+    from rich.table import Table
+
+    from classify import evaluate, models, report, store
+
+    if len(options.features) > 2:
+        raise NlosError(f"compare: takes one or two features files, not {len(options.features)}")
+    if options.folds < 2:
+        raise NlosError(f"--folds {options.folds}: must be 2 or more")
+    sets = [store.read(path) for path in options.features]
+    names = [str(path) for path in options.features]
+    chosen: list[models.Settings] = ["paper", "tuned"] if options.settings == "both" else [options.settings]
+    with _progress("comparing") as progress:
+        results = evaluate.compare(
+            sets, names, settings=chosen, folds=options.folds, seed=options.seed, progress=progress
+        )
+    page = report.write(options.output, results, sets, names, options.folds)
+    table = Table(title="accuracy with its 95 % interval", title_justify="left")
+    for heading in ("scenario", "classifier", "paper's", "its settings, here", "tuned, here"):
+        table.add_column(heading, no_wrap=True)
+    last = ""
+    for scenario, *cells in report.text_table(results):
+        if last and scenario != last:
+            table.add_section()
+        table.add_row("" if scenario == last else scenario, *cells)
+        last = scenario
+    console = Console()
+    # In a log or a pipe the table must not be squeezed into 80 columns.
+    Console(width=None if console.is_terminal else 120).print(table)
+    unconverged = sum(r.unconverged for r in results)
+    if unconverged:
+        print(f"{unconverged} fits ended at their iteration limit, before they converged")
+    print(page)
+    return 0
+
+
+def _train(options: argparse.Namespace) -> int:
+    from classify import models, store
+
+    model = models.train(store.read(options.features), options.classifier, options.settings, seed=options.seed)
+    models.save(options.output, model)
+    picked = ", ".join(f"{k} = {v}" for k, v in model.about["chosen"].items())
+    print(f"{options.output}: {options.classifier}, {options.settings} settings{f' ({picked})' if picked else ''}")
+    return 0
+
+
+def _predict(options: argparse.Namespace) -> int:
+    from classify import models
+    from generator.dataset import read_picture
+
+    model = models.load(options.model)
+    background = read_picture(options.background)[0] if options.background else None
+    answers = []  # all before any is printed: a broken picture leaves no half answer
+    for path in options.pictures:
+        pixels, _ = read_picture(path)
+        answers.append((path, model.probabilities(pixels, background=background, name=str(path))))
+    for path, voxels in answers:
+        label = max(voxels, key=lambda v: voxels[v])
+        if options.json:
+            print(json.dumps({"picture": str(path), "label": label, "probability": voxels}))
+        else:
+            likely = sorted(voxels.items(), key=lambda item: -item[1])
+            print(f"{path}: {label}   " + "  ".join(f"{voxel} {p:.1%}" for voxel, p in likely if p >= 5e-4))
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,216 @@
+"""Features and labels in HDF5, with all that is needed to know where they come from."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import h5py
+import numpy as np
+from numpy.typing import NDArray
+
+from classify.features import FeatureSettings, describe, feature_names, software
+from generator.dataset import Dataset, Picture, atomic
+from generator.spec import NlosError, VoxelGrid, from_dict, to_dict
+
+FORMAT = 1
+
+
+@dataclass(frozen=True)
+class Features:
+    """The features of one data set.
+
+    Attributes
+    ----------
+    values : ndarray of shape (n_samples, n_features), float64
+        Not scaled: that belongs inside the folds.
+    names : list of str
+    labels : ndarray of shape (n_samples,), str
+    voxels : ndarray of shape (n_samples,), int
+    positions, rotations : ndarray of shape (n_samples, 3), float64
+        Metres and degrees.
+    files : list of str
+    background : ndarray of shape (height, width, 3), float32
+        W/m^2/sr.
+    reference_radiance : float
+        W/m^2/sr.
+    settings : FeatureSettings
+    grid : VoxelGrid
+    target : str
+        sheet, sphere or mesh.
+    provenance : dict
+        The data set's name, fingerprint, sweep settings and software.
+    """
+
+    values: NDArray[np.float64]
+    names: list[str]
+    labels: NDArray[np.str_]
+    voxels: NDArray[np.int64]
+    positions: NDArray[np.float64]
+    rotations: NDArray[np.float64]
+    files: list[str]
+    background: Picture
+    reference_radiance: float
+    settings: FeatureSettings
+    grid: VoxelGrid
+    target: str
+    provenance: dict[str, Any]
+
+
+def extract(
+    dataset: Dataset,
+    settings: FeatureSettings,
+    *,
+    partial: bool = False,
+    progress: Callable[[int, int], None] = lambda done, total: None,
+) -> Features:
+    """Describe every picture of a data set.
+
+    Parameters
+    ----------
+    dataset : Dataset
+    settings : FeatureSettings
+    partial : bool
+        Take an unfinished data set as it is.
+    progress : callable
+        Is told how many pictures are done, and of how many.
+
+    Raises
+    ------
+    NlosError
+        The data set is unfinished or empty, or a picture is broken or holds NaN.
+    """
+    records = dataset.records
+    if not records:
+        raise NlosError(f"{dataset.path}: holds no finished picture yet")
+    if len(records) < dataset.planned and not partial:
+        raise NlosError(
+            f"{dataset.path}: only {len(records)} of {dataset.planned} pictures are rendered; finish the sweep, or "
+            "take it as it is with --partial"
+        )
+    background = dataset.background()
+    rows = []
+    for done, record in enumerate(records):
+        name = str(dataset.path / record.file)
+        rows.append(
+            describe(
+                dataset.picture(record),
+                settings,
+                reference=dataset.reference_radiance,
+                background=background,
+                name=name,
+            )
+        )
+        progress(done + 1, len(records))
+    return Features(
+        values=np.array(rows),
+        names=feature_names(settings),
+        labels=np.array([r.label for r in records]),
+        voxels=np.array([r.voxel for r in records]),
+        positions=np.array([r.position for r in records]),
+        rotations=np.array([r.rotation for r in records]),
+        files=[r.file for r in records],
+        background=background,
+        reference_radiance=dataset.reference_radiance,
+        settings=settings,
+        grid=dataset.grid,
+        target=dataset.target_kind,
+        provenance={
+            "dataset": dataset.path.resolve().name,
+            "fingerprint": dataset.meta["fingerprint"],
+            "sweep": dataset.settings,
+            "software": {**dataset.meta.get("software", {}), **software()},
+        },
+    )
+
+
+def write(path: Path, features: Features) -> None:
+    """Write features to HDF5, by temporary name and rename."""
+    text = h5py.string_dtype()
+    with atomic(path) as temporary, h5py.File(temporary, "w") as file:
+        file.attrs["format"] = FORMAT
+        file.attrs["target"] = features.target
+        file.attrs["reference_radiance"] = features.reference_radiance
+        file.attrs["settings"] = features.settings.to_json()
+        file.attrs["grid"] = json.dumps(to_dict(features.grid))
+        file.attrs["provenance"] = json.dumps(features.provenance)
+        file["features"] = features.values
+        file["voxel"] = features.voxels
+        file["position"] = features.positions
+        file["rotation"] = features.rotations
+        file["background"] = features.background
+        file.create_dataset("feature_names", data=features.names, dtype=text)
+        file.create_dataset("label", data=features.labels.tolist(), dtype=text)
+        file.create_dataset("file", data=features.files, dtype=text)
+        file["features"].attrs["about"] = "one row per picture, columns named in feature_names; not scaled"
+        file["position"].attrs["units"] = "m"
+        file["rotation"].attrs["units"] = "degrees about x, y, z"
+        file["background"].attrs["units"] = "W/m^2/sr"
+
+
+def read(path: Path) -> Features:
+    """Read features.
+
+    Raises
+    ------
+    NlosError
+        The file is missing, of a newer format, or does not hold features.
+    """
+    if not path.is_file():
+        raise NlosError(f"{path}: no such features file")
+    try:
+        with h5py.File(path, "r") as file:
+            version = int(file.attrs["format"])
+            if version > FORMAT:
+                raise NlosError(
+                    f"{path}: has features format {version}; this software reads up to {FORMAT}, so update it"
+                )
+            for name in file:
+                if not isinstance(file.get(name, getlink=True), h5py.HardLink):
+                    raise NlosError(f"{path}: {name} is a link to somewhere else, which is not followed")
+            features = Features(
+                values=np.asarray(file["features"], dtype=np.float64),
+                names=[str(n) for n in file["feature_names"].asstr()],
+                labels=np.array(file["label"].asstr()[:], dtype=np.str_),
+                voxels=np.asarray(file["voxel"]),
+                positions=np.asarray(file["position"]),
+                rotations=np.asarray(file["rotation"]),
+                files=[str(n) for n in file["file"].asstr()],
+                background=np.asarray(file["background"], dtype=np.float32),
+                reference_radiance=float(file.attrs["reference_radiance"]),
+                settings=FeatureSettings.from_json(str(file.attrs["settings"])),
+                grid=from_dict(VoxelGrid, json.loads(str(file.attrs["grid"])), "grid."),
+                target=str(file.attrs["target"]),
+                provenance=json.loads(str(file.attrs["provenance"])),
+            )
+    except NlosError as error:
+        raise NlosError(f"{path}: {str(error).removeprefix(f'{path}: ')}") from None
+    except (OSError, KeyError, ValueError, TypeError, AttributeError) as error:
+        raise NlosError(f"{path}: is not a features file of this software ({error})") from None
+    n = len(features.values)
+    if features.values.ndim != 2 or len(features.names) != features.values.shape[1] or len(features.labels) != n:
+        raise NlosError(f"{path}: its features, names and labels differ in length")
+    if not np.isfinite(features.values).all():
+        raise NlosError(f"{path}: holds NaN or infinite features; extract them again")
+    return features
+
+
+def check_comparable(a: Features, b: Features, names: tuple[str, str]) -> None:
+    """Raise NlosError, naming what differs, unless one file's model can be tested on the other."""
+    if a.grid != b.grid:
+        raise NlosError(
+            f"{names[0]} and {names[1]}: have different voxel grids ({_grid(a.grid)} against {_grid(b.grid)}), so "
+            "their labels mean different places; compare data sets of one grid"
+        )
+    if a.settings != b.settings:
+        ours, theirs = json.loads(a.settings.to_json()), json.loads(b.settings.to_json())
+        differ = ", ".join(f"{k} is {ours[k]} and {theirs[k]}" for k in ours if ours[k] != theirs[k])
+        raise NlosError(f"{names[0]} and {names[1]}: have different feature settings ({differ}); extract both alike")
+
+
+def _grid(grid: VoxelGrid) -> str:
+    count = " x ".join(map(str, grid.shape))
+    return f"{count} voxels from {grid.lo} to {grid.hi} m"

@@ -1,0 +1,294 @@
+"""The extension, built to a zip and installed from it into a clean user folder by Blender's own tool."""
+
+from __future__ import annotations
+
+import ast
+import os
+import subprocess
+import sys
+import textwrap
+import tomllib
+import zipfile
+from pathlib import Path
+
+import pytest
+
+from blender_addon import build
+
+ROOT = Path(__file__).resolve().parent.parent
+
+INSTALL = """
+import sys
+import bpy
+import addon_utils
+
+ZIP = sys.argv[1]
+MODULE = "bl_ext.user_default.nlos_lab"
+addon_utils.enable("bl_pkg", default_set=True)  # the extension manager, off in a bare bpy
+bpy.ops.extensions.package_install_files(
+    filepath=ZIP, repo="user_default", enable_on_install=True, overwrite=True
+)
+assert MODULE in bpy.context.preferences.addons
+import importlib
+import numpy as np
+spec, stage, engines = (importlib.import_module(f"{MODULE}.generator.{m}") for m in ("spec", "stage", "engines"))
+scene = bpy.context.scene
+for obj in list(scene.objects):  # the cube, lamp and camera that Blender starts with
+    bpy.data.objects.remove(obj)
+settings = scene.nlos
+
+def refused(operator):
+    try:
+        operator()
+    except RuntimeError as error:
+        return str(error)
+    raise AssertionError("not refused")
+
+def pixels(name):
+    image = bpy.data.images[name]
+    values = np.empty(image.size[0] * image.size[1] * 4, dtype=np.float32)
+    image.pixels.foreach_get(values)
+    return values.reshape(image.size[1], image.size[0], 4)[::-1, :, :3]
+"""
+
+
+@pytest.fixture(scope="module")
+def package(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    pytest.importorskip("bpy", reason="the bpy wheel makes the zip", exc_type=ImportError)
+    return build.build(tmp_path_factory.mktemp("dist"))
+
+
+def blender(package: Path, folder: Path, script: str) -> str:
+    """Run a script in a fresh bpy whose user folder is clean and from which the repository cannot be imported."""
+    environment = {k: v for k, v in os.environ.items() if k != "PYTHONPATH"}
+    environment |= {"BLENDER_USER_RESOURCES": str(folder / "user"), "HOME": str(folder)}
+    done = subprocess.run(
+        [sys.executable, "-c", INSTALL + textwrap.dedent(script), str(package)],
+        capture_output=True,
+        text=True,
+        cwd=folder,
+        env=environment,
+        timeout=300,
+        check=False,
+    )
+    assert done.returncode == 0, done.stdout + done.stderr
+    assert "Traceback" not in done.stdout + done.stderr
+    return done.stdout
+
+
+def test_zip_holds_what_is_needed_and_no_more(package: Path) -> None:
+    with zipfile.ZipFile(package) as archive:
+        sources = {n: archive.read(n).decode() for n in archive.namelist()}
+    assert {"blender_manifest.toml", "__init__.py", "generator/stage.py", "generator/engines.py"} <= set(sources)
+    unwanted = ("tests", "__pycache__", "classify", "build.py", "cli.py", "sweep.py", ".whl")
+    assert not [n for n in sources if any(word in n for word in unwanted)]
+    for name, text in sources.items():
+        if not name.endswith(".py"):
+            continue
+        for node in ast.walk(ast.parse(text)):
+            if isinstance(node, ast.Import):
+                assert "generator" not in [a.name.partition(".")[0] for a in node.names], name
+            elif isinstance(node, ast.ImportFrom) and not node.level:
+                assert (node.module or "").partition(".")[0] not in ("generator", "blender_addon"), name
+    assert package.stat().st_size < 1_000_000, f"{package.stat().st_size} bytes"
+
+
+def test_command_line_builds(package: Path, tmp_path: Path) -> None:
+    command = [sys.executable, "-m", "blender_addon.build", "-o", str(tmp_path / "new" / "dist")]
+    done = subprocess.run(command, capture_output=True, text=True, cwd=ROOT, check=True)
+    assert Path(done.stdout.strip()).name == package.name
+
+
+def test_manifest() -> None:
+    manifest = tomllib.loads((ROOT / "blender_addon" / "blender_manifest.toml").read_text())
+    project = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]
+    assert manifest["version"] == project["version"]
+    assert manifest["license"] == [f"SPDX:{project['license']}"]
+    assert set(manifest["permissions"]) == {"files"}
+
+
+def test_absolute_import_is_refused(tmp_path: Path) -> None:
+    source = tmp_path / "module.py"
+    source.write_text("def f():\n    import generator.spec\n")
+    with pytest.raises(build.BuildError, match=r"import generator\.spec"):
+        build._copy(source, tmp_path / "copy.py", ".")
+
+
+@pytest.mark.parametrize(
+    ("line", "in_addon", "in_generator"),
+    [
+        ("from generator import a, b", "from .generator import a, b", "from . import a, b"),
+        ("from generator.a import b", "from .generator.a import b", "from .a import b"),
+        ("if 1:\n    from generator.a import b", None, "if 1:\n    from .a import b"),
+    ],
+)
+def test_imports_become_relative(tmp_path: Path, line: str, in_addon: str | None, in_generator: str) -> None:
+    source, copy = tmp_path / "module.py", tmp_path / "copy.py"
+    source.write_text(line)
+    if in_addon:
+        build._copy(source, copy, ".generator")
+        assert copy.read_text() == in_addon
+    assert "a" in build._copy(source, copy, ".")
+    assert copy.read_text() == in_generator
+
+
+def test_operator_builds_what_the_api_builds(package: Path, tmp_path: Path) -> None:
+    blender(
+        package,
+        tmp_path,
+        """
+        from dataclasses import replace
+        for preset in ("room", "tabletop", "corridor"):
+            for kind in ("sheet", "sphere"):
+                settings.preset, settings.target_kind = preset, kind
+                assert bpy.ops.nlos.build_scene() == {"FINISHED"}
+                by_operator = stage.read(scene)
+                stage.build(scene, spec.preset(preset, kind))
+                assert by_operator == stage.read(scene), (by_operator, stage.read(scene))
+        settings.preset = "room"
+        settings.light_power, settings.target_albedo, settings.target_size = 250.0, 0.3, 0.7
+        settings.grid_counts, settings.grid_lo, settings.reflection_order = (2, 1, 4), (0.9, 0.5, 0.6), 5
+        settings.use_ambient, settings.ambient_radiance = True, 0.125
+        bpy.ops.nlos.build_scene()
+        found = stage.read(scene)
+        assert (found.spot.power, found.target.albedo, found.ambient) == (250.0, 0.3, 0.125)
+        assert found.grid == spec.VoxelGrid(lo=(0.9, 0.5, 0.6), hi=(2.3, 1.9, 2.2), shape=(2, 1, 4))
+        assert "ceiling" not in found.room.surfaces and found.reflection_order == 5
+        assert {o["nlos_role"] for o in scene.objects} == {*stage.SINGLE_ROLES, "room", "partition"}
+        assert scene.render.engine == "CYCLES" and scene.cycles.diffuse_bounces == scene.cycles.max_bounces == 4
+        assert not [m for m in sys.modules if m.partition(".")[0] in ("generator", "blender_addon")]
+        """,
+    )
+
+
+def test_edits_by_hand_are_read_and_kept(package: Path, tmp_path: Path) -> None:
+    blender(
+        package,
+        tmp_path,
+        """
+        bpy.ops.nlos.build_scene()
+        lamp, target = stage.find(scene, "spot"), stage.find(scene, "target")
+        lamp.location.x -= 0.1
+        lamp.data.energy, lamp.data.color = 60.0, (1.0, 0.5, 0.0)
+        target.scale = (2.0, 2.0, 2.0)
+        scene["nlos_grid_shape"] = (4, 5, 6)
+        scene.cycles.max_bounces = 6
+        scene.cycles.diffuse_bounces = 6
+        bpy.context.view_layer.update()
+        bpy.ops.nlos.read_scene()
+        assert tuple(settings.grid_counts) == (4, 5, 6) and settings.reflection_order == 7
+        assert settings.light_power == 30.0 and settings.target_size == 1.0
+        before = stage.read(scene)
+        bpy.ops.nlos.apply()
+        assert stage.read(scene) == before and lamp.data.energy == 60.0
+        settings.light_power, settings.light_half_angle, settings.grid_counts = 45.0, 0.05, (1, 1, 1)
+        settings.reflection_order = 3
+        bpy.ops.nlos.apply()
+        after = stage.read(scene)
+        assert (after.spot.power, after.grid.shape, after.reflection_order) == (45.0, (1, 1, 1), 3)
+        assert abs(lamp.data.spot_size - 0.1) < 1e-6 and lamp.data.energy == 90.0
+        assert after.spot.location == before.spot.location and tuple(target.scale) == (2.0, 2.0, 2.0)
+        """,
+    )
+
+
+def test_render_fills_the_images(package: Path, tmp_path: Path) -> None:
+    blender(
+        package,
+        tmp_path,
+        """
+        bpy.ops.nlos.build_scene()
+        settings.samples, settings.resolution, settings.seed = 8, (16, 16), 3
+        assert bpy.ops.nlos.render_wall() == {"FINISHED"}
+        wall, difference = pixels("NLOS wall"), pixels("NLOS difference")
+        assert wall.shape == (16, 16, 3) and np.isfinite(wall).all() and (wall > 0).all()
+        assert bpy.data.images["NLOS wall"].colorspace_settings.name == "Non-Color"
+        with engines.opened(scene, "patch", resolution=(16, 16)) as renderer:
+            picture = renderer.render(samples=8, seed=3)
+            background = renderer.render(samples=8, seed=3, target=False)
+        assert np.array_equal(wall, picture) and np.array_equal(difference, picture - background)
+        assert difference.any() and abs(pixels("NLOS preview").max() - 1.0) < 1e-6
+
+        # A second size takes the place of the first, and the picture is in the file.
+        settings.resolution, settings.difference = (8, 8), False
+        bpy.ops.nlos.render_wall()
+        assert [i.name for i in bpy.data.images if "wall" in i.name] == ["NLOS wall"]
+        wall = pixels("NLOS wall")
+        assert wall.shape == (8, 8, 3) and (wall > 0).all()
+        bpy.ops.wm.save_as_mainfile(filepath="saved.blend")
+        bpy.ops.wm.open_mainfile(filepath="saved.blend")
+        assert np.array_equal(pixels("NLOS wall"), wall)
+        assert bpy.context.scene.nlos.samples == 8
+        """,
+    )
+
+
+def test_bad_states_are_told_in_a_sentence(package: Path, tmp_path: Path) -> None:
+    blender(
+        package,
+        tmp_path,
+        """
+        for operator in (bpy.ops.nlos.apply, bpy.ops.nlos.read_scene, bpy.ops.nlos.render_wall):
+            assert "no object is the" in refused(operator)
+        bpy.ops.nlos.build_scene()
+        settings.samples, settings.resolution = 1, (4, 4)
+        bpy.data.objects.remove(stage.find(scene, "target"))
+        message = refused(bpy.ops.nlos.render_wall)
+        assert "no object is the target" in message and "Traceback" not in message, message
+        assert not bpy.data.images.get("NLOS wall")
+        settings.target_kind = "mesh"
+        assert "choose a mesh file" in refused(bpy.ops.nlos.build_scene)
+        settings.target_mesh = "//teapot.txt"
+        assert "mesh file" in refused(bpy.ops.nlos.build_scene)
+        settings.target_kind = "sheet"
+        settings.grid_lo = settings.grid_hi
+        assert "must lie below" in refused(bpy.ops.nlos.build_scene)
+        assert "must lie below" in refused(bpy.ops.nlos.apply)
+        settings.preset = "tabletop"
+        settings.preset = "room"
+        settings.resolution = (64, 32)
+        assert "square" in refused(bpy.ops.nlos.build_scene)
+        settings.resolution = (64, 64)
+        bpy.ops.nlos.build_scene()
+        bpy.context.view_layer.objects.active = stage.find(scene, "target")
+        bpy.ops.object.mode_set(mode="EDIT")
+        assert "Object Mode" in refused(bpy.ops.nlos.build_scene)
+        """,
+    )
+
+
+def test_mesh_target_from_a_file(package: Path, tmp_path: Path) -> None:
+    (tmp_path / "wedge.obj").write_text("v 0 0 0\nv 2 0 0\nv 0 1 0\nv 0 0 1\nf 1 2 3\nf 1 2 4\nf 1 3 4\nf 2 3 4\n")
+    blender(
+        package,
+        tmp_path,
+        """
+        settings.target_kind, settings.target_mesh, settings.target_size = "mesh", "wedge.obj", 0.5
+        bpy.ops.nlos.build_scene()
+        found = stage.read(scene).target
+        assert found.kind == "mesh" and abs(found.size - 0.5) < 1e-6
+        """,
+    )
+
+
+def test_disable_enable_remove(package: Path, tmp_path: Path) -> None:
+    blender(
+        package,
+        tmp_path,
+        """
+        bpy.ops.nlos.build_scene()
+        bpy.ops.preferences.addon_disable(module=MODULE)
+        assert not hasattr(bpy.types.Scene, "nlos") and not hasattr(bpy.types, "NLOS_PT_lab")
+        assert stage.read(scene).preset == "room"  # the file does not depend on the extension
+        bpy.ops.preferences.addon_enable(module=MODULE)
+        assert bpy.ops.nlos.read_scene() == {"FINISHED"}
+        import pathlib
+        installed = pathlib.Path(sys.modules[MODULE].__file__).parent
+        before = {p.name for p in installed.rglob("*") if "__pycache__" not in p.parts}
+        assert "engines.py" in before
+        bpy.ops.extensions.package_uninstall(repo_index=[
+            i for i, r in enumerate(bpy.context.preferences.extensions.repos) if r.module == "user_default"
+        ][0], pkg_id="nlos_lab")
+        assert not hasattr(bpy.types.Scene, "nlos") and not installed.exists()
+        """,
+    )
