@@ -189,7 +189,7 @@ def compare(
                 splits = [(np.arange(len(train.labels)), np.arange(len(test.labels)))]
             fits = parallel(
                 joblib.delayed(_fit_and_test)(
-                    models.make(classifier, setting, train.settings.set, seed=seed),
+                    models.make(classifier, setting, train.settings.set, len(a), seed=seed),
                     train.values[a],
                     train.labels[a],
                     test.values[b],

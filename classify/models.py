@@ -67,7 +67,7 @@ _GRIDS: dict[str, dict[str, list[Any]]] = {
 }
 
 
-def make(name: str, settings: Settings, feature_set: str, *, seed: int = 0) -> Any:
+def make(name: str, settings: Settings, feature_set: str, n_samples: int, *, seed: int = 0) -> Any:
     """Return an unfitted classifier, its scaler inside.
 
     Parameters
@@ -78,6 +78,8 @@ def make(name: str, settings: Settings, feature_set: str, *, seed: int = 0) -> A
         on the others (4), after scaling to [0, 1]; for the rest it names none, so they have scikit-learn's defaults.
         Tuned is a grid search by 3 stratified folds of whatever it is fitted to.
     feature_set : {"global", "spatial-hog"}
+    n_samples : int
+        How many it will be fitted to; no more neighbours are asked than there are.
     seed : int
     """
     if name not in NAMES:
@@ -86,7 +88,7 @@ def make(name: str, settings: Settings, feature_set: str, *, seed: int = 0) -> A
     estimators = {
         "LR": LogisticRegression(max_iter=5000),
         "LDA": LinearDiscriminantAnalysis(),
-        "KNN": KNeighborsClassifier(),
+        "KNN": KNeighborsClassifier(n_neighbors=min(5, n_samples)),
         "CART": DecisionTreeClassifier(random_state=seed),
         "RF": RandomForestClassifier(n_estimators=100, random_state=seed),
         "SVM": SVC(kernel=kernel, C=100.0, gamma=0.001, random_state=seed),
@@ -96,7 +98,11 @@ def make(name: str, settings: Settings, feature_set: str, *, seed: int = 0) -> A
     if settings == "paper":
         return pipeline
     folds = StratifiedKFold(INNER_FOLDS, shuffle=True, random_state=seed)
-    return GridSearchCV(pipeline, _GRIDS[name], cv=folds, error_score="raise")
+    grid = dict(_GRIDS[name])
+    if name == "KNN":
+        most = max(1, n_samples - -(-n_samples // INNER_FOLDS) - 1)
+        grid["classify__n_neighbors"] = [k for k in grid["classify__n_neighbors"] if k <= most]
+    return GridSearchCV(pipeline, grid, cv=folds, error_score="raise")
 
 
 def chosen(fitted: Any) -> dict[str, str]:
@@ -155,8 +161,9 @@ def train(features: Features, name: str, settings: Settings, *, seed: int = 0) -
         There is but one class, or a class has too few samples to search and calibrate with.
     """
     labels, counts = np.unique(features.labels, return_counts=True)
+    unfitted = make(name, settings, features.settings.set, len(features.labels), seed=seed)
     check_classes(features.labels, INNER_FOLDS)
-    fitted = make(name, settings, features.settings.set, seed=seed).fit(features.values, features.labels)
+    fitted = unfitted.fit(features.values, features.labels)
     picked = chosen(fitted)
     estimator = fitted.best_estimator_ if isinstance(fitted, GridSearchCV) else fitted
     if not hasattr(estimator, "predict_proba"):

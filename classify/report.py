@@ -280,7 +280,7 @@ def _words(scenario: str) -> str:
 
 def _png(figure: Figure) -> bytes:
     buffer = io.BytesIO()
-    figure.savefig(buffer, format="png", dpi=130)
+    figure.savefig(buffer, format="png", dpi=130, bbox_inches="tight", pad_inches=0.12)
     plt.close(figure)
     return buffer.getvalue()
 

@@ -1,0 +1,175 @@
+from __future__ import annotations
+
+import h5py
+import numpy as np
+import pytest
+from classify_helpers import make_dataset
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from classify import store
+from classify.features import FeatureSettings, describe, feature_names, tone_map
+from generator.dataset import read_picture, write_picture
+from generator.spec import NlosError
+
+SETS = ["global", "spatial-hog"]
+
+
+def gradient(height=24, width=24):
+    rows, columns = np.mgrid[0:height, 0:width]
+    light = 1e-5 * (1.0 + columns / width + 0.3 * np.sin(rows / 3.0))
+    return np.repeat(light[..., None], 3, axis=2).astype(np.float32)
+
+
+EXTREMES = {
+    "black": np.zeros((16, 16, 3)),
+    "constant": np.full((16, 16, 3), 1e-5),
+    "negative": -gradient(),
+    "faint": gradient() * 1e-20,
+    "glaring": gradient() * 1e25,
+    "half": np.where(np.arange(24)[None, :, None] < 12, 1e20, -1e20) * np.ones((24, 24, 3)),
+    "subnormal": np.full((16, 16, 3), 1e-45),
+    "pixel": np.full((1, 1, 3), 1e-5),
+    "row": gradient(1, 40),
+    "column": gradient(40, 1),
+    "large": np.tile(gradient(64, 64), (32, 32, 1)),
+}
+
+
+@pytest.mark.parametrize("tone", ["log", "linear"])
+@pytest.mark.parametrize("kind", SETS)
+@pytest.mark.parametrize("extreme", EXTREMES)
+def test_every_picture_has_finite_features(extreme, kind, tone):
+    picture = EXTREMES[extreme].astype(np.float32)
+    settings = FeatureSettings(set=kind, input="raw", tone=tone)
+    values = describe(picture, settings, reference=1.0)
+    assert values.shape == (len(feature_names(settings)),)
+    assert np.isfinite(values).all()
+
+
+@pytest.mark.parametrize("kind", SETS)
+@pytest.mark.parametrize("bad", [np.nan, np.inf, -np.inf])
+def test_nan_is_named_with_its_picture(kind, bad):
+    picture = gradient()
+    picture[3, 4, 1] = bad
+    with pytest.raises(NlosError, match=r"A/0001\.exr: holds 1 NaN or infinite"):
+        describe(picture, FeatureSettings(set=kind, input="raw"), reference=1.0, name="A/0001.exr")
+
+
+def test_background_must_fit():
+    with pytest.raises(NlosError, match="24 x 24 pixels, but its background 8 x 8"):
+        describe(gradient(), FeatureSettings(), reference=1.0, background=gradient(8, 8))
+    with pytest.raises(NlosError, match="need the background"):
+        describe(gradient(), FeatureSettings(), reference=1.0)
+
+
+@given(st.floats(-1e-3, 1e-3), st.floats(-1e-3, 1e-3))
+@settings(max_examples=200)
+def test_tone_mapping_is_odd_and_monotone(a, b):
+    for tone in ("log", "linear"):
+        chosen = FeatureSettings(tone=tone)
+        one, other, mirrored = tone_map(np.array([a, b, -a]), chosen, 1.0)
+        assert mirrored == -one
+        assert (one <= other) or a > b
+    assert tone_map(np.array([1e-3]), FeatureSettings(), 1.0)[0] == pytest.approx(1.0)
+
+
+def test_tone_mapping_keeps_the_far_voxels_apart():
+    """Signals four decades apart both differ from others 20 % brighter; 8 bits of the brightest lose the faint."""
+    light = np.array([1e-7, 1.2e-7, 5e-4, 6e-4])
+    log = tone_map(light, FeatureSettings(tone="log"), 1.0)
+    linear = np.round(127 * tone_map(light, FeatureSettings(tone="linear"), 1.0))
+    assert log[1] - log[0] > 0.012
+    assert log[3] - log[2] > 0.012
+    assert linear[0] == linear[1] == 0
+
+
+def test_light_is_averaged_before_it_is_mapped():
+    """A chequer of 0 and 2 looks like its mean 1, not like the mean of its shades."""
+    fine = np.zeros((64, 64, 3), dtype=np.float32)
+    fine[::2, ::2] = fine[1::2, 1::2] = 2e-5
+    flat = np.full((64, 64, 3), 1e-5, dtype=np.float32)
+    for kind in SETS:
+        chosen = FeatureSettings(set=kind, input="raw")
+        np.testing.assert_allclose(
+            describe(fine, chosen, reference=1.0), describe(flat, chosen, reference=1.0), atol=1e-6
+        )
+
+
+def test_hu_moments_are_those_of_a_square_and_ignore_level_and_place():
+    chosen = FeatureSettings(input="raw")
+    hu = slice(feature_names(chosen).index("hu_1"), feature_names(chosen).index("hu_7") + 1)
+
+    def at(row, column, level=1e-5):
+        picture = np.zeros((32, 32, 3), dtype=np.float32)
+        picture[row : row + 8, column : column + 8] = level
+        return describe(picture, chosen, reference=1.0)[hu]
+
+    first = at(4, 4)
+    np.testing.assert_allclose(at(15, 9), first, atol=1e-4)
+    np.testing.assert_allclose(at(4, 4, 1e-12), first, atol=1e-6)
+    # A filled square of n x n pixels: eta20 = eta02 = (n^2 - 1) / (12 n^2), so h1 is twice that.
+    h1 = 10 ** (first[0]) * 1e-12
+    assert h1 == pytest.approx(2 * (64 - 1) / (12 * 64), rel=1e-3)
+
+
+def test_haralick_of_a_constant_picture_is_one_certain_pair():
+    chosen = FeatureSettings(input="raw")
+    values = dict(zip(feature_names(chosen), describe(EXTREMES["constant"], chosen, reference=1.0), strict=True))
+    assert values["haralick_angular_second_moment"] == pytest.approx(1.0)
+    assert values["haralick_contrast"] == 0.0
+    assert values["haralick_entropy"] == pytest.approx(0.0, abs=1e-9)
+
+
+def test_histogram_shares_add_up_to_one_per_channel():
+    chosen = FeatureSettings(input="raw")
+    for picture in EXTREMES.values():
+        values = describe(picture.astype(np.float32), chosen, reference=1.0)
+        assert values[: 3 * chosen.bins].sum() == pytest.approx(3.0)
+
+
+def test_features_survive_hdf5(tmp_path):
+    dataset = make_dataset(tmp_path / "d", n=2)
+    features = store.extract(dataset, FeatureSettings())
+    store.write(tmp_path / "f.h5", features)
+    back = store.read(tmp_path / "f.h5")
+    np.testing.assert_array_equal(back.values, features.values)
+    np.testing.assert_array_equal(back.labels, features.labels)
+    np.testing.assert_array_equal(back.positions, [r.position for r in dataset.records])
+    assert (back.names, back.settings, back.grid) == (features.names, features.settings, dataset.grid)
+    assert back.provenance["sweep"]["engine"] == "patch"
+    assert set("ABCDEFGHI") == set(back.labels)
+
+
+def test_features_files_from_elsewhere_are_refused(tmp_path):
+    features = store.extract(make_dataset(tmp_path / "d", n=1), FeatureSettings())
+    store.write(tmp_path / "f.h5", features)
+    with h5py.File(tmp_path / "f.h5", "a") as file:
+        file.attrs["format"] = 2
+    with pytest.raises(NlosError, match="features format 2"):
+        store.read(tmp_path / "f.h5")
+    with h5py.File(tmp_path / "f.h5", "a") as file:
+        file.attrs["format"] = 1
+        del file["voxel"]
+        file["voxel"] = h5py.ExternalLink("/etc/passwd", "/voxel")
+    with pytest.raises(NlosError, match="is a link to somewhere else"):
+        store.read(tmp_path / "f.h5")
+    (tmp_path / "text.h5").write_text("hello")
+    with pytest.raises(NlosError, match="is not a features file"):
+        store.read(tmp_path / "text.h5")
+
+
+def test_an_unfinished_data_set_is_taken_only_when_asked(tmp_path):
+    dataset = make_dataset(tmp_path / "d", n=2, skip=3)
+    with pytest.raises(NlosError, match="only 15 of 18 pictures"):
+        store.extract(dataset, FeatureSettings())
+    assert len(store.extract(dataset, FeatureSettings(), partial=True).values) == 15
+
+
+def test_a_picture_altered_after_rendering_is_refused(tmp_path):
+    dataset = make_dataset(tmp_path / "d", n=1)
+    file = tmp_path / "d" / dataset.records[2].file
+    pixels, header = read_picture(file)
+    write_picture(file, pixels * 2, header)
+    with pytest.raises(NlosError, match=r"C/0000\.exr: its pixels differ"):
+        store.extract(dataset, FeatureSettings())
