@@ -43,7 +43,8 @@ extension: $(READY)
 	$(BIN)/python -m blender_addon.build -o dist
 
 results: $(READY)
-	$(BIN)/python benchmarks/paper_table.py --output results --poses 100 --resolution 64 --samples 192
+	$(BIN)/python benchmarks/paper_table.py --output results --poses 100 --resolution 64 --samples 192 \
+	  --sets spatial-hog global
 
 clean:
 	rm -rf .venv dist demo results

@@ -33,6 +33,9 @@ def main() -> None:
     parser.add_argument("--resolution", default="32")
     parser.add_argument("--samples", type=int, default=128)
     parser.add_argument("--seed", type=int, default=0)
+    parser.add_argument(
+        "--sets", nargs="+", default=["global"], help="of features; the last one's table ends the output"
+    )
     options = parser.parse_args()
     folder: Path = options.output
     folder.mkdir(parents=True, exist_ok=True)
@@ -44,10 +47,9 @@ def main() -> None:
         data = folder / target
         run("generator.cli", "sweep", scene, "-o", data, "--engine", "patch", "--seed", options.seed, *sizes)
         run("generator.cli", "verify", data)
-        for kind in ("global", "spatial-hog"):
+        for kind in options.sets:
             run("classify.cli", "features", data, "-o", folder / f"{target}-{kind}.h5", "--set", kind)
-    # The paper's own features last, so that its table closes the output.
-    for kind in ("spatial-hog", "global"):
+    for kind in options.sets:
         features = [folder / f"{target}-{kind}.h5" for target in TARGETS]
         run("classify.cli", "compare", *features, "-o", folder / f"report-{kind}")
 
