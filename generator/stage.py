@@ -47,8 +47,14 @@ _FACES = {
 @contextlib.contextmanager
 def quiet() -> Iterator[None]:
     """Silence what Blender prints about its own doings (file descriptor 1, since C prints it)."""
-    sys.stdout.flush()
-    saved, nowhere = os.dup(1), os.open(os.devnull, os.O_WRONLY)
+    try:
+        saved = os.dup(1)
+    except OSError:  # a windowed Blender may have no standard output at all
+        yield
+        return
+    nowhere = os.open(os.devnull, os.O_WRONLY)
+    if sys.stdout is not None:
+        sys.stdout.flush()
     try:
         os.dup2(nowhere, 1)
         yield

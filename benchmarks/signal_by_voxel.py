@@ -1,0 +1,61 @@
+"""How faint is it? What the target adds to the picture of the room, voxel by voxel, and how much of that it hides.
+
+The target stands in the middle of each voxel, unturned. Printed are the mean of the difference picture in the closed
+room; the same without the room's surfaces (what the target adds); the part that it takes away again, because it hides
+surfaces of the room from w1 or from the watched wall; and the noise of one pixel at the given samples, unpaired and
+paired. Each mean carries its 95 % interval over independent renders.
+"""
+
+from __future__ import annotations
+
+import argparse
+
+import numpy as np
+
+from generator import engines, spec, stage
+
+
+def differences(scene: spec.Scene, places: np.ndarray, samples: int, renders: int) -> tuple[np.ndarray, ...]:
+    """Difference pictures (places, renders, pixels), paired; plain pictures and backgrounds of the same shape."""
+    blender = stage.new_file()
+    stage.build(blender, scene)
+    plain, empty = [], []
+    with engines.opened(blender, "patch", resolution=scene.resolution) as renderer:
+        for place in places:
+            stage.move_target(blender, tuple(map(float, place)), (0.0, 0.0, 0.0))
+            for kept, target in ((plain, True), (empty, False)):
+                kept.append(
+                    [renderer.render(samples=samples, seed=s, target=target)[..., 0].ravel() for s in range(renders)]
+                )
+    pictures, backgrounds = np.array(plain, dtype=float), np.array(empty, dtype=float)
+    return pictures - backgrounds, pictures, backgrounds
+
+
+def main() -> None:
+    """Render and print the table."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--target", default="sphere", choices=["sheet", "sphere"])
+    parser.add_argument("--samples", type=int, default=192)
+    parser.add_argument("--renders", type=int, default=8)
+    options = parser.parse_args()
+    room = spec.preset("room", options.target)
+    bare = spec.from_dict(spec.Scene, {k: v for k, v in spec.to_dict(room).items() if k != "room"})
+    places = np.array([np.mean(room.grid.bounds(v), axis=0) for v in range(room.grid.n_voxels)])
+    both, pictures, backgrounds = differences(room, places, options.samples, options.renders)
+    added, _, _ = differences(bare, places, options.samples, options.renders)
+    level = backgrounds.mean()
+    print(f"{options.target}, {options.renders} renders of {options.samples} samples, 64 x 64 pixels")
+    print(f"background {level:.4g} W/m^2/sr; everything below in units of 1e-3 of it")
+    print("voxel   difference        added by target   hidden by it   pixel noise: plain  paired")
+    for v, label in enumerate(room.grid.labels):
+        a, b = (d[v].mean(axis=1) / level * 1e3 for d in (both, added))
+        (a_half, b_half) = (1.96 * x.std(ddof=1) / np.sqrt(len(x)) for x in (a, b))
+        noise = [x[v].std(axis=0, ddof=1).mean() / level * 1e3 for x in (pictures, both)]
+        print(
+            f"{label:>5}   {a.mean():6.2f} +- {a_half:4.2f}    {b.mean():6.2f} +- {b_half:4.2f}    "
+            f"{1 - a.mean() / b.mean():10.0%}   {noise[0]:18.1f}  {noise[1]:6.1f}"
+        )
+
+
+if __name__ == "__main__":
+    main()
