@@ -5,6 +5,7 @@ from __future__ import annotations
 import argparse
 import contextlib
 import json
+import os
 import sys
 from collections.abc import Callable, Iterator
 from pathlib import Path
@@ -25,7 +26,7 @@ _RAW = argparse.RawDescriptionHelpFormatter
 def main(argv: list[str] | None = None) -> int:
     """Run ``nlos-classify``; return the exit code: 0 well, 2 bad input, 130 interrupted."""
     options = _parser().parse_args(argv)
-    return guarded(lambda: int(options.run(options)))
+    return guarded(lambda: int(options.run(options)), "interrupted; nothing was written")
 
 
 def _parser() -> argparse.ArgumentParser:
@@ -137,6 +138,15 @@ def _parser() -> argparse.ArgumentParser:
     return parser
 
 
+def _check_output(path: Path, *, folder: bool = False) -> None:
+    """Say before the work, not after it, that its result has no place to go."""
+    if path.exists() and path.is_dir() != folder:
+        raise NlosError(f"{path}: is a {'file' if folder else 'folder'}; name a {'folder' if folder else 'file'}")
+    place = next(p for p in [path, *path.absolute().parents] if p.exists())
+    if not (path.exists() or place.is_dir()) or not os.access(place, os.W_OK):
+        raise NlosError(f"{path}: cannot be written")
+
+
 @contextlib.contextmanager
 def _progress(what: str) -> Iterator[Callable[[int, int, str], None]]:
     if not sys.stderr.isatty():
@@ -164,6 +174,7 @@ def _features(options: argparse.Namespace) -> int:
         size=options.size,
     )
     dataset = Dataset.open(options.dataset)
+    _check_output(options.output)
     with _progress("describing") as progress:
         features = store.extract(
             dataset, settings, partial=options.partial, progress=lambda done, total: progress(done, total, "")
@@ -185,8 +196,16 @@ def _compare(options: argparse.Namespace) -> int:
         raise NlosError(f"compare: takes one or two features files, not {len(options.features)}")
     if options.folds < 2:
         raise NlosError(f"--folds {options.folds}: must be 2 or more")
+    _check_output(options.output, folder=True)
     sets = [store.read(path) for path in options.features]
     names = [str(path) for path in options.features]
+    for features, name in zip(sets, names, strict=True):
+        if features.duplicates:
+            print(
+                f"warning: {name}: {features.duplicates} of {len(features.values)} pictures have exactly the "
+                "features of another; where both sides of a fold hold one, accuracy is flattered",
+                file=sys.stderr,
+            )
     chosen: list[models.Settings] = ["paper", "tuned"] if options.settings == "both" else [options.settings]
     with _progress("comparing") as progress:
         results = evaluate.compare(
@@ -215,6 +234,7 @@ def _compare(options: argparse.Namespace) -> int:
 def _train(options: argparse.Namespace) -> int:
     from classify import models, store
 
+    _check_output(options.output)
     model = models.train(store.read(options.features), options.classifier, options.settings, seed=options.seed)
     models.save(options.output, model)
     picked = ", ".join(f"{k} = {v}" for k, v in model.about["chosen"].items())

@@ -163,15 +163,20 @@ def compare(
     Raises
     ------
     NlosError
-        The sets do not belong together, or a class has fewer samples than there are folds.
+        The sets do not belong together or are the same file, a class has too few samples for the folds, all
+        features are constant, or the seed is out of range.
     """
+    models.check_seed(seed)
+    if len(sets) == 2:
+        if names[0] == names[1]:
+            raise NlosError(f"{names[0]}: is the same file twice; name one, or two different ones")
+        check_comparable(sets[0], sets[1], (names[0], names[1]))
     for features, name in zip(sets, names, strict=True):
         try:
-            models.check_classes(features.labels, folds)
+            models.check_folds(features.labels, folds, settings)
+            models.check_varied(features)
         except NlosError as error:
             raise NlosError(f"{name}: {error}") from None
-    if len(sets) == 2:
-        check_comparable(sets[0], sets[1], (names[0], names[1]))
     pairs = [(i, i) for i in range(len(sets))] + [
         (i, j) for i in range(len(sets)) for j in range(len(sets)) if i != j
     ]

@@ -98,11 +98,12 @@ def tone_map(light: Array, settings: FeatureSettings, reference: float) -> Array
     reference : float
         The scene's reference radiance, W/m^2/sr.
     """
-    scaled = light / max(reference, _SMALLEST)
-    if settings.tone == "linear":
-        shades = scaled / settings.ceiling
-    else:
-        shades = np.arcsinh(scaled / settings.floor) / np.arcsinh(settings.ceiling / settings.floor)
+    with np.errstate(over="ignore"):  # without any light in the scene the scale is infinite, and clipped below
+        scaled = light / max(reference, _SMALLEST)
+        if settings.tone == "linear":
+            shades = scaled / settings.ceiling
+        else:
+            shades = np.arcsinh(scaled / settings.floor) / np.arcsinh(settings.ceiling / settings.floor)
     clipped: Array = np.clip(shades, -1.0, 1.0)
     return clipped
 
@@ -160,7 +161,7 @@ def describe(
                 f"{name}: has {picture.shape[1]} x {picture.shape[0]} pixels, but its background "
                 f"{background.shape[1]} x {background.shape[0]}"
             )
-        _check_finite(np.asarray(background), "background")
+        _check_finite(np.asarray(background), f"{name}: its background")
         light = light - background
     light = _average(light, settings.size)
     histogram = _histogram(tone_map(light, settings, reference), settings.bins)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Literal
@@ -23,7 +24,7 @@ from sklearn.preprocessing import MinMaxScaler, StandardScaler
 from sklearn.svm import SVC
 from sklearn.tree import DecisionTreeClassifier
 
-from classify.features import FeatureSettings, describe
+from classify.features import FeatureSettings, describe, feature_names
 from classify.store import Features
 from generator.dataset import Picture, atomic
 from generator.spec import NlosError, VoxelGrid, from_dict, to_dict
@@ -162,7 +163,9 @@ def train(features: Features, name: str, settings: Settings, *, seed: int = 0) -
     """
     labels, counts = np.unique(features.labels, return_counts=True)
     unfitted = make(name, settings, features.settings.set, len(features.labels), seed=seed)
+    check_seed(seed)
     check_classes(features.labels, INNER_FOLDS)
+    check_varied(features)
     fitted = unfitted.fit(features.values, features.labels)
     picked = chosen(fitted)
     estimator = fitted.best_estimator_ if isinstance(fitted, GridSearchCV) else fitted
@@ -197,6 +200,35 @@ def check_classes(labels: NDArray[np.str_], folds: int) -> None:
             f"class {fewest} has {counts.min()} samples, fewer than the {folds} folds; render more poses or ask for "
             "fewer folds"
         )
+
+
+def check_folds(labels: NDArray[np.str_], folds: int, settings: Sequence[Settings]) -> None:
+    """Raise NlosError unless what a fold leaves for training is enough to fit, and to search where asked."""
+    check_classes(labels, folds)
+    classes, counts = np.unique(labels, return_counts=True)
+    fewest, least = classes[counts.argmin()], int(counts.min())
+    left = least - -(-least // folds)
+    need = INNER_FOLDS if "tuned" in settings else 2
+    if left < need:
+        way_out = ", ask for more folds" if least - 1 >= need else ""  # at most a fold per sample
+        way_out += ", or use --settings paper" if left >= 2 else ""
+        raise NlosError(
+            f"class {fewest} has {least} samples, which leaves {left} to train on beside a test fold, and "
+            f"{'the search for settings' if need == INNER_FOLDS else 'training'} needs {need}; render more poses"
+            f"{way_out}"
+        )
+
+
+def check_varied(features: Features) -> None:
+    """Raise NlosError if nothing tells the pictures apart."""
+    if not np.ptp(features.values, axis=0).any():
+        raise NlosError("every picture has the same features, so nothing tells the voxels apart")
+
+
+def check_seed(seed: int) -> None:
+    """Raise NlosError unless scikit-learn takes the seed."""
+    if not 0 <= seed < 2**32:
+        raise NlosError(f"seed {seed}: must be from 0 to 2^32 - 1")
 
 
 def save(path: Path, model: Model) -> None:
@@ -246,15 +278,24 @@ def load(path: Path) -> Model:
     try:
         bundle = skops.io.load(path, trusted=sorted(_TRUSTED))
         version = bundle["format"]
+        newer = version > FORMAT
     except Exception as error:
         raise NlosError(f"{path}: is not a model file ({type(error).__name__}: {error})") from None
-    if version > FORMAT:
+    if newer:
         raise NlosError(f"{path}: has model format {version}; this software reads up to {FORMAT}, so update it")
-    return Model(
-        estimator=bundle["estimator"],
-        settings=FeatureSettings.from_json(bundle["settings"]),
-        background=np.asarray(bundle["background"], dtype=np.float32),
-        reference_radiance=float(bundle["reference_radiance"]),
-        grid=from_dict(VoxelGrid, json.loads(bundle["grid"]), "grid."),
-        about=json.loads(bundle["about"]),
-    )
+    try:
+        model = Model(
+            estimator=bundle["estimator"],
+            settings=FeatureSettings.from_json(bundle["settings"]),
+            background=np.asarray(bundle["background"], dtype=np.float32),
+            reference_radiance=float(bundle["reference_radiance"]),
+            grid=from_dict(VoxelGrid, json.loads(bundle["grid"]), "grid."),
+            about=json.loads(bundle["about"]),
+        )
+        width, _ = int(model.estimator.n_features_in_), model.estimator.predict_proba
+    except (KeyError, TypeError, ValueError, AttributeError) as error:  # NlosError is a ValueError
+        raise NlosError(f"{path}: is not a model file ({type(error).__name__}: {error})") from None
+    given = len(feature_names(model.settings))
+    if width != given:
+        raise NlosError(f"{path}: was trained on {width} features, but its settings give {given}")
+    return model

@@ -59,6 +59,11 @@ class Features:
     target: str
     provenance: dict[str, Any]
 
+    @property
+    def duplicates(self) -> int:
+        """How many pictures have exactly the features of an earlier one."""
+        return len(self.values) - len(np.unique(self.values, axis=0))
+
 
 def extract(
     dataset: Dataset,
@@ -171,6 +176,8 @@ def read(path: Path) -> Features:
             for name in file:
                 if not isinstance(file.get(name, getlink=True), h5py.HardLink):
                     raise NlosError(f"{path}: {name} is a link to somewhere else, which is not followed")
+                if file[name].external or file[name].is_virtual:  # HDF5 would read any file that is named there
+                    raise NlosError(f"{path}: {name} lies in another file, which is not followed")
             features = Features(
                 values=np.asarray(file["features"], dtype=np.float64),
                 names=[str(n) for n in file["feature_names"].asstr()],
@@ -190,9 +197,16 @@ def read(path: Path) -> Features:
         raise NlosError(f"{path}: {str(error).removeprefix(f'{path}: ')}") from None
     except (OSError, KeyError, ValueError, TypeError, AttributeError) as error:
         raise NlosError(f"{path}: is not a features file of this software ({error})") from None
-    n = len(features.values)
-    if features.values.ndim != 2 or len(features.names) != features.values.shape[1] or len(features.labels) != n:
-        raise NlosError(f"{path}: its features, names and labels differ in length")
+    columns = (features.labels, features.voxels, features.positions, features.rotations, features.files)
+    if features.values.ndim != 2 or any(len(column) != len(features.values) for column in columns):
+        raise NlosError(f"{path}: its features, labels and poses differ in length")
+    if features.names != feature_names(features.settings) or len(features.names) != features.values.shape[1]:
+        raise NlosError(f"{path}: its feature names are not those of its settings")
+    unknown = sorted(set(map(str, features.labels)) - set(features.grid.labels))
+    if unknown:
+        raise NlosError(f"{path}: has the label {unknown[0]}, which its grid of {features.grid.n_voxels} lacks")
+    if not 0.0 <= features.reference_radiance < float("inf"):
+        raise NlosError(f"{path}: its reference radiance is {features.reference_radiance}, not 0 or more")
     if not np.isfinite(features.values).all():
         raise NlosError(f"{path}: holds NaN or infinite features; extract them again")
     return features

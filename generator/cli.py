@@ -29,15 +29,15 @@ def main(argv: list[str] | None = None) -> int:
     return guarded(lambda: int(options.run(options)))
 
 
-def guarded(work: Callable[[], int]) -> int:
-    """Run a command; turn bad input into one sentence and exit code 2, Ctrl-C into 130."""
+def guarded(work: Callable[[], int], interrupted: str = "interrupted; the same command goes on from here") -> int:
+    """Run a command; turn bad input into one sentence and exit code 2, Ctrl-C into a word and 130."""
     try:
         return work()
     except NlosError as error:
         print(f"error: {error}", file=sys.stderr)
         return 2
     except KeyboardInterrupt:
-        print("\ninterrupted; the same command goes on from here", file=sys.stderr)
+        print(f"\n{interrupted}", file=sys.stderr)
         return 130
 
 
