@@ -10,7 +10,7 @@ import sys
 from collections.abc import Callable, Iterator
 from pathlib import Path
 
-from generator.cli import guarded
+from generator.cli import LineProgress, guarded
 from generator.spec import NlosError
 
 _EXAMPLES = """\
@@ -148,9 +148,10 @@ def _check_output(path: Path, *, folder: bool = False) -> None:
 
 
 @contextlib.contextmanager
-def _progress(what: str) -> Iterator[Callable[[int, int, str], None]]:
+def _progress(what: str, unit: str) -> Iterator[Callable[[int, int, str], None]]:
     if not sys.stderr.isatty():
-        yield lambda done, total, now: None
+        lines = LineProgress(unit)
+        yield lambda done, total, now: lines(done, total)
         return
     from rich.console import Console
     from rich.progress import Progress
@@ -175,7 +176,7 @@ def _features(options: argparse.Namespace) -> int:
     )
     dataset = Dataset.open(options.dataset)
     _check_output(options.output)
-    with _progress("describing") as progress:
+    with _progress("describing", "pictures") as progress:
         features = store.extract(
             dataset, settings, partial=options.partial, progress=lambda done, total: progress(done, total, "")
         )
@@ -207,7 +208,7 @@ def _compare(options: argparse.Namespace) -> int:
                 file=sys.stderr,
             )
     chosen: list[models.Settings] = ["paper", "tuned"] if options.settings == "both" else [options.settings]
-    with _progress("comparing") as progress:
+    with _progress("comparing", "classifiers") as progress:
         results = evaluate.compare(
             sets, names, settings=chosen, folds=options.folds, seed=options.seed, progress=progress
         )

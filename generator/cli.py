@@ -190,7 +190,8 @@ def summary(dataset: Dataset, *, rendered: int, remaining: int) -> str:
 class LineProgress:
     """Progress as plain lines, at most one every few seconds, for logs."""
 
-    def __init__(self, every: float = 10.0) -> None:
+    def __init__(self, what: str = "pictures", every: float = 10.0) -> None:
+        self._what = what
         self._every = every
         self._start = time.monotonic()
         self._last = -every
@@ -201,7 +202,7 @@ class LineProgress:
             return
         self._last = now
         left = f", about {_clock((now - self._start) / done * (total - done))} left" if done else ""
-        print(f"{done} of {total} pictures{left}", flush=True)
+        print(f"{done} of {total} {self._what}{left}", flush=True)
 
 
 def _clock(seconds: float) -> str:
