@@ -1,4 +1,4 @@
-# make demo    sets up .venv and runs the whole chain on real renders, in about five minutes after the set-up
+# make demo    sets up .venv and runs the whole chain on real renders, in a few minutes after the set-up
 # make test    sets up .venv and runs the tests
 # make lint    ruff, mypy, and the check of the Blender extension
 # make results the full run behind docs/results.md, about an hour on 2 cores

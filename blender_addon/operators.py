@@ -116,14 +116,4 @@ class NLOS_OT_render_wall(_Task, bpy.types.Operator):
 
 _CLASSES = (NLOS_OT_build_scene, NLOS_OT_apply, NLOS_OT_read_scene, NLOS_OT_render_wall)
 
-
-def register() -> None:
-    """Add the operators."""
-    for cls in _CLASSES:
-        bpy.utils.register_class(cls)
-
-
-def unregister() -> None:
-    """Take them away."""
-    for cls in reversed(_CLASSES):
-        bpy.utils.unregister_class(cls)
+register, unregister = bpy.utils.register_classes_factory(_CLASSES)

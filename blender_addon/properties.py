@@ -12,7 +12,6 @@ from dataclasses import replace
 from typing import Any
 
 import bpy
-import numpy as np
 from bpy.props import (
     BoolProperty,
     EnumProperty,
@@ -24,7 +23,7 @@ from bpy.props import (
     StringProperty,
 )
 
-from generator import spec
+from generator import spec, stage
 
 _ROOM = spec.preset("room")
 
@@ -221,14 +220,14 @@ def spec_of(settings: Any) -> spec.Scene:
     wanted = replace(
         base,
         target=spec.Target(
-            kind=kind, size=_short(settings.target_size), albedo=_short(settings.target_albedo), mesh=mesh
+            kind=kind, size=stage.short(settings.target_size), albedo=stage.short(settings.target_albedo), mesh=mesh
         ),
-        spot=replace(base.spot, power=_short(settings.light_power), half_angle=half_angle(settings)),
+        spot=replace(base.spot, power=stage.short(settings.light_power), half_angle=half_angle(settings)),
         grid=grid(settings),
         reflection_order=settings.reflection_order,
         resolution=tuple(settings.resolution),
     )
-    return wanted.with_ambient(_short(settings.ambient_radiance) if settings.use_ambient else 0.0)
+    return wanted.with_ambient(stage.short(settings.ambient_radiance) if settings.use_ambient else 0.0)
 
 
 def grid(settings: Any) -> spec.VoxelGrid:
@@ -240,13 +239,13 @@ def grid(settings: Any) -> spec.VoxelGrid:
         A corner is not below the other.
     """
     return spec.VoxelGrid(
-        lo=_vector(settings.grid_lo), hi=_vector(settings.grid_hi), shape=tuple(settings.grid_counts)
+        lo=stage.vector(settings.grid_lo), hi=stage.vector(settings.grid_hi), shape=tuple(settings.grid_counts)
     )
 
 
 def half_angle(settings: Any) -> float:
     """Return the half angle of the lamp's cone, degrees."""
-    return _short(math.degrees(settings.light_half_angle))
+    return stage.short(math.degrees(settings.light_half_angle))
 
 
 def fill(settings: Any, scene: spec.Scene, *, target: bool = True) -> None:
@@ -277,15 +276,6 @@ def fill(settings: Any, scene: spec.Scene, *, target: bool = True) -> None:
     settings.grid_lo, settings.grid_hi = scene.grid.lo, scene.grid.hi
     settings.reflection_order = scene.reflection_order
     settings.resolution = scene.resolution
-
-
-def _short(value: float) -> float:
-    """The shortest decimal that Blender's float32 stands for: 0.05, not 0.05000000074505806."""
-    return float(str(np.float32(value)))
-
-
-def _vector(values: Any) -> spec.Vector:
-    return (_short(values[0]), _short(values[1]), _short(values[2]))
 
 
 def register() -> None:

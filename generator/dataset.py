@@ -161,7 +161,8 @@ def atomic(path: Path) -> Iterator[Path]:
     except OSError as error:
         raise NlosError(f"{path}: cannot be written ({error.strerror or error})") from None
     finally:
-        temporary.unlink(missing_ok=True) if path.parent.is_dir() else None
+        if path.parent.is_dir():
+            temporary.unlink(missing_ok=True)
 
 
 def write_text(path: Path, text: str) -> None:
@@ -446,8 +447,7 @@ class Dataset:
             One sentence per fault: a missing, truncated or altered picture, or one of another sweep. Empty when all
             is well.
         """
-        faults = []
-        faults += [
+        faults = [
             f"{self.path / name}: the background is missing or broken; run the sweep again to render it"
             for name in self.background_names
             if not self.has_background(name)

@@ -237,7 +237,7 @@ def read(scene: bpy.types.Scene) -> spec.Scene:
         grid=_read_grid(scene),
         target=spec.Target(
             kind=target.get(KIND, "mesh"),
-            size=_short(max(np.ptp(hull(scene), axis=0))),
+            size=short(max(np.ptp(hull(scene), axis=0))),
             albedo=albedo(target),
         ),
         ambient=ambient(scene),
@@ -324,7 +324,7 @@ def move_target(scene: bpy.types.Scene, position: spec.Vector, rotation: spec.Ve
 def albedo(obj: bpy.types.Object) -> float | None:
     """Return the mean albedo of an object's material if it is plainly Lambertian, else None."""
     colour = diffuse_colour(obj)
-    return None if colour is None else _short(sum(colour) / 3.0)
+    return None if colour is None else short(sum(colour) / 3.0)
 
 
 def diffuse_colour(obj: bpy.types.Object) -> tuple[float, float, float] | None:
@@ -366,7 +366,7 @@ def ambient(scene: bpy.types.Scene) -> float:
     node = _background_node(scene)
     if node is None:
         return 0.0 if scene.world is None or scene.world.node_tree else float(sum(scene.world.color) / 3.0)
-    strength = _short(node.inputs["Strength"].default_value)
+    strength = short(node.inputs["Strength"].default_value)
     colour = node.inputs["Color"]
     return strength if colour.is_linked else strength * float(sum(colour.default_value[:3])) / 3.0
 
@@ -564,13 +564,13 @@ def _box(objects: list[bpy.types.Object]) -> tuple[Array, Array]:
     return every.min(axis=0), every.max(axis=0)
 
 
-def _short(value: float) -> float:
-    """The shortest decimal that Blender's float32 stands for: 0.05, not 0.05000000074505806."""
+def short(value: float) -> float:
+    """Return the shortest decimal that Blender's float32 stands for: 0.05, not 0.05000000074505806."""
     return float(str(np.float32(value)))
 
 
 def _range(low: Array, high: Array, axis: int) -> spec.Range:
-    return (_short(low[axis]), _short(high[axis]))
+    return (short(low[axis]), short(high[axis]))
 
 
 def _read_room(surfaces: list[bpy.types.Object]) -> spec.Room:
@@ -590,7 +590,7 @@ def _read_partition(screens: list[bpy.types.Object]) -> spec.Partition:
     x = _range(low, high, 0)
     return spec.Partition(
         x=x[0],
-        depth=_short(x[1] - x[0]),
+        depth=short(x[1] - x[0]),
         y=_range(low, high, 1),
         z=_range(low, high, 2),
         albedo=albedo(screens[0]),
@@ -612,15 +612,16 @@ def _read_spot(lamp: bpy.types.Object) -> spec.Spot:
         raise NlosError(f"{_file()}: the spot {lamp.name!r} does not point at the relay wall (the plane y = 0)")
     aim = origin - axis * (origin.y / axis.y)
     return spec.Spot(
-        location=_vector(origin),
-        aim=_vector(aim),
-        half_angle=_short(math.degrees(lamp.data.spot_size) / 2.0),
+        location=vector(origin),
+        aim=vector(aim),
+        half_angle=short(math.degrees(lamp.data.spot_size) / 2.0),
         power=lamp_power(lamp.data),
     )
 
 
-def _vector(values: Any) -> spec.Vector:
-    return (_short(values[0]), _short(values[1]), _short(values[2]))
+def vector(values: Any) -> spec.Vector:
+    """Return three of Blender's float32 as their shortest decimals."""
+    return (short(values[0]), short(values[1]), short(values[2]))
 
 
 def _read_camera(scene: bpy.types.Scene, camera: bpy.types.Object) -> spec.Camera:
@@ -640,7 +641,7 @@ def _read_camera(scene: bpy.types.Scene, camera: bpy.types.Object) -> spec.Camer
     points = np.array(corners)
     low, high = points.min(axis=0), points.max(axis=0)
     return spec.Camera(
-        location=_vector(matrix.translation),
+        location=vector(matrix.translation),
         x=_range(low, high, 0),
         z=_range(low, high, 2),
         projection="orthographic" if orthographic else "perspective",
@@ -652,8 +653,8 @@ def _read_grid(scene: bpy.types.Scene) -> spec.VoxelGrid:
     if missing:
         raise NlosError(f"{_file()}: lacks the voxel grid (custom property {missing[0]} of the scene)")
     data = {
-        "lo": [_short(v) for v in scene[GRID_LO]],
-        "hi": [_short(v) for v in scene[GRID_HI]],
+        "lo": [short(v) for v in scene[GRID_LO]],
+        "hi": [short(v) for v in scene[GRID_HI]],
         "shape": [int(v) for v in scene[GRID_SHAPE]],
     }
     grid: spec.VoxelGrid = spec.from_dict(spec.VoxelGrid, data, "grid.")

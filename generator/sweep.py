@@ -94,7 +94,7 @@ def run(
         cores = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
         crew = max(1, min(workers or cores, len(pending)))
         _Crew(dataset, outcome, progress).render(pending, crew, max(1, cores // crew), cores)
-        outcome.rendered = len(pending) - len(pending_positions(dataset, shard))
+        outcome.rendered = sum(dataset.poses[position].done for position in pending)  # as gathered from disk
     outcome.remaining = sum(not pose.done for pose in dataset.poses)
     return outcome
 
