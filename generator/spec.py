@@ -334,9 +334,9 @@ class Sweep:
 
     Attributes
     ----------
-    engine : {"path", "patch"}
+    engine : {"path", "patch", "surfel"}
     samples : int
-        Camera rays per pixel.
+        Camera rays per pixel, of `path` and `patch`.
     paired : bool
         Render each pose's background with the pose's own noise and keep only the difference of the two on top of
         the common background: unbiased, twice the cost, and a far smaller error where the object changes little.
@@ -350,9 +350,11 @@ class Sweep:
         What stays inside the voxel: all of the target, or its origin only.
     rotation : (float, float, float)
         Largest angles about x, y, z, degrees; each is drawn between minus and plus that.
+    accuracy : float
+        Of `surfel`: root mean square error over the pixels, relative to what the target adds.
     """
 
-    engine: Literal["path", "patch"] = "patch"
+    engine: Literal["path", "patch", "surfel"] = "patch"
     samples: int = 512
     paired: bool = True
     resolution: tuple[int, int] = (64, 64)
@@ -360,8 +362,15 @@ class Sweep:
     seed: int = 0
     inside: Literal["whole", "centre"] = "whole"
     rotation: Vector = (0.0, 0.0, 0.0)
+    accuracy: float = 1e-3
+
+    @classmethod
+    def idle(cls, engine: str) -> tuple[str, ...]:
+        """Return the settings that mean nothing to an engine."""
+        return ("samples", "paired") if engine == "surfel" else ("accuracy",)
 
     def __post_init__(self) -> None:
+        _check(1e-8 <= self.accuracy <= 0.3, f"accuracy: {self.accuracy:g} must be from 1e-08 to 0.3")
         _check(1 <= self.samples <= 2**24, f"samples: {self.samples} must be from 1 to {2**24}")
         _check(1 <= self.poses <= 1_000_000, f"poses: {self.poses} must be from 1 to 1000000")
         _check(0 <= self.seed < 2**63, f"seed: {self.seed} must be from 0 to 2^63 - 1")
@@ -369,6 +378,21 @@ class Sweep:
             all(1 <= n <= 65536 for n in self.resolution), f"resolution: {self.resolution} must be from 1 to 65536"
         )
         _check(all(0 <= a <= 180 for a in self.rotation), f"rotation: {self.rotation} must be from 0 to 180 degrees")
+
+
+def rotation_rows(angles: Array) -> list[list[Any]]:
+    """Return the rows of `rotation_matrix` for three angles, radians, each a number or an array of them."""
+    (cx, cy, cz), (sx, sy, sz) = np.cos(angles), np.sin(angles)
+    return [
+        [cz * cy, cz * sy * sx - sz * cx, cz * sy * cx + sz * sx],
+        [sz * cy, sz * sy * sx + cz * cx, sz * sy * cx - cz * sx],
+        [-sy, cy * sx, cy * cx],
+    ]
+
+
+def rotation_matrix(rotation: Vector) -> Array:
+    """Return the (3, 3) matrix that turns about x, then y, then z (Blender's XYZ order), angles in degrees."""
+    return np.array(rotation_rows(np.radians(rotation)))
 
 
 def preset(name: str, target: str = "sheet") -> Scene:

@@ -5,7 +5,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from generator import poses
+from generator import poses, spec
 from generator.spec import NlosError, Sweep, preset
 
 GRID = preset("room").grid
@@ -34,7 +34,7 @@ def test_more_poses_leave_the_first_ones_alone():
 @settings(max_examples=30, deadline=None)
 def test_the_whole_target_stays_in_its_voxel(voxel, index):
     position, rotation = poses.draw(GRID, voxel, index, TURNING, SHEET)
-    corners = SHEET @ poses.rotation_matrix(rotation).T + position
+    corners = SHEET @ spec.rotation_matrix(rotation).T + position
     lo, hi = GRID.bounds(voxel)
     assert (corners >= lo - 1e-6).all()
     assert (corners <= hi + 1e-6).all()
@@ -47,7 +47,7 @@ def test_rotation_matrix_is_blenders():
 
     angles = (20.0, -35.0, 110.0)
     blender = np.array(Euler(np.radians(angles), "XYZ").to_matrix())
-    np.testing.assert_allclose(poses.rotation_matrix(angles), blender, atol=1e-6)
+    np.testing.assert_allclose(spec.rotation_matrix(angles), blender, atol=1e-6)
 
 
 def test_poses_are_uniform_where_nothing_turns():

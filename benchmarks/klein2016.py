@@ -1,0 +1,71 @@
+"""Figure 2 of Klein et al. 2016: how much the picture changes when the hidden object moves or turns a little.
+
+Run: ``python benchmarks/klein2016.py`` (a few seconds, after the set-up). The `tabletop` preset is their synthetic
+experiment: a 10 cm square, 50 cm from the wall, the spot in the middle. They move it by +-2.5 cm and turn it by +-7.5
+degrees about each axis, and say: "roughly 1 % per centimetre or degree, except rotation about the axis normal to the
+wall", which changes much less.
+"""
+
+from __future__ import annotations
+
+import argparse
+
+import numpy as np
+
+from generator import extract, stage
+from generator.spec import preset
+from generator.transport import Transport
+
+PLACE = (0.0, 0.5, 0.0)
+MOVE, TURN = 0.025, 7.5
+AXES = {"x": "along the wall", "y": "normal to the wall", "z": "along the wall, up"}
+
+
+def changes(pixels: int, accuracy: float) -> list[tuple[str, float, float, float]]:
+    """Return, motion by motion, its name, and the change of the added light in percent of its peak.
+
+    The change is from the resting pose to the end of the motion that changes more: its largest pixel, its root mean
+    square, and the largest per centimetre or degree.
+    """
+    scene = stage.new_file()
+    stage.build(scene, preset("tabletop", "sheet"))
+    world = extract.surfel_world(scene, resolution=(pixels, pixels))
+    transport = Transport(world, accuracy=accuracy)
+    rest = transport.render(PLACE, (0.0, 0.0, 0.0)).added
+    rows = []
+    for k, (axis, words) in enumerate(AXES.items()):
+        ends = []
+        for sign in (-1.0, 1.0):
+            place = np.array(PLACE)
+            place[k] += sign * MOVE
+            ends.append(transport.render(place, (0.0, 0.0, 0.0)).added)
+        rows.append((f"move {axis} ({words})", *_change(ends, rest, 100.0 * MOVE)))
+    for k, (axis, words) in enumerate(AXES.items()):
+        ends = []
+        for sign in (-1.0, 1.0):
+            turn = np.zeros(3)
+            turn[k] = sign * TURN
+            ends.append(transport.render(PLACE, turn).added)
+        rows.append((f"turn about {axis} ({words})", *_change(ends, rest, TURN)))
+    return rows
+
+
+def _change(ends: list[np.ndarray], rest: np.ndarray, steps: float) -> tuple[float, float, float]:
+    differences = [100.0 * np.abs(end - rest) / rest.max() for end in ends]
+    most = max(differences, key=lambda difference: float(difference.max()))
+    return float(most.max()), float(np.sqrt((most**2).mean())), float(most.max() / steps)
+
+
+def main() -> None:
+    """Print the table."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--pixels", type=int, default=64)
+    parser.add_argument("--accuracy", type=float, default=1e-4)
+    options = parser.parse_args()
+    print(f"{'+-2.5 cm or +-7.5 degrees':40s} {'peak':>8s} {'RMS':>8s}   peak per cm or degree")
+    for name, largest, mean, each in changes(options.pixels, options.accuracy):
+        print(f"{name:40s} {largest:7.2f}% {mean:7.2f}%   {each:.3f}%")
+
+
+if __name__ == "__main__":
+    main()

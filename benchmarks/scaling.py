@@ -1,0 +1,158 @@
+"""How the surfel engine's cost grows with the work, and how near its inner loop comes to the processor's limit.
+
+Run: ``python benchmarks/scaling.py -o DIR`` (some minutes). Writes ``scaling.png`` and prints the tables:
+
+- pair rate: wall points times surface elements a second, of the loop all pictures are summed by, against how many
+  single-precision divisions a second the same cores can do: a pair needs one division, so unless pairs share them no
+  loop could be faster than that;
+- cost of a picture from 16 x 16 to 1024 x 1024 pixels, of targets of 10 to 100,000 triangles, and of 1 to 100,000
+  poses (a million with ``--long``), with the memory each took at most.
+
+All on the bare wall of the `room` preset; every time is the best of three runs.
+"""
+
+from __future__ import annotations
+
+import argparse
+import resource
+import time
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+
+import matplotlib as mpl
+
+mpl.use("Agg")
+import matplotlib.pyplot as plt
+import numba
+import numpy as np
+
+from generator import extract, stage
+from generator.spec import preset
+from generator.transport import Mesh, Transport, World, kernel
+
+POSE = ((1.4, 0.9, 1.3), (0.0, 0.0, 20.0))
+
+
+@numba.njit(error_model="numpy", parallel=True)
+def _divisions(x: np.ndarray, y: np.ndarray, rounds: int, out: np.ndarray) -> None:
+    for thread in numba.prange(out.shape[0]):
+        a, b = x.copy(), y.copy()
+        for _ in range(rounds):
+            for i in range(a.shape[0]):
+                a[i] = b[i] / a[i]
+        out[thread] = a
+
+
+@numba.njit(parallel=True)
+def _pairs(a: np.ndarray, b: np.ndarray, elements: np.ndarray, total: np.ndarray) -> None:
+    for tile in numba.prange(a.shape[0]):
+        kernel.radiance(a[tile], b[tile], elements, elements.shape[1], total[tile])
+
+
+def best(work: Callable[[], object], times: int = 3) -> float:
+    """Return the shortest of some runs, seconds, after one to warm up."""
+    work()
+    taken = []
+    for _ in range(times):
+        start = time.perf_counter()
+        work()
+        taken.append(time.perf_counter() - start)
+    return min(taken)
+
+
+def pair_rate() -> tuple[float, float]:
+    """Return pairs a second of the inner loop, and divisions a second, on all cores, measured in turn."""
+    rng = np.random.default_rng(0)
+    cores = numba.get_num_threads()
+    x, y = rng.uniform(0.5, 1.0, (2, 512)).astype(np.float32)
+    out = np.empty((cores, 512), dtype=np.float32)
+    rounds = 100_000
+    a, b = rng.uniform(-1.0, 1.0, (2, 16 * cores, 1024)).astype(np.float32)
+    elements = rng.uniform(0.5, 1.0, (6, 2048)).astype(np.float32)
+    total = np.zeros_like(a)
+    pairs, divisions = [], []
+    for _ in range(5):
+        divisions.append(cores * 512 * rounds / best(lambda: _divisions(x, y, rounds, out), 1))
+        pairs.append(a.size * elements.shape[1] / best(lambda: _pairs(a, b, elements, total), 1))
+    return max(pairs), max(divisions)
+
+
+def bare_world(pixels: int) -> World:
+    """Return the room preset's wall and lamp without the room."""
+    scene = stage.new_file()
+    stage.build(scene, preset("room", "sheet"))
+    return replace(extract.surfel_world(scene, resolution=(pixels, pixels)), room=())
+
+
+def ball(triangles: int) -> Mesh:
+    """Return a sphere of radius 0.2 m as about so many triangles, in rings."""
+    rings = max(2, round(np.sqrt(triangles / 4.0)))
+    theta, phi = np.linspace(0.0, np.pi, rings + 1), np.linspace(0.0, 2.0 * np.pi, 2 * rings + 1)
+    t, p = np.meshgrid(theta, phi, indexing="ij")
+    points = 0.2 * np.stack([np.sin(t) * np.cos(p), np.sin(t) * np.sin(p), np.cos(t)], axis=-1)
+    a, b, c, d = points[:-1, :-1], points[1:, :-1], points[1:, 1:], points[:-1, 1:]
+    made = np.concatenate([np.stack([a, b, c], axis=2), np.stack([a, c, d], axis=2)]).reshape(-1, 3, 3)
+    area = np.linalg.norm(np.cross(made[:, 1] - made[:, 0], made[:, 2] - made[:, 0]), axis=1)
+    made = made[area > 1e-9]
+    return Mesh(made, np.full((len(made), 3), 0.9))
+
+
+def _memory() -> float:
+    return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024.0
+
+
+def main() -> None:
+    """Measure, print, plot."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("-o", "--output", type=Path, required=True)
+    parser.add_argument("--accuracy", type=float, default=1e-2)
+    parser.add_argument("--long", action="store_true", help="go on to a million poses")
+    options = parser.parse_args()
+    options.output.mkdir(parents=True, exist_ok=True)
+
+    pairs, divisions = pair_rate()
+    print(
+        f"inner loop {pairs / 1e9:.1f} Gpairs/s, divisions {divisions / 1e9:.1f} G/s: {pairs / divisions:.0%} of that"
+    )
+
+    world = bare_world(64)
+    series: dict[str, list[tuple[float, float]]] = {"pixels": [], "triangles": [], "poses": []}
+    for pixels in (16, 32, 64, 128, 256, 512, 1024):
+        watched = replace(world.watched, resolution=(pixels, pixels))
+        transport = Transport(replace(world, watched=watched), accuracy=options.accuracy)
+        series["pixels"].append((pixels**2, best(lambda t=transport: t.render(*POSE))))
+    for triangles in (10, 100, 1_000, 10_000, 100_000):
+        mesh = ball(triangles)
+        transport = Transport(replace(world, target=(mesh,)), accuracy=options.accuracy)
+        series["triangles"].append((len(mesh.triangles), best(lambda t=transport: t.render(*POSE))))
+    transport = Transport(world, accuracy=options.accuracy)
+    rng = np.random.default_rng(1)
+    for poses in (1, 10, 100, 1_000, 10_000, 100_000, *([1_000_000] if options.long else [])):
+        places = rng.uniform((1.0, 0.6, 0.8), (2.1, 1.7, 1.8), (poses, 3))
+        turns = rng.uniform(-15.0, 15.0, (poses, 3))
+
+        def sweep(places: np.ndarray = places, turns: np.ndarray = turns) -> None:
+            for at in range(0, len(places), 2048):
+                transport.pictures(places[at : at + 2048], turns[at : at + 2048])
+
+        series["poses"].append((poses, best(sweep, 3 if poses <= 10_000 else 1)))
+        print(f"{poses} poses: {_memory():.0f} MiB at most so far")
+
+    figure, axes = plt.subplots(1, 3, figsize=(12, 3.6), constrained_layout=True)
+    for axis, (name, rows) in zip(axes, series.items(), strict=True):
+        work, seconds = np.array(rows).T
+        print(f"\n{name:>10s} {'seconds':>10s} {'us each':>10s}")
+        for n, t in rows:
+            print(f"{n:10.0f} {t:10.5f} {1e6 * t / n:10.3f}")
+        axis.loglog(work, seconds, "o-")
+        axis.loglog(work, seconds[-1] * work / work[-1], "k:", label="linear")
+        axis.set_xlabel(name)
+        axis.set_ylabel("seconds")
+        axis.legend()
+    figure.savefig(options.output / "scaling.png", dpi=120)
+    print(f"\n{options.output / 'scaling.png'}")
+
+
+if __name__ == "__main__":
+    main()

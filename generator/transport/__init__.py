@@ -1,0 +1,21 @@
+"""The three-reflection integral, on plain arrays: exact, noise-free, to the accuracy that is asked for."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any
+
+from generator.transport.world import LitPatch, Mesh, Sphere, Watched, World
+
+if TYPE_CHECKING:
+    from generator.transport.render import Rendered, Transport
+
+__all__ = ["LitPatch", "Mesh", "Rendered", "Sphere", "Transport", "Watched", "World"]
+
+
+def __getattr__(name: str) -> Any:
+    # Readers of worlds and sets need no compiler: it takes a second to load.
+    if name in ("Rendered", "Transport"):
+        from generator.transport import render
+
+        return getattr(render, name)
+    raise AttributeError(f"module {__name__!r} has no attribute {name!r}")

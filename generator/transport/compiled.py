@@ -1,0 +1,69 @@
+"""numba where it is installed; inside Blender, which lacks it, the same functions run as plain Python and NumPy."""
+
+from __future__ import annotations
+
+import functools
+import hashlib
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any, TypeVar
+
+Function = TypeVar("Function", bound=Callable[..., Any])
+
+prange: Any = range
+COMPILED = False
+try:
+    import numba
+except ImportError:
+    pass
+else:
+    COMPILED = True
+    prange = numba.prange
+    _config: Any = numba.config
+
+
+def jit(function: Function) -> Function:
+    """Compile a function if numba is there."""
+    return _compile(function)
+
+
+def jit_parallel(function: Function) -> Function:
+    """Compile a function whose ``prange`` loops run on all threads, if numba is there."""
+    return _compile(function, parallel=True)
+
+
+def _compile(function: Function, **options: Any) -> Function:
+    if not COMPILED:
+        return function
+    # numba renews its cache when a function's own file changes, but not when a function that it calls does. So the
+    # cache of each state of the sources has a folder of its own.
+    before, _config.CACHE_DIR = _config.CACHE_DIR, str(_cache_folder())
+    try:
+        return _njit(function, **options)
+    finally:
+        _config.CACHE_DIR = before
+
+
+def _njit(function: Function, **options: Any) -> Function:
+    # "contract" lets a multiplication and an addition become one instruction, which rounds once instead of twice.
+    # Nothing else of fastmath: reassociation would make the last bits depend on the compiler's mood.
+    made: Function = numba.njit(function, cache=True, error_model="numpy", fastmath={"contract"}, **options)
+    return made
+
+
+def limit_threads(threads: int) -> int:
+    """Let parallel loops use that many threads (0: all cores); return how many they use."""
+    if not COMPILED:
+        return 1
+    most = int(_config.NUMBA_NUM_THREADS)
+    numba.set_num_threads(min(threads, most) if threads else most)
+    return int(numba.get_num_threads())
+
+
+@functools.cache
+def _cache_folder() -> Path:
+    folder = Path(__file__).resolve().parent
+    digest = hashlib.sha256()
+    for source in sorted(folder.glob("*.py")):
+        digest.update(source.read_bytes())
+    return folder / "__pycache__" / f"numba-{digest.hexdigest()[:12]}"

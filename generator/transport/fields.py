@@ -1,0 +1,323 @@
+"""The functions on the wall that a picture is made of, each to a relative accuracy, for many poses at once.
+
+What the target adds where nothing is in the way is a sum of smooth terms. What it adds where something may be, what
+the room sends, and what the target hides of that test rays: by compiled loops where surfaces are few, else by arrays
+and Embree.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from generator.transport import compiled, elements, integral, picture, shaded, traced
+from generator.transport.rays import FEW, Placed, Surfaces
+from generator.transport.setting import Setting
+
+Floats = NDArray[Any]
+
+Traced = Callable[[Floats, Floats, Floats], tuple[Floats, Floats]]
+"""Given owners (n,), wall points (n, 3) and the finest cells pose by pose, return values (n, groups) and how many
+elements each took."""
+
+Shaded = Callable[[Floats, float, int], tuple[Floats, int]]
+"""Given wall points (k, 3), the finest cell and the pose, return values (groups, k) and how many elements it took."""
+
+_SINGLE = 5e-5
+"""Relative accuracy down to which sums are taken in single precision."""
+
+_LOOSE = 2.0
+"""Sums over ray tests jump from point to point by about the accuracy, which no polynomial follows: panels of theirs
+are cut only for what is more than that."""
+
+_HALVINGS = 8
+"""How often the elements at shadows' edges may be halved, from an eighth of the target."""
+
+
+class Fields:
+    """A setting, an accuracy, and the functions on its wall.
+
+    Parameters
+    ----------
+    setting : Setting
+    accuracy : float
+        Relative, as `render.Transport` has it.
+    """
+
+    def __init__(self, setting: Setting, accuracy: float) -> None:
+        self._setting = setting
+        self._accuracy = accuracy
+        self._digits = math.log(1.0 / accuracy)
+        # A sphere's own horizon, seen from the wall, is a kink that no rule follows: it takes finer cells.
+        self._rings = max(3, math.ceil(0.3 * accuracy**-0.4))
+        self._rule = picture.Rule(6 if accuracy > 3e-3 else 8 if accuracy > 3e-5 else 12)
+        self._light = shaded.Light(setting.patch, setting.whole, self._digits)
+        self._few = compiled.COMPILED and max(len(setting.room.origin), len(setting.target.origin)) <= FEW
+        first = np.argsort(~setting.obstacles.is_blocker, kind="stable")
+        self._room_rows, self._room_tint = traced.rows(setting.room)[first], setting.room.tint[first]
+        self._target_rows = traced.rows(setting.target)
+        # Widest cell where rays are tested, as a share of the target: an edge must not slip between its corners.
+        self._widest = min(0.2, 0.25 * (100.0 * accuracy) ** (1.0 / 3.0))
+        # A quadrature point is a ray into the room there, whose light varies more slowly than the near field's.
+        self._shadow_digits = min(self._digits, 7.0)
+
+    def plain(self, turns: Floats, places: Floats, moving: bool) -> tuple[Floats, list[dict[str, Any]]]:
+        """What a convex target adds where nothing is in the way.
+
+        Parameters
+        ----------
+        turns, places : ndarray of shape (n, 3, 3) and (n, 3)
+        moving : bool
+            With derivatives.
+
+        Returns
+        -------
+        pixels : ndarray of shape (n, groups, 1 or 7, height, width)
+        reports : list of dict
+        """
+        setting, rule = self._setting, self._rule
+        single = self._accuracy > _SINGLE and not moving
+        like = np.zeros(0, dtype=np.float32 if single else np.float64)
+        n, groups, channels = len(places), setting.tint.shape[1], 7 if moving else 1
+        most = np.zeros((n, 2))
+
+        def evaluate(owner: Floats, boxes: Floats) -> tuple[Floats, Floats]:
+            values = np.empty((len(owner), groups, channels, rule.m**2 + 4))
+            reports = np.empty((len(owner), 4))
+            where = (owner, boxes, setting.to_wall, rule.points)
+            target = (setting.flat, setting.balls, setting.tint, turns, places, self._rings)
+            lit = (setting.patch, setting.whole, setting.chords, elements.GAUSS)
+            arguments: tuple[Any, ...] = (*where, *target, *lit, self._digits, moving, like, values, reports)
+            integral.panels(*arguments)
+            np.maximum.at(most, owner, reports[:, :2])
+            return values.reshape(len(owner), groups * channels, -1), reports[:, 3] / reports[:, 2]
+
+        pixels, panels = picture.draw(evaluate, rule, n, groups * channels, setting.resolution, self._accuracy / 2.0)
+        reports = [
+            _report(panels, k, most[k, 0])
+            | {"patch_points": int(most[k, 1]), "precision": "float32" if single else "float64", "ray_tests": False}
+            for k in range(n)
+        ]
+        return pixels.reshape(n, groups, channels, *pixels.shape[2:]), reports
+
+    def behind(self, turns: Floats, places: Floats) -> tuple[Floats, list[dict[str, Any]]]:
+        """What a target adds that may be partly hidden, by itself or by the room.
+
+        Parameters
+        ----------
+        turns, places : ndarray of shape (n, 3, 3) and (n, 3)
+
+        Returns
+        -------
+        pixels : ndarray of shape (n, groups, height, width)
+        reports : list of dict
+        """
+        setting = self._setting
+        shape = (setting.flat, setting.balls, setting.tint)
+        if self._few:
+            evaluate = self._reflected_loops(shape, turns, places, setting.convex, setting.target.extent)
+        else:
+            evaluate = self._reflected_arrays(shape, turns, places, None if setting.convex else setting.target)
+        pixels, panels, most = self._refined(evaluate, len(places), setting.tint.shape[1], setting.target.extent)
+        reports = [
+            _report(panels, k, most[k])
+            | {
+                "patch_points": int(self._light.nodes(places[k : k + 1]).shape[1]),
+                "precision": "float64",
+                "ray_tests": True,
+            }
+            for k in range(len(places))
+        ]
+        return pixels, reports
+
+    def room(self) -> Floats:
+        """What the room's own surfaces send to the watched patch, (groups, height, width)."""
+        setting = self._setting
+        shape = (setting.room_cells, np.zeros((0, elements.WIDTH)), setting.room.tint)
+        here, there = np.eye(3)[None], np.zeros((1, 3))
+        if self._few:
+            evaluate = self._reflected_loops(shape, here, there, True, setting.room.extent / 4.0)
+        else:
+            evaluate = self._reflected_arrays(shape, here, there, None)
+        pixels, _, _ = self._refined(evaluate, 1, setting.room.tint.shape[1], setting.room.extent, care=0.05)
+        only: Floats = pixels[0]
+        return only
+
+    def hidden(self, turns: Floats, places: Floats, level: Floats) -> tuple[Floats, Floats]:
+        """What a target hides of the room.
+
+        Parameters
+        ----------
+        turns, places : ndarray of shape (n, 3, 3) and (n, 3)
+        level : ndarray of shape (n, groups)
+            Mean square of what the target adds, which errors are measured against where it is larger.
+
+        Returns
+        -------
+        pixels : ndarray of shape (n, groups, height, width)
+        elements : ndarray of shape (n,)
+        """
+        evaluate = self._hidden_loops(turns, places) if self._few else self._hidden_arrays(turns, places)
+        extent, groups = self._setting.target.extent, self._setting.room.tint.shape[1]
+        pixels, _, most = self._refined(evaluate, len(places), groups, extent, level)
+        return pixels, most
+
+    def _hiders(self, turns: Floats, places: Floats) -> Floats:
+        """How many of the room's surfaces can stand in the way, pose by pose: those that can, or all."""
+        obstacles = self._setting.obstacles
+        each = [len(obstacles.blockers(p, t).origin) for p, t in zip(places, turns, strict=True)]
+        few = int(obstacles.is_blocker.sum())
+        return np.array([few if n == few else len(self._room_rows) for n in each], dtype=np.int64)
+
+    def _reflected_loops(
+        self, shape: tuple[Floats, Floats, Floats], turns: Floats, places: Floats, convex: bool, extent: float
+    ) -> Traced:
+        setting, hiders = self._setting, self._hiders(turns, places)
+
+        def evaluate(owner: Floats, walls: Floats, finest: Floats) -> tuple[Floats, Floats]:
+            values, used = np.empty((len(owner), shape[2].shape[1])), np.empty(len(owner))
+            traced.reflected_points(
+                *(owner, walls, *shape, turns, places, hiders, convex, self._rings, self._room_rows),
+                *(self._target_rows, setting.target.spheres, setting.whole, setting.patch, elements.GAUSS),
+                *(self._digits, finest, self._widest * extent, values, used),
+            )
+            return values, used
+
+        return evaluate
+
+    def _hidden_loops(self, turns: Floats, places: Floats) -> Traced:
+        setting, hiders = self._setting, self._hiders(turns, places)
+        room = self._light.order(setting.room.samples())
+        reach = setting.target.reach
+        orders = np.array([max(room, self._light.order(p[None], reach)) for p in places], dtype=np.int64)
+
+        def evaluate(owner: Floats, walls: Floats, finest: Floats) -> tuple[Floats, Floats]:
+            values, used = np.empty((len(owner), self._room_tint.shape[1])), np.empty(len(owner))
+            traced.hidden_points(
+                *(owner, walls, setting.flat, setting.balls, turns, places, hiders, setting.convex, self._rings),
+                *(self._room_rows, self._room_tint, self._target_rows, setting.target.spheres, orders),
+                *(setting.whole, setting.patch, elements.GAUSS, self._shadow_digits, finest),
+                *(self._widest * setting.target.extent, values, used),
+            )
+            return values, used
+
+        return evaluate
+
+    def _reflected_arrays(
+        self, shape: tuple[Floats, Floats, Floats], turns: Floats, places: Floats, own: Surfaces | None
+    ) -> Traced:
+        flat, balls, tint = shape
+        setting = self._setting
+
+        def some(wall: Floats, finest: float, pose: int) -> tuple[Floats, int]:
+            turn, place = turns[pose], places[pose]
+            hiders: list[shaded.Hider] = [setting.obstacles.blockers(place, turn)]
+            if own is not None:
+                hiders.append(Placed(own, turn, place))
+            found, _ = integral.cover(
+                *(flat, balls, turn, place, setting.pole, setting.spread, self._rings, *_around(wall)),
+                *(setting.patch, elements.GAUSS, self._digits, finest),
+            )
+            return shaded.reflected(wall, found, tint, self._light, hiders), len(found)
+
+        return _arrays(some, tint.shape[1])
+
+    def _hidden_arrays(self, turns: Floats, places: Floats) -> Traced:
+        setting = self._setting
+
+        def some(wall: Floats, finest: float, pose: int) -> tuple[Floats, int]:
+            turn, place = turns[pose], places[pose]
+            centre, radius = _around(wall)
+            seen, lit = (
+                integral.cover(
+                    *(setting.flat, setting.balls, turn, place, at, around, self._rings, centre, radius),
+                    *(setting.patch, elements.GAUSS, self._shadow_digits, finest),
+                )[0]
+                for at, around in ((np.append(centre, 0.0), radius), (setting.pole, setting.spread))
+            )
+            blockers, target = [setting.obstacles.blockers(place, turn)], [Placed(setting.target, turn, place)]
+            values = shaded.hidden(
+                wall, seen, lit, setting.room, blockers, target, self._light, convex=setting.convex
+            )
+            return values, len(seen) + len(lit)
+
+        return _arrays(some, setting.room.tint.shape[1])
+
+    def _refined(
+        self, evaluate: Traced, n: int, groups: int, extent: float, level: Floats | None = None, care: float = 0.5
+    ) -> tuple[Floats, picture.Panels, Floats]:
+        """Draw fields of sums over ray tests, refined until two resolutions of the shadows' edges agree.
+
+        ``level`` (n, groups) is a mean square that errors may be measured against in place of the field's own; the
+        two resolutions agree when they differ by ``care`` times the accuracy.
+        """
+        finest, most = np.full(n, extent / 8.0), np.zeros(n)
+
+        def on_panels(owner: Floats, boxes: Floats, points: Floats) -> Floats:
+            panels = len(owner)
+            walls = self._walls(boxes, points)
+            every = np.repeat(owner, len(points) ** 2 + 4)
+            values, used = evaluate(every, walls, finest)
+            np.maximum.at(most, every, used)
+            return np.moveaxis(values.reshape(panels, -1, groups), 2, 1)
+
+        whole = np.tile([0.0, 1.0, 0.0, 1.0], (n, 1))
+        probes = picture.Rule(4)
+        rough = np.arange(n)
+        before = on_panels(rough, whole, probes.points)
+        for _ in range(_HALVINGS):
+            finest[rough] /= 2.0
+            values = on_panels(rough, whole[rough], probes.points)
+            change = probes.mean_square(probes.coefficients(values - before))
+            norm = probes.mean_square(probes.coefficients(values))
+            if level is not None:
+                norm = np.maximum(norm, level[rough])
+            keep = (change > (care * self._accuracy) ** 2 * norm).any(axis=1)
+            rough, before = rough[keep], values[keep]
+            if not len(rough):
+                break
+        pixels, used = picture.draw(
+            lambda owner, boxes: (on_panels(owner, boxes, self._rule.points), np.zeros(len(owner))),
+            *(self._rule, n, groups, self._setting.resolution, _LOOSE * self._accuracy),
+            level=level,
+        )
+        return pixels, used, most
+
+    def _walls(self, boxes: Floats, points: Floats) -> Floats:
+        """Wall points (panels * (m * m + 4), 3) of panels' points and corners."""
+        low, high = boxes[:, 0::2, None], boxes[:, 1::2, None]
+        u, v = np.moveaxis(low + points * (high - low), 1, 0)
+        m = len(points)
+        lifted = np.ones((len(boxes), m * m + 4, 3))
+        lifted[:, : m * m, 0], lifted[:, : m * m, 1] = np.tile(u, (1, m)), np.repeat(v, m, axis=1)
+        lifted[:, m * m :, 0], lifted[:, m * m :, 1] = boxes[:, [0, 1, 0, 1]], boxes[:, [2, 2, 3, 3]]
+        lifted = lifted.reshape(-1, 3) @ self._setting.to_wall.T
+        return np.column_stack([lifted[:, :2] / lifted[:, 2:], np.zeros(len(lifted))])
+
+
+def _around(wall: Floats) -> tuple[Floats, float]:
+    """Middle and radius of a circle around wall points."""
+    middle = wall[:, :2].mean(axis=0)
+    return middle, float(np.linalg.norm(wall[:, :2] - middle, axis=1).max())
+
+
+def _arrays(some: Shaded, groups: int) -> Traced:
+    """Evaluate pose by pose what is known for the wall points of one pose."""
+
+    def evaluate(owner: Floats, walls: Floats, finest: Floats) -> tuple[Floats, Floats]:
+        values, used = np.empty((len(owner), groups)), np.empty(len(owner))
+        for pose in np.unique(owner):
+            own = np.flatnonzero(owner == pose)
+            made, count = some(walls[own], float(finest[pose]), int(pose))
+            values[own], used[own] = made.T, count
+        return values, used
+
+    return evaluate
+
+
+def _report(panels: picture.Panels, k: int, most: float) -> dict[str, Any]:
+    return {"panels": int(panels.count[k]), "depth": int(panels.depth[k]), "elements": int(most)}

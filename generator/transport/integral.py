@@ -1,0 +1,442 @@
+"""What a panel of the watched patch receives by way of the target: patch, target, wall; nothing in between."""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import numpy as np
+from numpy.polynomial.legendre import leggauss
+from numpy.typing import NDArray
+
+from generator.transport import elements, kernel
+from generator.transport.compiled import jit, jit_parallel, prange
+
+Floats = NDArray[Any]
+
+PATCH_ORDERS = 40
+"""Most quadrature points along a diameter of the lit patch: enough at a hundredth of its radius."""
+
+_STACK = 512
+
+
+def patch_rules(patch: Floats) -> Floats:
+    """Return quadrature rules of the whole lit patch, (PATCH_ORDERS + 1, 3, PATCH_ORDERS^2), rule k with k^2 points.
+
+    Chebyshev points of the second kind across the disc (their weight, the square of the sine, is the disc's own) and
+    Gauss points along each chord.
+    """
+    rules = np.zeros((PATCH_ORDERS + 1, 3, PATCH_ORDERS**2))
+    centre, major, minor = patch[0:2], patch[2:4], patch[4:6]
+    area = abs(major[0] * minor[1] - major[1] * minor[0])
+    for k in range(1, PATCH_ORDERS + 1):
+        alpha = np.pi * np.arange(1, k + 1) / (k + 1)
+        t, weight = leggauss(k)
+        s, reach = np.cos(alpha)[:, None] + 0.0 * t, np.sin(alpha)[:, None] * t
+        points = centre + s.reshape(-1, 1) * major + reach.reshape(-1, 1) * minor
+        weights = area * (np.pi / (k + 1) * np.sin(alpha) ** 2)[:, None] * weight
+        rules[k, 0, : k * k], rules[k, 1, : k * k] = points.T
+        radiance = [elements.patch_radiance(float(p), float(q), patch) for p, q in points]
+        rules[k, 2, : k * k] = weights.ravel() * radiance
+    return rules
+
+
+def chord_rules() -> Floats:
+    """Return Gauss points and weights on [0, 1], (PATCH_ORDERS + 1, 2, PATCH_ORDERS), for `elements.clip_patch`."""
+    rules = np.zeros((PATCH_ORDERS + 1, 2, PATCH_ORDERS))
+    for k in range(1, PATCH_ORDERS + 1):
+        x, w = leggauss(k)
+        rules[k, 0, :k], rules[k, 1, :k] = (x + 1.0) / 2.0, w / 2.0
+    return rules
+
+
+@jit
+def patch_order(x: Floats, patch: Floats, digits: float) -> int:
+    """Points along the patch's diameter that a surface point needs: fewer the farther it is."""
+    radius = math.sqrt(patch[2] ** 2 + patch[3] ** 2)
+    ratio = elements.distance_to_disc(x, patch[0], patch[1], radius) / radius
+    rate = 2.0 * math.log(ratio + math.sqrt(1.0 + ratio * ratio))
+    order = 1 if patch[13] == 0.0 else 12  # a soft edge is smooth only piecewise
+    # As for cells (`elements.points_wanted`), with the pole above the disc's middle in place of beside its rim.
+    while order < PATCH_ORDERS - 4 and order * rate - 3.0 * math.log(2.0 * order) < digits:
+        order += 1
+    return order
+
+
+@jit
+def see_patch(
+    x: Floats, n: Floats, patch: Floats, digits: float, whole: Floats, chords: Floats, nodes: Floats
+) -> tuple[Floats, int]:
+    """Return the quadrature points of what a surface point sees of the patch, and how many they are."""
+    order = patch_order(x, patch, digits)
+    level = n[0] * (patch[0] - x[0]) + n[1] * (patch[1] - x[1]) - n[2] * x[2]
+    steep = math.sqrt((n[0] * patch[2] + n[1] * patch[3]) ** 2 + (n[0] * patch[4] + n[1] * patch[5]) ** 2)
+    if level >= steep:
+        return whole[order], order * order
+    order += 3
+    return nodes, elements.clip_patch(x, n, patch, chords[order], order, nodes)
+
+
+@jit
+def _cover_cell(
+    stack: Floats,
+    owner: int,
+    centre: Floats,
+    radius: float,
+    patch: Floats,
+    gauss: Floats,
+    digits: float,
+    widest: float,
+    found: Floats,
+    count: int,
+) -> tuple[Floats, int, float]:
+    """Cut the first cell of ``stack`` as finely as panel and patch ask, and append its quadrature points."""
+    middle, point, normal = np.empty(3), np.empty(3), np.empty(3)
+    cell = np.empty(elements.WIDTH)
+    patch_radius = math.sqrt(patch[2] ** 2 + patch[3] ** 2)
+    nearest = np.inf
+    top = 1
+    while top > 0:
+        top -= 1
+        cell[:] = stack[top]
+        first, second = elements.middle_of(cell, middle)
+        to_panel = elements.distance_to_disc(middle, centre[0], centre[1], radius)
+        to_patch = elements.distance_to_disc(middle, patch[0], patch[1], patch_radius)
+        distance = min(to_panel, to_patch)
+        if cell[0] == elements.SPHERE:  # whose normal turns within its radius
+            distance = min(distance, cell[15])
+        ku = elements.points_wanted(first, distance, digits)
+        kv = elements.points_wanted(second, distance, digits)
+        # Smaller than this, a cell's light is spread evenly over the panel, or the patch's over the cell.
+        least = 0.02 * (radius if to_panel < to_patch else patch_radius)
+        cut_first = (ku > elements.MAX_POINTS and first > least) or first > widest
+        cut_second = (kv > elements.MAX_POINTS and second > least) or second > widest
+        if (cut_first or cut_second) and top + 4 <= stack.shape[0]:
+            top = elements.cut(cell, stack, top, cut_first, cut_second)
+            continue
+        nearest = min(nearest, max(to_panel - math.hypot(first, second), to_panel / 4.0))
+        ku, kv = min(ku, elements.MAX_POINTS), min(kv, elements.MAX_POINTS)
+        if cell[0] == elements.TRIANGLE:
+            ku = kv = max(ku, kv)
+        if count + ku * kv > found.shape[0]:
+            grown = np.empty((2 * found.shape[0] + ku * kv, found.shape[1]))
+            grown[:count] = found[:count]
+            found = grown
+        for i in range(ku):
+            for j in range(kv):
+                row = found[count]
+                row[6] = elements.cell_point(cell, i, j, ku, kv, gauss, point, normal)
+                row[7], row[8] = owner, cell[1]
+                for r in range(3):
+                    row[r], row[3 + r] = point[r], normal[r]
+                count += 1
+    return found, count, nearest
+
+
+@jit
+def cover(
+    flat: Floats,
+    balls: Floats,
+    turn: Floats,
+    at: Floats,
+    pole: Floats,
+    spread: float,
+    rings: int,
+    centre: Floats,
+    radius: float,
+    patch: Floats,
+    gauss: Floats,
+    digits: float,
+    widest: float,
+) -> tuple[Floats, float]:
+    """Return quadrature points on the target, as fine as a panel of the wall and the lit patch ask.
+
+    Parameters
+    ----------
+    flat, balls : ndarray of shape (n, WIDTH)
+        In the target's frame.
+    turn, at : ndarray of shape (3, 3) and (3,)
+        The target's rotation and position.
+    pole : ndarray of shape (3,)
+        Spheres are covered where they can be seen from within ``spread`` of this point.
+    spread : float
+    rings : int
+        How finely spheres are cut.
+    centre, radius
+        Of the panel, on the wall.
+    patch, gauss, digits
+        As for `panels`.
+    widest : float
+        No cell is left with half widths above this.
+
+    Returns
+    -------
+    found : ndarray of shape (n, 9)
+        Position (3), unit normal (3), area, row of the albedo (flat cells first), one-sided.
+    nearest : float
+        Distance from the panel to the target.
+    """
+    stack = np.empty((_STACK, elements.WIDTH))
+    found = np.empty((256, 9))
+    count, nearest = 0, np.inf
+    for c in range(flat.shape[0]):
+        elements.place(flat[c], turn, at, stack[0])
+        found, count, near = _cover_cell(stack, c, centre, radius, patch, gauss, digits, widest, found, count)
+        nearest = min(nearest, near)
+    ball = np.empty(elements.WIDTH)
+    for c in range(balls.shape[0]):
+        elements.place(balls[c], turn, at, ball)
+        rim = elements.turn_to(ball, pole, spread)
+        for ring in range(rings):
+            for step in range(4 * rings):
+                stack[0] = ball
+                elements.cap_cell(stack[0], rim, ring, step, rings)
+                found, count, near = _cover_cell(
+                    stack, flat.shape[0] + c, centre, radius, patch, gauss, digits, widest, found, count
+                )
+                nearest = min(nearest, near)
+    return found[:count], nearest
+
+
+@jit
+def _target_panel(
+    a: Floats,
+    b: Floats,
+    centre: Floats,
+    radius: float,
+    flat: Floats,
+    balls: Floats,
+    albedo: Floats,
+    turn: Floats,
+    at: Floats,
+    rings: int,
+    patch: Floats,
+    whole: Floats,
+    chords: Floats,
+    gauss: Floats,
+    digits: float,
+    moving: bool,
+    total: Floats,
+    report: Floats,
+) -> None:
+    """Add to ``total`` what one panel's points, ``a`` and ``b`` from its centre, receive from the target."""
+    pole = np.array([patch[0], patch[1], 0.0])
+    spread = math.sqrt(patch[2] ** 2 + patch[3] ** 2)
+    found, nearest = cover(flat, balls, turn, at, pole, spread, rings, centre, radius, patch, gauss, digits, np.inf)
+    groups = albedo.shape[1]
+    sent = np.empty((groups, 6, 2 * found.shape[0]), dtype=a.dtype)
+    moves = np.empty((10, 2 * found.shape[0] if moving else 0))
+    nodes = np.empty((3, PATCH_ORDERS * PATCH_ORDERS))
+    normal, gradient = np.empty(3), np.empty(6)
+    count, most = 0, 0
+    for k in range(found.shape[0]):
+        point, area, row = found[k, 0:3], found[k, 6], int(found[k, 7])
+        for side in range(1 if found[k, 8] else 2):
+            for r in range(3):
+                normal[r] = -found[k, 3 + r] if side else found[k, 3 + r]
+            u, v = centre[0] - point[0], centre[1] - point[1]
+            if normal[0] * u + normal[1] * v - normal[2] * point[2] < -radius:
+                continue  # faces away from all of the panel
+            seen, number = see_patch(point, normal, patch, digits, whole, chords, nodes)
+            if number == 0:
+                continue
+            if moving:
+                light = kernel.irradiance_gradient(point, normal, seen, number, gradient)
+                moves[0, count] = light * area
+                for r in range(3):
+                    moves[7 + r, count] = point[r] - at[r]
+                for r in range(3):
+                    s, t = (r + 1) % 3, (r + 2) % 3
+                    moves[1 + r, count] = gradient[r] * area
+                    moves[4 + r, count] = area * (
+                        moves[7 + s, count] * gradient[t]
+                        - moves[7 + t, count] * gradient[s]
+                        + normal[s] * gradient[3 + t]
+                        - normal[t] * gradient[3 + s]
+                    )
+            else:
+                light = kernel.irradiance(point, normal, seen, number)
+            if light <= 0.0:
+                continue
+            most = max(most, number)
+            for g in range(groups):
+                sent[g, 0, count], sent[g, 1, count] = -u, -v
+                sent[g, 2, count] = point[2]
+                strength = albedo[row, g] if moving else albedo[row, g] * light * area
+                for r in range(3):
+                    sent[g, 3 + r, count] = normal[r] * strength
+            count += 1
+    for g in range(groups):
+        if moving:
+            kernel.radiance_gradient(a, b, sent[g], moves, count, total[g])
+        else:
+            kernel.radiance(a, b, sent[g], count, total[g, 0])
+    report[0], report[1], report[2], report[3] = count, most, nearest, radius
+
+
+@jit
+def panel_points(box: Floats, points: Floats, to_wall: Floats, like: Floats) -> tuple[Floats, Floats, Floats, float]:
+    """Return a panel's points and corners from its centre (two arrays), the centre, and the radius around it."""
+    m = points.shape[0]
+    wall = np.empty((2, m * m + 4))
+    for k in range(m * m + 4):
+        if k < m * m:
+            u = box[0] + points[k % m] * (box[1] - box[0])
+            v = box[2] + points[k // m] * (box[3] - box[2])
+        else:
+            u, v = box[(k - m * m) % 2], box[2 + (k - m * m) // 2]
+        far = to_wall[2, 0] * u + to_wall[2, 1] * v + to_wall[2, 2]
+        wall[0, k] = (to_wall[0, 0] * u + to_wall[0, 1] * v + to_wall[0, 2]) / far
+        wall[1, k] = (to_wall[1, 0] * u + to_wall[1, 1] * v + to_wall[1, 2]) / far
+    centre = np.empty(2)
+    centre[0], centre[1] = wall[0, m * m :].mean(), wall[1, m * m :].mean()
+    radius = 0.0
+    for k in range(m * m, m * m + 4):
+        radius = max(radius, math.hypot(wall[0, k] - centre[0], wall[1, k] - centre[1]))
+    a, b = np.empty(m * m + 4, dtype=like.dtype), np.empty(m * m + 4, dtype=like.dtype)
+    for k in range(m * m + 4):
+        a[k], b[k] = wall[0, k] - centre[0], wall[1, k] - centre[1]
+    return a, b, centre, radius
+
+
+@jit_parallel
+def panels(
+    owner: Floats,
+    boxes: Floats,
+    to_wall: Floats,
+    points: Floats,
+    flat: Floats,
+    balls: Floats,
+    albedo: Floats,
+    turns: Floats,
+    places: Floats,
+    rings: int,
+    patch: Floats,
+    whole: Floats,
+    chords: Floats,
+    gauss: Floats,
+    digits: float,
+    moving: bool,
+    like: Floats,
+    values: Floats,
+    reports: Floats,
+) -> None:
+    """Evaluate panels of pictures: what their points receive from the target.
+
+    Lengths are in the wall's frame: origin on the wall, third axis its normal.
+
+    Parameters
+    ----------
+    owner : ndarray of shape (n,), int
+        Which pose each panel belongs to.
+    boxes : ndarray of shape (n, 4)
+        Each panel's u and v range in its picture.
+    to_wall : ndarray of shape (3, 3)
+        The projective map from (u, v, 1) to the wall's two axes.
+    points : ndarray of shape (m,)
+        On [0, 1]; a panel has m x m points, those along u fastest, and then its four corners.
+    flat, balls : ndarray of shape (n, WIDTH)
+        The target's flat cells and spheres, in its own frame.
+    albedo : ndarray of shape (cells + spheres, groups)
+    turns, places : ndarray of shape (poses, 3, 3) and (poses, 3)
+        The target's rotation and position.
+    rings : int
+        How finely spheres are cut.
+    patch, whole, chords, gauss : ndarray
+        The lit patch and the rules of `patch_rules`, `chord_rules` and `elements.GAUSS`.
+    digits : float
+        Natural logarithm of one over the quadrature's relative accuracy.
+    moving : bool
+        With derivatives.
+    like : ndarray
+        Of the type, float32 or float64, in which to sum.
+    values : ndarray of shape (n, groups, 1 or 7, m * m + 4), written
+    reports : ndarray of shape (n, 4), written
+        Quadrature points on the target, most points on the patch, distance from panel to target, panel's radius.
+    """
+    m = points.shape[0]
+    for item in prange(owner.shape[0]):
+        a, b, centre, radius = panel_points(boxes[item], points, to_wall, like)
+        total = np.zeros((values.shape[1], values.shape[2], m * m + 4), dtype=like.dtype)
+        pose = owner[item]
+        _target_panel(
+            a,
+            b,
+            centre,
+            radius,
+            flat,
+            balls,
+            albedo,
+            turns[pose],
+            places[pose],
+            rings,
+            patch,
+            whole,
+            chords,
+            gauss,
+            digits,
+            moving,
+            total,
+            reports[item],
+        )
+        values[item] = total
+
+
+@jit_parallel
+def direct(to_wall: Floats, patch: Floats, width: int, height: int, fine: int) -> Floats:
+    """Return a picture (height, width) of the lit patch itself, of radiance 1 under the lamp.
+
+    Parameters
+    ----------
+    to_wall, patch
+        As for `panels`.
+    width, height : int
+    fine : int
+        Pixels that the patch's edge crosses are means over (4 fine)^2 points, others over 16.
+    """
+    made = np.zeros((height, width))
+    major, minor = patch[2:4], patch[4:6]
+    area = major[0] * minor[1] - major[1] * minor[0]
+    for row in prange(height):
+        for column in range(width):
+            inside, total = 0, 0.0
+            for pass_ in range(2):
+                points = 4 if pass_ == 0 else 4 * fine
+                inside, total = 0, 0.0
+                for i in range(points):
+                    for j in range(points):
+                        u, v = (column + (j + 0.5) / points) / width, (row + (i + 0.5) / points) / height
+                        far = to_wall[2, 0] * u + to_wall[2, 1] * v + to_wall[2, 2]
+                        p = (to_wall[0, 0] * u + to_wall[0, 1] * v + to_wall[0, 2]) / far
+                        q = (to_wall[1, 0] * u + to_wall[1, 1] * v + to_wall[1, 2]) / far
+                        x, y = p - patch[0], q - patch[1]
+                        s, t = (x * minor[1] - y * minor[0]) / area, (y * major[0] - x * major[1]) / area
+                        if s * s + t * t <= 1.0:
+                            inside += 1
+                            total += elements.patch_radiance(p, q, patch)
+                total /= points * points
+                if inside == points * points or (
+                    inside == 0 and not _near_patch(row, column, width, height, to_wall, patch)
+                ):
+                    break
+            made[row, column] = total
+    return made
+
+
+@jit
+def _near_patch(row: int, column: int, width: int, height: int, to_wall: Floats, patch: Floats) -> bool:
+    """Whether a pixel may touch the box around the patch."""
+    low0, high0, low1, high1 = np.inf, -np.inf, np.inf, -np.inf
+    for corner in range(4):
+        u, v = (column + corner % 2) / width, (row + corner // 2) / height
+        far = to_wall[2, 0] * u + to_wall[2, 1] * v + to_wall[2, 2]
+        p = (to_wall[0, 0] * u + to_wall[0, 1] * v + to_wall[0, 2]) / far
+        q = (to_wall[1, 0] * u + to_wall[1, 1] * v + to_wall[1, 2]) / far
+        low0, high0, low1, high1 = min(low0, p), max(high0, p), min(low1, q), max(high1, q)
+    reach0, reach1 = math.hypot(patch[2], patch[4]), math.hypot(patch[3], patch[5])
+    return (
+        low0 <= patch[0] + reach0
+        and high0 >= patch[0] - reach0
+        and low1 <= patch[1] + reach1
+        and high1 >= patch[1] - reach1
+    )

@@ -1,0 +1,194 @@
+"""What may stand in the way of what: sorted out once, by half spaces, so that few pairs need a ray."""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from generator.spec import NlosError
+from generator.transport.rays import Placed, Surfaces
+
+Floats = NDArray[Any]
+Flags = NDArray[np.bool_]
+
+_TOUCH = 1e-9
+_SUNK = 1e-6
+"""Depth below the wall, in half diagonals of the watched patch, that is rounding."""
+_RIM = 1.0 - 1e-3
+
+
+class Obstacles:
+    """The surfaces of a scene, asked what they can hide.
+
+    Everything is in the wall's frame (`render.Frame`).
+
+    Parameters
+    ----------
+    room : Surfaces
+    target : Surfaces
+        In its own frame.
+    to_wall : ndarray of shape (3, 3)
+    patch : ndarray of shape (14,)
+    eye : ndarray of shape (4,)
+
+    Attributes
+    ----------
+    is_blocker : ndarray of shape (n,), bool
+        Of the room's flat surfaces, those in ``static_blockers``.
+    static_blockers : Surfaces
+        Those of the room that can stand between two points of room, patch and watched patch. The walls of a closed
+        room are not among them: everything is on one side of each.
+    """
+
+    def __init__(self, room: Surfaces, target: Surfaces, to_wall: Floats, patch: Floats, eye: Floats) -> None:
+        self._room, self._target = room, target
+        corners = np.array([[0.0, 0.0, 1.0], [1.0, 0.0, 1.0], [1.0, 1.0, 1.0], [0.0, 1.0, 1.0]]) @ to_wall.T
+        self._watched = np.column_stack([corners[:, :2] / corners[:, 2:], np.zeros(4)])
+        turn = np.linspace(0.0, 2.0 * math.pi, 32, endpoint=False)
+        rim = patch[:2] + np.outer(np.cos(turn), patch[2:4]) + np.outer(np.sin(turn), patch[4:6])
+        self._patch_rim = np.column_stack([rim, np.zeros(32)])
+        inner = patch[:2] + _RIM * (rim - patch[:2])
+        self._cone_feet = np.column_stack([np.concatenate([inner, patch[None, :2]]), np.zeros(33)])
+        self._lamp = np.array([patch[6], patch[7], patch[8]])
+        self._patch_centre, self._patch_radius = np.append(patch[:2], 0.0), math.hypot(patch[2], patch[3])
+        u, v = np.meshgrid(*2 * [np.linspace(1e-3, 1.0 - 1e-3, 9)])
+        seen = np.stack([u.ravel(), v.ravel(), np.ones(81)], axis=1) @ to_wall.T
+        self._view_feet = np.column_stack([seen[:, :2] / seen[:, 2:], np.zeros(81)])
+        self._eye = eye
+        low, high = target.box
+        self._box = np.array([[(low, high)[i >> r & 1][r] for r in range(3)] for i in range(8)])
+        self._middle, self._radius = (low + high) / 2.0, float(np.linalg.norm(high - low)) / 2.0
+        # A surface is no blocker if all there is lies on one side of its plane.
+        self._sides = np.zeros(len(room.origin))
+        if len(room.origin):
+            every = np.concatenate([*room.corners(), self._watched, self._patch_rim])
+            size = float(np.ptp(every, axis=0).max())
+            for k, (origin, normal) in enumerate(zip(room.origin, room.normal, strict=True)):
+                height = (every - origin) @ normal
+                if (height >= -1e-7 * size).all():
+                    self._sides[k] = 1.0
+                elif (height <= 1e-7 * size).all():
+                    self._sides[k] = -1.0
+        self.is_blocker = self._sides == 0.0
+        self.static_blockers = room.subset(self.is_blocker)
+
+    def blockers(self, place: Floats, turn: Floats) -> Surfaces:
+        """Return the room's surfaces that can stand between two points of the scene with the target at a pose."""
+        if not len(self._room.origin):
+            return self.static_blockers
+        middle = turn @ self._middle + place
+        height = ((middle - self._room.origin) * self._room.normal).sum(axis=1) * self._sides
+        outside = (self._sides != 0.0) & (height < -self._radius)
+        return self._room.subset((self._sides == 0.0) | outside) if outside.any() else self.static_blockers
+
+    def between(self, place: Floats, turn: Floats) -> Surfaces:
+        """Return those that can stand between the target and the patch, or the target and the watched patch."""
+        blockers = self.blockers(place, turn)
+        if not len(blockers.origin):
+            return blockers
+        box = self._box @ turn.T + place
+        keep = np.zeros(len(blockers.origin), dtype=bool)
+        for ends in (self._watched, self._patch_rim):
+            keep |= ~_clear(blockers, np.concatenate([box, ends]))
+        return blockers.subset(keep)
+
+    def may_hide(self, place: Floats, turn: Floats) -> bool:
+        """Whether part of the target may be hidden from part of the patch or of the watched patch."""
+        return bool(len(self.between(place, turn).origin))
+
+    def refuse(self, places: Floats, turns: Floats, positions: Floats) -> None:
+        """Raise NlosError if the target cannot be at a pose: through the wall, or in front of lamp or camera.
+
+        Parameters
+        ----------
+        places, turns : ndarray of shape (n, 3) and (n, 3, 3)
+        positions : ndarray of shape (n, 3)
+            To name a pose by, metres.
+        """
+        middles = turns @ self._middle + places
+        axis = self._patch_centre - self._lamp
+        along = np.clip((middles - self._lamp) @ axis / (axis @ axis), 0.0, 1.0)
+        aside = np.linalg.norm(middles - self._lamp - along[:, None] * axis, axis=1)
+        low = middles[:, 2] < self._radius
+        lit, seen = aside < self._radius + self._patch_radius, self._may_be_seen(middles)
+        for k in np.flatnonzero(low | lit | seen):
+            where = f"pose ({', '.join(f'{v:g}' for v in positions[k])})"
+            placed = Placed(self._target, turns[k], places[k])
+            if low[k]:
+                lowest, highest = self._heights(places[k], turns[k])
+                if lowest < -_SUNK:
+                    raise NlosError(f"{where}: the target reaches through the relay wall")
+                if highest < _SUNK:
+                    raise NlosError(f"{where}: the target lies in the relay wall")
+            lamp = np.broadcast_to(self._lamp, self._cone_feet.shape)
+            if lit[k] and placed.blocked(self._cone_feet, lamp).any():
+                raise NlosError(f"{where}: the target stands in the spot's cone; only --engine path can render it")
+            feet = self._view_feet
+            eyes = np.broadcast_to(self._eye[:3], feet.shape) if self._eye[3] else feet + self._eye[:3]
+            if seen[k] and placed.blocked(feet, eyes).any():
+                raise NlosError(
+                    f"{where}: the target stands between the camera and the relay wall; use --engine patch"
+                )
+
+    def _may_be_seen(self, middles: Floats) -> Flags:
+        """Whether a sphere around the target reaches into the camera's view of the watched patch."""
+        apex = self._eye[:3] - self._eye[3] * self._watched
+        sides = np.cross(np.roll(self._watched, -1, axis=0) - self._watched, apex)
+        sides /= np.linalg.norm(sides, axis=1, keepdims=True)
+        sides *= np.sign(((self._watched.mean(axis=0) - self._watched) * sides).sum(axis=1))[:, None]
+        inside = ((middles[:, None] - self._watched) * sides).sum(axis=2) > -self._radius
+        reaches: Flags = inside.all(axis=1) & (middles[:, 2] - self._radius <= self._eye[2])
+        return reaches
+
+    def _heights(self, place: Floats, turn: Floats) -> tuple[float, float]:
+        """Lowest and highest point of the target above the wall."""
+        low, high = np.inf, -np.inf
+        corners = np.concatenate(self._target.corners())
+        if len(corners):
+            heights = corners @ turn[2] + place[2]
+            low, high = float(heights.min()), float(heights.max())
+        if len(self._target.spheres):
+            heights = self._target.spheres[:, :3] @ turn[2] + place[2]
+            low = min(low, float((heights - self._target.spheres[:, 3]).min()))
+            high = max(high, float((heights + self._target.spheres[:, 3]).max()))
+        return low, high
+
+
+def _clear(surfaces: Surfaces, points: Floats) -> Flags:
+    """Return which surfaces cannot stand between any two of some points: those a plane parts from all of them."""
+    clear = np.zeros(len(surfaces.origin), dtype=bool)
+    for k in range(len(clear)):
+        height = (points - surfaces.origin[k]) @ surfaces.normal[k]
+        if (height >= -_TOUCH).all() or (height <= _TOUCH).all():
+            clear[k] = True
+            continue
+        corner, first, second = surfaces.origin[k], surfaces.first[k], surfaces.second[k]
+        if surfaces.triangle[k]:
+            edges = [(corner, first, second), (corner, second, first), (corner + first, second - first, -first)]
+        else:
+            edges = [
+                (corner, first, second),
+                (corner, second, first),
+                (corner + first, second, -first),
+                (corner + second, first, -second),
+            ]
+        clear[k] = any(_parted(start, edge, inward, surfaces.normal[k], points) for start, edge, inward in edges)
+    return clear
+
+
+def _parted(start: Floats, edge: Floats, inward: Floats, normal: Floats, points: Floats) -> bool:
+    """Whether some plane through an edge has the surface on one side and the points on the other.
+
+    Looked at along the edge, the surface is a ray; the points' directions, counted from the opposite ray, must span
+    less than half a turn.
+    """
+    out = np.cross(edge, normal)
+    out /= np.linalg.norm(out)
+    if out @ inward > 0.0:
+        out = -out
+    way = points - start
+    angle = np.arctan2(way @ normal, way @ out)
+    return bool(angle.max() - angle.min() < math.pi - 1e-9)

@@ -1,0 +1,244 @@
+"""Which surface a ray meets first, and whether anything stands between two points.
+
+A handful of surfaces is tested one by one, exactly, in NumPy; a mesh goes to Embree (by way of embreex), whose
+single precision moves a shadow's edge by a millionth of the scene.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from generator.spec import NlosError
+from generator.transport.compiled import jit
+from generator.transport.elements import TRIANGLE, merge_parallelograms
+
+Floats = NDArray[Any]
+Flags = NDArray[np.bool_]
+
+FEW = 32
+"""Up to as many surfaces are tested one by one."""
+
+_NEAR = 1e-6
+_NEAR_EMBREE = 1e-4
+
+
+class Surfaces:
+    """Triangles and spheres that rays can meet.
+
+    Parameters
+    ----------
+    triangles : ndarray of shape (n, 3, 3)
+    tint : ndarray of shape (n, groups)
+        Albedo; two triangles that make a parallelogram of one tint are one surface.
+    spheres : ndarray of shape (s, 4)
+        Centre and radius.
+
+    Attributes
+    ----------
+    normal : ndarray of shape (m, 3)
+        Of each flat surface, unit length.
+    tint : ndarray of shape (m, groups)
+        Of each flat surface.
+    """
+
+    def __init__(self, triangles: Floats, tint: Floats, spheres: Floats | None = None) -> None:
+        self.spheres = np.zeros((0, 4)) if spheres is None else spheres
+        origin, first, second, kind, kept = merge_parallelograms(triangles, tint)
+        cross = np.cross(first, second)
+        area = np.linalg.norm(cross, axis=1, keepdims=True)
+        self.origin, self.first, self.second = origin, first, second
+        self.triangle = kind == TRIANGLE
+        self.normal, self.tint = cross / area, tint[kept]
+        # Dual vectors: a point p of the plane lies at (u, v) = ((p - origin) . across, (p - origin) . along).
+        self.dual = np.stack([np.cross(second, self.normal), np.cross(self.normal, first)], axis=1) / area[:, None]
+        self.level = (origin * self.normal).sum(axis=1)
+        self._embree = self._few = None
+        if len(origin) > FEW:
+            self._embree = _embree_scene(origin, first, second, self.triangle)
+
+    def __len__(self) -> int:
+        return len(self.origin) + len(self.spheres)
+
+    @property
+    def extent(self) -> float:
+        """Largest edge of the box around everything."""
+        low, high = self.box
+        return float((high - low).max())
+
+    @property
+    def reach(self) -> float:
+        """Distance of the farthest corner from the origin."""
+        corners = np.linalg.norm(np.concatenate(self.corners()), axis=1)
+        balls = np.linalg.norm(self.spheres[:, :3], axis=1) + self.spheres[:, 3]
+        return float(max(corners.max(initial=0.0), balls.max(initial=0.0)))
+
+    def samples(self) -> Floats:
+        """Return points (n, 3) spread over the flat surfaces."""
+        u, v = (g.ravel()[:, None, None] for g in np.meshgrid(*2 * [np.linspace(0.05, 0.95, 7)]))
+        return (self.origin + u * self.first + v * self.second).reshape(-1, 3)
+
+    @property
+    def box(self) -> tuple[Floats, Floats]:
+        """Lowest and highest corner (3,) of the box around everything."""
+        around = [self.spheres[:, :3] - self.spheres[:, 3:], self.spheres[:, :3] + self.spheres[:, 3:]]
+        every = np.concatenate([*self.corners(), *around])
+        return every.min(axis=0), every.max(axis=0)
+
+    def corners(self) -> list[Floats]:
+        """Return the corners of the flat surfaces, arrays of shape (n, 3)."""
+        far = self.origin + self.first + self.second
+        return [self.origin, self.origin + self.first, self.origin + self.second, far[~self.triangle]]
+
+    def subset(self, keep: Flags) -> Surfaces:
+        """Return some of the flat surfaces, and all spheres."""
+        part = object.__new__(Surfaces)
+        part.spheres = self.spheres
+        for name in ("origin", "first", "second", "triangle", "normal", "tint", "dual", "level"):
+            setattr(part, name, getattr(self, name)[keep])
+        part._embree = None
+        if keep.sum() > FEW:
+            part._embree = (
+                self._embree if keep.all() else _embree_scene(part.origin, part.first, part.second, part.triangle)
+            )
+        return part
+
+    def first_hit(self, start: Floats, way: Floats) -> tuple[NDArray[np.int64], Floats]:
+        """Follow rays to the first flat surface.
+
+        Parameters
+        ----------
+        start, way : ndarray of shape (n, 3)
+
+        Returns
+        -------
+        which : ndarray of shape (n,)
+            Index of the surface, -1 for none.
+        far : ndarray of shape (n,)
+            Distance in units of ``way``.
+        """
+        if self._embree is not None:
+            scene, owner = self._embree
+            low = np.float32(_NEAR_EMBREE)
+            origin = (start + low * way).astype(np.float32)
+            found = scene.run(origin, way.astype(np.float32), output=1)
+            hit = np.asarray(found["primID"], dtype=np.int64)
+            which = np.where(hit >= 0, owner[hit], -1)
+            return which, np.where(hit >= 0, found["tfar"].astype(float) + low, np.inf)
+        with np.errstate(divide="ignore", invalid="ignore"):
+            return _first_hit(start, way, self.normal, self.level, self.origin, self.dual, self.triangle)
+
+    def blocked(self, start: Floats, end: Floats) -> Flags:
+        """Return whether something other than their own surface stands between points (n, 3) and (n, 3)."""
+        if self._embree is not None:
+            scene, _ = self._embree
+            way = (end - start) * (1.0 - 2.0 * _NEAR_EMBREE)
+            origin = start + _NEAR_EMBREE * (end - start)
+            hit = scene.run(
+                origin.astype(np.float32),
+                way.astype(np.float32),
+                dists=np.ones(len(way), np.float32),
+                query="OCCLUDED",
+            )
+            blocked: Flags = np.asarray(hit) >= 0
+        else:
+            with np.errstate(divide="ignore", invalid="ignore"):
+                blocked = _blocked(start, end, self.normal, self.level, self.origin, self.dual, self.triangle)
+        if len(self.spheres):
+            blocked |= _blocked_by_spheres(start, end, self.spheres)
+        return blocked
+
+
+class Placed:
+    """Surfaces turned and moved: rays are taken to them, not they to the rays.
+
+    Parameters
+    ----------
+    surfaces : Surfaces
+    turn, at : ndarray of shape (3, 3) and (3,)
+    """
+
+    def __init__(self, surfaces: Surfaces, turn: Floats, at: Floats) -> None:
+        self._surfaces, self._turn, self._at = surfaces, turn, at
+
+    def __len__(self) -> int:
+        return len(self._surfaces)
+
+    def blocked(self, start: Floats, end: Floats) -> Flags:
+        """As `Surfaces.blocked`."""
+        return self._surfaces.blocked((start - self._at) @ self._turn, (end - self._at) @ self._turn)
+
+
+def _embree_scene(origin: Floats, first: Floats, second: Floats, triangle: Flags) -> tuple[Any, NDArray[np.int64]]:
+    """An Embree scene, and which surface each of its triangles belongs to."""
+    try:
+        from embreex.mesh_construction import TriangleMesh
+        from embreex.rtcore_scene import EmbreeScene
+    except ImportError:
+        raise NlosError(
+            f"the scene has {len(origin)} surfaces, and ray tests on more than {FEW} need Embree; install it with: "
+            "pip install embreex (or use --engine patch)"
+        ) from None
+    corners = np.stack([origin, origin + first, origin + second], axis=1)
+    whole = ~triangle
+    halves = np.stack([origin + first + second, origin + second, origin + first], axis=1)[whole]
+    scene = EmbreeScene()
+    TriangleMesh(scene, np.concatenate([corners, halves]).astype(np.float32))
+    return scene, np.concatenate([np.arange(len(origin)), np.flatnonzero(whole)])
+
+
+@jit
+def _first_hit(
+    start: Floats, way: Floats, normal: Floats, level: Floats, origin: Floats, dual: Floats, triangle: Flags
+) -> tuple[NDArray[np.int64], Floats]:
+    which = np.full(start.shape[0], -1, dtype=np.int64)
+    far = np.full(start.shape[0], np.inf)
+    s0, s1, s2 = start[:, 0].copy(), start[:, 1].copy(), start[:, 2].copy()
+    w0, w1, w2 = way[:, 0].copy(), way[:, 1].copy(), way[:, 2].copy()
+    for k in range(normal.shape[0]):
+        n, o, d = normal[k], origin[k], dual[k]
+        t = (level[k] - (s0 * n[0] + s1 * n[1] + s2 * n[2])) / (w0 * n[0] + w1 * n[1] + w2 * n[2])
+        p0, p1, p2 = s0 + t * w0 - o[0], s1 + t * w1 - o[1], s2 + t * w2 - o[2]
+        u = p0 * d[0, 0] + p1 * d[0, 1] + p2 * d[0, 2]
+        v = p0 * d[1, 0] + p1 * d[1, 1] + p2 * d[1, 2]
+        most = u + v if triangle[k] else np.maximum(u, v)
+        meets = (t > _NEAR) & (t < far) & (np.minimum(u, v) >= 0.0) & (most <= 1.0)
+        far = np.where(meets, t, far)
+        which = np.where(meets, k, which)
+    return which, far
+
+
+@jit
+def _blocked(
+    start: Floats, end: Floats, normal: Floats, level: Floats, origin: Floats, dual: Floats, triangle: Flags
+) -> Flags:
+    blocked = np.zeros(start.shape[0], dtype=np.bool_)
+    s0, s1, s2 = start[:, 0].copy(), start[:, 1].copy(), start[:, 2].copy()
+    w0, w1, w2 = end[:, 0] - s0, end[:, 1] - s1, end[:, 2] - s2
+    for k in range(normal.shape[0]):
+        n, o, d = normal[k], origin[k], dual[k]
+        t = (level[k] - (s0 * n[0] + s1 * n[1] + s2 * n[2])) / (w0 * n[0] + w1 * n[1] + w2 * n[2])
+        p0, p1, p2 = s0 + t * w0 - o[0], s1 + t * w1 - o[1], s2 + t * w2 - o[2]
+        u = p0 * d[0, 0] + p1 * d[0, 1] + p2 * d[0, 2]
+        v = p0 * d[1, 0] + p1 * d[1, 1] + p2 * d[1, 2]
+        most = u + v if triangle[k] else np.maximum(u, v)
+        blocked |= (t > _NEAR) & (t < 1.0 - _NEAR) & (np.minimum(u, v) >= 0.0) & (most <= 1.0)
+    return blocked
+
+
+@jit
+def _blocked_by_spheres(start: Floats, end: Floats, spheres: Floats) -> Flags:
+    """A chord counts from both its ends: points on a sphere, which rounding puts just inside, are not behind it."""
+    blocked = np.zeros(start.shape[0], dtype=np.bool_)
+    w0, w1, w2 = end[:, 0] - start[:, 0], end[:, 1] - start[:, 1], end[:, 2] - start[:, 2]
+    length = w0 * w0 + w1 * w1 + w2 * w2
+    for k in range(spheres.shape[0]):
+        c0, c1, c2 = spheres[k, 0] - start[:, 0], spheres[k, 1] - start[:, 1], spheres[k, 2] - start[:, 2]
+        along = (c0 * w0 + c1 * w1 + c2 * w2) / length
+        aside = c0 * c0 + c1 * c1 + c2 * c2 - along * along * length
+        half = np.sqrt(np.maximum(0.0, spheres[k, 3] ** 2 - aside) / length)
+        enters, leaves = np.maximum(along - half, _NEAR), np.minimum(along + half, 1.0 - _NEAR)
+        blocked |= (half > 0.0) & (leaves - enters > 1e-5 * half) & (leaves > enters)
+    return blocked

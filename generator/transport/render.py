@@ -1,0 +1,219 @@
+"""The transport engine: a world and an accuracy in, pictures of the relay wall out."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from generator.spec import Array, NlosError, rotation_matrix
+from generator.transport import compiled, integral
+from generator.transport.fields import Fields
+from generator.transport.setting import Setting
+from generator.transport.world import World
+
+Floats = NDArray[Any]
+Picture = NDArray[np.float32]
+
+FINEST, COARSEST = 1e-8, 0.3
+"""What accuracy can be asked for."""
+
+_BATCH = 512
+
+
+@dataclass(frozen=True)
+class Rendered:
+    """One picture and what it is made of; radiance in W/m^2/sr, shape (height, width, 3), float64.
+
+    Attributes
+    ----------
+    pixels : ndarray
+        What the camera sees: ``background + added - hidden``.
+    added : ndarray
+        Light that took its second reflection on the target.
+    hidden : ndarray
+        Light of the room that the target keeps from the wall.
+    derivatives : ndarray of shape (7, height, width, 3), optional
+        Of ``added``: with respect to the target's position (3, per metre), its rotation about the world's axes
+        through its origin (3, per radian), and its strength (a factor on all its albedo).
+    report : dict
+        What the engine chose: ``panels`` (of the picture), ``depth`` (how often the smallest was cut), ``elements``
+        (most points on the target for one panel), ``patch_points`` (most on the lit patch), ``precision`` (float32 or
+        float64), ``ray_tests`` (whether visibility was tested), ``shadow_elements``.
+    """
+
+    pixels: Array
+    added: Array
+    hidden: Array
+    derivatives: Array | None
+    report: dict[str, Any]
+
+
+class Transport:
+    """Pictures of the relay wall after three diffuse reflections, to a relative accuracy.
+
+    Parameters
+    ----------
+    world : World
+    accuracy : float, default=1e-3
+        Root mean square over the pixels of the error of what the target adds and hides, relative to that of what it
+        adds; of the background, relative to itself.
+    threads : int, default=0
+        0 takes all cores. The pixels do not depend on it.
+
+    Raises
+    ------
+    NlosError
+        The accuracy is out of reach, or the target has no surface.
+
+    Notes
+    -----
+    The picture is the integral of section 3.1 of the paper, with Lambert's cosines on both sides of both legs
+    (Kajiya 1986, equation 8, for two surfaces):
+
+        L(w2) = rho_2/pi int [ rho_x/pi int L_1(w1) G(w1, x) dw1 ] G(x, w2) dx,  G(a, b) = cos_a cos_b V / |a - b|^2
+
+    Examples
+    --------
+    >>> transport = Transport(world, accuracy=1e-3)                        # doctest: +SKIP
+    >>> picture = transport.render((1.0, 0.8, 1.3), (0.0, 0.0, 30.0))      # doctest: +SKIP
+    >>> (picture.added - picture.hidden).max()                             # doctest: +SKIP
+    """
+
+    def __init__(self, world: World, *, accuracy: float = 1e-3, threads: int = 0) -> None:
+        if not FINEST <= accuracy <= COARSEST:
+            raise NlosError(f"accuracy: {accuracy:g} must lie between {FINEST:g} and {COARSEST:g}")
+        self.world = world
+        self.accuracy = accuracy
+        self._threads = threads
+        self._setting = Setting(world)
+        self._fields = Fields(self._setting, accuracy)
+        self._background: Array | None = None
+
+    def background(self) -> Array:
+        """Return the picture without the target, (height, width, 3), W/m^2/sr: room, and patch where in view."""
+        if self._background is None:
+            compiled.limit_threads(self._threads)
+            self._background = self._directly_lit()
+            if self.world.order >= 3 and len(self._setting.room):
+                self._background = self._background + self._colour(self._fields.room())
+        return self._background.copy()
+
+    def render(self, position: Any, rotation: Any, *, derivatives: bool = False) -> Rendered:
+        """Return the picture with the target at a pose.
+
+        Parameters
+        ----------
+        position : array-like of shape (3,)
+            Of the target's origin, metres.
+        rotation : array-like of shape (3,)
+            About x, then y, then z, degrees.
+        derivatives : bool, default=False
+            With the derivatives of what the target adds.
+
+        Returns
+        -------
+        Rendered
+
+        Raises
+        ------
+        NlosError
+            The target reaches through the relay wall, lies in it, or stands in the lamp's cone or the camera's view.
+        """
+        added, hidden, reports = self._render(np.array([position], float), np.array([rotation], float), derivatives)
+        light = self._colour(added[0, :, 0])
+        shade = self._colour(hidden[0])
+        slopes = None
+        if derivatives:
+            # Positions are in the frame's unit, and both positions and rotations along its axes.
+            moves = np.stack([self._colour(added[0, :, 1 + k]) for k in range(6)])
+            turned = np.tensordot(self._setting.frame.axes.T, moves.reshape(2, 3, *light.shape), axes=(1, 1))
+            slopes = np.concatenate([turned[:, 0] / self._setting.frame.unit, turned[:, 1], light[None]])
+        return Rendered(self.background() + light - shade, light, shade, slopes, reports[0])
+
+    def pictures(self, positions: Any, rotations: Any) -> Picture:
+        """Return the pictures of many poses, (n, height, width, 3), float32, W/m^2/sr.
+
+        Parameters
+        ----------
+        positions : array-like of shape (n, 3)
+            Metres.
+        rotations : array-like of shape (n, 3)
+            Degrees.
+
+        Raises
+        ------
+        NlosError
+            As `render`.
+        """
+        places, turns = np.asarray(positions, float).reshape(-1, 3), np.asarray(rotations, float).reshape(-1, 3)
+        width, height = self.world.watched.resolution
+        made = np.empty((len(places), height, width, 3), dtype=np.float32)
+        background = self.background()
+        for at in range(0, len(places), _BATCH):
+            added, hidden, _ = self._render(places[at : at + _BATCH], turns[at : at + _BATCH], False)
+            change = added[:, :, 0] - hidden
+            for channel, group in enumerate(self._setting.channel):
+                made[at : at + _BATCH, ..., channel] = (
+                    background[..., channel] + change[:, group] * self._setting.factor[channel]
+                )
+        return made
+
+    def _colour(self, groups: Floats) -> Array:
+        """Radiance (height, width, 3) of relative pictures (groups, height, width)."""
+        coloured: Array = np.stack(
+            [groups[g] * f for g, f in zip(self._setting.channel, self._setting.factor, strict=True)], axis=-1
+        )
+        return coloured
+
+    def _render(
+        self, positions: Floats, rotations: Floats, moving: bool
+    ) -> tuple[Floats, Floats, list[dict[str, Any]]]:
+        """Relative pictures: added (n, groups, 1 or 7, h, w), hidden (n, groups, h, w), and a report each."""
+        setting, fields = self._setting, self._fields
+        width, height = setting.resolution
+        groups, channels = setting.tint.shape[1], 7 if moving else 1
+        n = len(positions)
+        added, hidden = np.zeros((n, groups, channels, height, width)), np.zeros((n, groups, height, width))
+        reports: list[dict[str, Any]] = [{} for _ in range(n)]
+        if not np.isfinite(positions).all() or not np.isfinite(rotations).all():
+            raise NlosError("a pose's position or rotation is not finite")
+        if self.world.order < 3:
+            return added, hidden, reports
+        compiled.limit_threads(self._threads)
+        turns = np.array([setting.frame.axes @ rotation_matrix((r[0], r[1], r[2])) for r in rotations])
+        places = setting.frame.points(positions)
+        setting.obstacles.refuse(places, turns, positions)
+        tested = np.array(
+            [not setting.convex or setting.obstacles.may_hide(p, t) for p, t in zip(places, turns, strict=True)]
+        )
+        clear, behind = np.flatnonzero(~tested), np.flatnonzero(tested)
+        if len(clear):
+            added[clear], kept = fields.plain(turns[clear], places[clear], moving)
+            for k, report in zip(clear, kept, strict=True):
+                reports[k] = report
+        if len(behind):
+            if moving:
+                raise NlosError(
+                    "derivatives: are known only where nothing stands between wall and target, and the target is one "
+                    "convex body or one flat sheet"
+                )
+            added[behind, :, 0], kept = fields.behind(turns[behind], places[behind])
+            for k, report in zip(behind, kept, strict=True):
+                reports[k] = report
+        if len(setting.room):
+            level = (added[:, :, 0] ** 2).mean(axis=(2, 3))
+            hidden, counts = fields.hidden(turns, places, level)
+            for report, count in zip(reports, counts, strict=True):
+                report["shadow_elements"] = int(count)
+        return added, hidden, reports
+
+    def _directly_lit(self) -> Array:
+        """The lit patch itself, where the camera sees it: one reflection."""
+        setting = self._setting
+        fine = 16 if self.accuracy > 3e-3 else 64
+        relative = integral.direct(setting.to_wall, setting.patch, *setting.resolution, fine)
+        lit: Array = relative[..., None] * setting.wall_radiance
+        return lit

@@ -1,0 +1,250 @@
+"""The same integral where something may stand in between, and the light that the target takes from the room.
+
+Everything here is a sum over quadrature points with a ray test for each pair; what the edges of shadows cost falls as
+the points get finer, and the callers refine until two sums agree.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from generator.transport import integral
+from generator.transport.rays import Placed, Surfaces
+
+Floats = NDArray[Any]
+Hider = Surfaces | Placed
+
+_AT_ONCE = 400_000
+"""Pairs held in memory at once."""
+
+
+class Light:
+    """The lit patch as a few points, for many receivers at a time.
+
+    Parameters
+    ----------
+    patch, whole : ndarray
+        As for `integral.panels`.
+    digits : float
+        Natural logarithm of one over the relative accuracy.
+    """
+
+    def __init__(self, patch: Floats, whole: Floats, digits: float) -> None:
+        self._patch, self._whole, self._digits = patch, whole, digits
+
+    def order(self, points: Floats, reach: float = 0.0) -> int:
+        """Return which of the patch's rules surfaces within ``reach`` of points (k, 3) need."""
+        if not len(points):
+            return 1
+        beside = np.linalg.norm(points[:, :2] - self._patch[:2], axis=1) - math.hypot(self._patch[2], self._patch[3])
+        distance = np.hypot(np.maximum(beside, 0.0), points[:, 2]).min() - reach
+        above = np.array([self._patch[0], self._patch[1], max(float(distance), 0.0)])
+        # Shadows' edges are not resolved better by more points than this.
+        return min(12, integral.patch_order(above, self._patch, self._digits))
+
+    def nodes(self, points: Floats) -> Floats:
+        """Return the patch's points (3, n) that receivers (k, 3) need: position on the wall, radiance times area."""
+        order = self.order(points)
+        chosen: Floats = self._whole[order, :, : order * order]
+        return chosen
+
+    def irradiance(self, points: Floats, normals: Floats, hidden_by: Sequence[Hider]) -> Floats:
+        """Return the irradiance (k,) of surface points (k, 3) on the side of their normals (k, 3)."""
+        if not len(points):
+            return np.zeros(0)
+        nodes = self.nodes(points)
+        total = np.zeros(len(points))
+        for q in range(nodes.shape[1]):
+            way = -points
+            way[:, 0] += nodes[0, q]
+            way[:, 1] += nodes[1, q]
+            squared = (way * way).sum(axis=1)
+            term = nodes[2, q] * np.maximum((normals * way).sum(axis=1), 0.0) * points[:, 2]
+            term = term / (squared * squared)
+            some = np.flatnonzero(term > 0.0)
+            if len(some):
+                source = np.broadcast_to(np.array([nodes[0, q], nodes[1, q], 0.0]), (len(some), 3))
+                term[some[any_blocks(hidden_by, source, points[some])]] = 0.0
+                total += term
+        return total
+
+
+def any_blocks(surfaces: Sequence[Hider], start: Floats, end: Floats) -> NDArray[np.bool_]:
+    """Return whether any of several sets of surfaces stands between points (n, 3) and points (n, 3)."""
+    blocked = np.zeros(len(start), dtype=np.bool_)
+    for each in surfaces:
+        if len(each):
+            rest = np.flatnonzero(~blocked)
+            blocked[rest] = each.blocked(start[rest], end[rest])
+    return blocked
+
+
+def reflected(wall: Floats, found: Floats, albedo: Floats, light: Light, hidden_by: Sequence[Hider]) -> Floats:
+    """Return what wall points receive by way of surface elements, behind whatever hides them.
+
+    Parameters
+    ----------
+    wall : ndarray of shape (k, 3)
+    found : ndarray of shape (n, 9)
+        As `integral.cover` returns them.
+    albedo : ndarray of shape (rows, groups)
+    light : Light
+    hidden_by : sequence of Surfaces or Placed
+
+    Returns
+    -------
+    ndarray of shape (groups, k)
+    """
+    total = np.zeros((albedo.shape[1], len(wall)))
+    both = np.concatenate([found, _turned(found[found[:, 8] == 0.0])])
+    lit = light.irradiance(both[:, :3], both[:, 3:6], hidden_by) * both[:, 6]
+    both, lit = both[lit > 0.0], lit[lit > 0.0]
+    step = max(1, _AT_ONCE // max(1, len(wall)))
+    for at in range(0, len(both), step):
+        part = both[at : at + step]
+        term = _exchange(wall, part[:, :3], part[:, 3:6])
+        k, j = np.nonzero(term)
+        blocked = any_blocks(hidden_by, part[j, :3], wall[k])
+        term[k[blocked], j[blocked]] = 0.0
+        strength = lit[at : at + step, None] * albedo[part[:, 7].astype(int)]
+        total += (term @ strength).T
+    return total
+
+
+def _turned(found: Floats) -> Floats:
+    turned = found.copy()
+    turned[:, 3:6] *= -1.0
+    return turned
+
+
+def _exchange(wall: Floats, points: Floats, normals: Floats, *, two_sided: bool = False) -> Floats:
+    """cos cos / r^2 between wall points (k, 3) and surface points (n, 3), as (k, n)."""
+    u, v, w = (wall[:, r, None] - points[:, r] for r in range(3))
+    squared = u * u + v * v + w * w
+    facing = normals[:, 0] * u + normals[:, 1] * v + normals[:, 2] * w
+    facing = np.abs(facing) if two_sided else np.maximum(facing, 0.0)
+    made: Floats = facing * np.maximum(-w, 0.0) / (squared * squared)
+    return made
+
+
+def hidden(
+    wall: Floats,
+    seen: Floats,
+    lit: Floats,
+    room: Surfaces,
+    blockers: Sequence[Hider],
+    target: Sequence[Hider],
+    light: Light,
+    *,
+    convex: bool,
+) -> Floats:
+    """Return the room's light that a target keeps from wall points.
+
+    Light goes patch, room, wall, and the target can stand in either leg. What it hides in the second leg it hides as
+    seen from the wall point: every element of the target that faces the point takes away the radiance of the room
+    behind it. What it hides in the first leg it hides as seen from the patch: the light that an element of the target
+    catches would have made a point of the room behind it shine; it is missing wherever that point can be seen. So
+    both are integrals over the target's own surface, with nothing singular in them.
+
+    Parameters
+    ----------
+    wall : ndarray of shape (k, 3)
+    seen, lit : ndarray of shape (n, 9)
+        Elements of the target, as `integral.cover` returns them: those that can face the wall points, and those that
+        can face the patch.
+    room : Surfaces
+        Everything that reflects.
+    blockers : sequence of Surfaces or Placed
+        Those of the room's surfaces that can stand between two points of the scene.
+    target : sequence of Surfaces or Placed
+        The target itself.
+    light : Light
+    convex : bool
+        Whether the target is one convex body or one flat sheet, which a ray enters only once.
+
+    Returns
+    -------
+    ndarray of shape (groups, k)
+    """
+    groups = room.tint.shape[1]
+    total = np.zeros((groups, len(wall)))
+    if not len(room.normal):
+        return total
+    within: Sequence[Hider] = [] if convex else target
+    step = max(1, _AT_ONCE // max(1, len(wall)))
+    for at in range(0, len(seen), step):
+        part = seen[at : at + step]
+        two_sided = part[:, 8] == 0.0
+        term = np.where(
+            two_sided,
+            _exchange(wall, part[:, :3], part[:, 3:6], two_sided=True),
+            _exchange(wall, part[:, :3], part[:, 3:6]),
+        )
+        term *= part[:, 6]
+        k, j = np.nonzero(term)
+        clear = ~any_blocks([*blockers, *within], wall[k], part[j, :3])
+        k, j = k[clear], j[clear]
+        radiance = _room_radiance(part[j, :3], part[j, :3] - wall[k], room, blockers, light)
+        for g in range(groups):
+            total[g] += np.bincount(k, weights=term[k, j] * radiance[g], minlength=len(wall))
+    total += _first_leg(wall, lit, room, blockers, target, within, light)
+    return total
+
+
+def _room_radiance(start: Floats, way: Floats, room: Surfaces, blockers: Sequence[Hider], light: Light) -> Floats:
+    """Radiance (groups, n), times pi, of what rays meet behind the target."""
+    which, far = room.first_hit(start, way)
+    met = np.flatnonzero(which >= 0)
+    made = np.zeros((room.tint.shape[1], len(start)))
+    if len(met):
+        point = start[met] + far[met, None] * way[met]
+        normal = room.normal[which[met]]
+        normal = normal * -np.sign((normal * way[met]).sum(axis=1))[:, None]
+        made[:, met] = light.irradiance(point, normal, blockers) * room.tint[which[met]].T
+    return made
+
+
+def _first_leg(
+    wall: Floats,
+    lit: Floats,
+    room: Surfaces,
+    blockers: Sequence[Hider],
+    target: Sequence[Hider],
+    within: Sequence[Hider],
+    light: Light,
+) -> Floats:
+    total = np.zeros((room.tint.shape[1], len(wall)))
+    if not len(lit):
+        return total
+    nodes = light.nodes(lit[:, :3])
+    for q in range(nodes.shape[1]):
+        source = np.array([[nodes[0, q], nodes[1, q], 0.0]])
+        facing = np.where(
+            lit[:, 8] == 0.0,
+            _exchange(source, lit[:, :3], lit[:, 3:6], two_sided=True)[0],
+            _exchange(source, lit[:, :3], lit[:, 3:6])[0],
+        )
+        caught = nodes[2, q] * facing * lit[:, 6]
+        some = np.flatnonzero(caught)
+        start = lit[some, :3]
+        sources = np.broadcast_to(source, start.shape)
+        clear = ~any_blocks([*blockers, *within], sources, start)
+        some, start = some[clear], start[clear]
+        way = start - source
+        which, far = room.first_hit(start, way)
+        met = which >= 0
+        some, start, way, which, far = some[met], start[met], way[met], which[met], far[met]
+        point = start + far[:, None] * way
+        normal = room.normal[which]
+        normal = normal * -np.sign((normal * way).sum(axis=1))[:, None]
+        term = _exchange(wall, point, normal)
+        k, j = np.nonzero(term)
+        gone = any_blocks([*blockers, *target], point[j], wall[k])
+        term[k[gone], j[gone]] = 0.0
+        total += (term @ (caught[some, None] * room.tint[which])).T
+    return total

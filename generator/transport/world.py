@@ -1,0 +1,157 @@
+"""What the three-reflection integral is taken over, as plain arrays: lit patch, watched patch, target, room.
+
+Lengths are metres in the world's frame (any right-handed frame: nothing here assumes that the wall is y = 0), colours
+are three channels, albedos 0 to 1. All surfaces are Lambertian and reflect from both sides.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from generator.spec import Array, NlosError
+
+
+@dataclass(frozen=True)
+class LitPatch:
+    """The part of the relay wall that the spot lights, as a Lambertian emitter.
+
+    A circular cone cuts a plane in an ellipse (as long as the cone does not reach the plane's horizon), so the
+    outline is exact; its radiance at a point p is
+
+        L(p) = albedo / pi * intensity * height / |p - lamp|^3 * falloff(angle off the axis)
+
+    Attributes
+    ----------
+    centre : ndarray of shape (3,)
+        Of the ellipse (not w1, which is where the axis meets the wall), metres.
+    major, minor : ndarray of shape (3,)
+        Semi-axes, metres.
+    normal : ndarray of shape (3,)
+        Of the wall, towards the lamp; unit length.
+    lamp, axis : ndarray of shape (3,)
+        The lamp's position, metres, and unit direction.
+    height : float
+        Distance of the lamp from the wall's plane, metres.
+    intensity : ndarray of shape (3,)
+        Radiant intensity per colour channel, W/sr.
+    albedo : ndarray of shape (3,)
+        Of the wall, per colour channel.
+    cos_outer, cos_width : float
+        The falloff is smoothstep((cos - cos_outer) / cos_width); cos_width = 0 is a hard edge.
+    """
+
+    centre: Array
+    major: Array
+    minor: Array
+    normal: Array
+    lamp: Array
+    axis: Array
+    height: float
+    intensity: Array
+    albedo: Array
+    cos_outer: float
+    cos_width: float
+
+
+@dataclass(frozen=True)
+class Watched:
+    """The part of the relay wall that the camera sees, and how its picture lies on it.
+
+    Attributes
+    ----------
+    to_wall : ndarray of shape (4, 3)
+        The projective map from the picture to the wall: the homogeneous wall point is ``to_wall @ (u, v, 1)`` with u
+        from 0 (left edge) to 1 (right edge) and v from 0 (top edge) to 1 (bottom edge); its last component is
+        positive all over the picture.
+    eye : ndarray of shape (4,)
+        The camera's centre of projection (x, y, z) and 1; or, if it is orthographic, the way from the wall to the
+        camera's plane, metres, and 0.
+    normal : ndarray of shape (3,)
+        Of the wall, towards the camera; unit length.
+    albedo : ndarray of shape (3,)
+        Of the wall, per colour channel.
+    resolution : (int, int)
+        Width and height of the picture, pixels.
+    """
+
+    to_wall: Array
+    eye: Array
+    normal: Array
+    albedo: Array
+    resolution: tuple[int, int]
+
+    def points(self, uv: Array) -> Array:
+        """Return the wall points (..., 3), metres, of picture coordinates (..., 2)."""
+        lifted = np.concatenate([uv, np.ones_like(uv[..., :1])], axis=-1) @ self.to_wall.T
+        wall: Array = lifted[..., :3] / lifted[..., 3:]
+        return wall
+
+
+@dataclass(frozen=True)
+class Sphere:
+    """A sphere of a target.
+
+    Attributes
+    ----------
+    centre : ndarray of shape (3,)
+        In the target's own frame, metres.
+    radius : float
+        Metres.
+    albedo : ndarray of shape (3,)
+    """
+
+    centre: Array
+    radius: float
+    albedo: Array
+
+
+@dataclass(frozen=True)
+class Mesh:
+    """Triangles: a target's in the target's own frame (scaled, not rotated), a room's in the world's.
+
+    Attributes
+    ----------
+    triangles : ndarray of shape (n, 3, 3)
+        Corner by corner, metres. Orientation does not matter.
+    albedo : ndarray of shape (n, 3)
+        Per triangle and colour channel.
+    """
+
+    triangles: Array
+    albedo: Array
+
+    def __post_init__(self) -> None:
+        if self.triangles.ndim != 3 or self.triangles.shape[1:] != (3, 3):
+            raise NlosError(f"mesh: triangles must have shape (n, 3, 3), not {self.triangles.shape}")
+        if self.albedo.shape != (len(self.triangles), 3):
+            raise NlosError(f"mesh: albedo must have shape ({len(self.triangles)}, 3), not {self.albedo.shape}")
+        if not np.isfinite(self.triangles).all():
+            raise NlosError("mesh: a corner is not finite")
+
+
+Body = Sphere | Mesh
+
+
+@dataclass(frozen=True)
+class World:
+    """A whole scene, as far as three diffuse reflections need it.
+
+    Attributes
+    ----------
+    patch : LitPatch
+    watched : Watched
+    target : tuple of Sphere or Mesh
+        The hidden object; its parts move together.
+    room : tuple of Mesh
+        Every other surface but the relay wall: they reflect, and they hide what is behind them.
+    order : int
+        How many reflections a picture holds, 1 to 3.
+    """
+
+    patch: LitPatch
+    watched: Watched
+    target: tuple[Body, ...]
+    room: tuple[Mesh, ...] = ()
+    order: int = 3
