@@ -69,14 +69,23 @@ def assemble(folder: Path) -> None:
     while needed - done:
         name = min(needed - done)
         source = _ROOT / "generator" / f"{name}.py"
-        if not source.is_file():
+        package = source.with_suffix("")
+        if package.is_dir():
+            (inside / name).mkdir()
+            for module in sorted(package.glob("*.py")):
+                needed |= _copy(module, inside / name / module.name, "..")
+        elif source.is_file():
+            needed |= _copy(source, inside / source.name, ".")
+        else:
             raise BuildError(f"{source}: there is no such module, but the add-on needs it")
-        needed |= _copy(source, inside / source.name, ".")
         done.add(name)
 
 
 def _copy(source: Path, copy: Path, generator: str) -> set[str]:
-    """Copy a module with `generator` imported by a relative name; return which modules of it are imported."""
+    """Copy a module with `generator` imported by a relative name; return which modules of it are imported.
+
+    That name is ``.generator`` in the add-on, ``.`` in `generator` itself and ``..`` in a package inside it.
+    """
     text = source.read_text(encoding="utf-8")
     needed = set()
     for node in ast.walk(ast.parse(text)):
@@ -96,7 +105,7 @@ def _copy(source: Path, copy: Path, generator: str) -> set[str]:
 
 
 def _dotted(generator: str, inner: str) -> str:
-    return inner.removeprefix(".") if generator == "." else inner
+    return inner if generator == ".generator" else inner.removeprefix(".")
 
 
 def _extension_tool() -> Path:

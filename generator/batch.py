@@ -32,6 +32,8 @@ def run(arguments: list[str]) -> int:
         sweep.check_same(dataset, source, chosen)
     else:
         dataset = worker.plan(bpy.context.scene, source, path, chosen)
+        if chosen.get("engine") == "auto":
+            print(sweep.engine_words(dataset))
     worker.check_blender(dataset)
     pending = sweep.pending_positions(dataset, shard)
     scene = stage.open_file(dataset.path / SCENE)

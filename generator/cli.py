@@ -7,17 +7,22 @@ import contextlib
 import sys
 import time
 from collections.abc import Callable, Iterator
+from dataclasses import fields
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from generator import spec
 from generator.dataset import Dataset
 from generator.spec import NlosError, Sweep
 
+if TYPE_CHECKING:
+    from generator.bulk import Bulk
+
 _EXAMPLES = """\
 examples:
   nlos-generate scene room --target sphere -o room.blend
   nlos-generate sweep room.blend -o sphere/ --poses 100 --engine patch
+  nlos-generate bulk room.blend -o million/ --pictures 1000000
   nlos-generate verify sphere/
 """
 
@@ -94,6 +99,30 @@ def _parser() -> argparse.ArgumentParser:
     sweep.add_argument("--workers", type=int, default=0, metavar="W", help="processes (default: one per core)")
     sweep.set_defaults(run=_sweep)
 
+    bulk = commands.add_parser(
+        "bulk",
+        help="make a very large set: up to millions of pictures in a few hundred HDF5 files",
+        description="As sweep does, with the engine surfel, but straight into HDF5: set.h5 shows all pictures as one "
+        "array. Interrupt it at any time: the same command goes on where it stopped. What is left out "
+        "follows from the set, if there is one, else from the scene.",
+        epilog="example:\n  nlos-generate bulk room.blend -o million/ --pictures 1000000 --resolution 64",
+        formatter_class=argparse.RawDescriptionHelpFormatter,
+    )
+    bulk.add_argument("scene", type=Path, help="the .blend file")
+    bulk.add_argument("-o", "--output", type=Path, required=True, metavar="SET", help="folder of the set")
+    bulk.add_argument("--pictures", type=int, metavar="N", help="in all voxels together; needed for a new set")
+    _add_pose_options(bulk, "of all poses")
+    bulk.add_argument("--accuracy", type=float, metavar="A", help="relative error of a picture (default: 0.001)")
+    bulk.add_argument(
+        "--compress",
+        action=argparse.BooleanOptionalAction,
+        help="smaller files, several times slower to write and to read (default: off)",
+    )
+    bulk.add_argument("--part", type=int, metavar="N", help="pictures per file (default: about 64 MiB)")
+    bulk.add_argument("--shard", default="0/1", metavar="i/n", help="make the i-th of n shares only (from 0)")
+    bulk.add_argument("--workers", type=int, default=0, metavar="W", help="processes (default: one per core)")
+    bulk.set_defaults(run=_bulk)
+
     verify = commands.add_parser(
         "verify",
         help="re-read a whole data set and list what is wrong",
@@ -108,21 +137,37 @@ def _add_sweep_options(parser: argparse.ArgumentParser) -> None:
     default = Sweep()
     parser.add_argument("-o", "--output", type=Path, required=True, metavar="DATASET", help="folder of the data set")
     parser.add_argument("--poses", type=int, metavar="N", help=f"per voxel (default: {default.poses})")
-    parser.add_argument("--seed", type=int, metavar="N", help=f"of all poses and all noise (default: {default.seed})")
     parser.add_argument(
         "--engine",
-        choices=["path", "patch"],
+        choices=["auto", "path", "patch", "surfel"],
         help="path: Cycles from the spot lamp, any scene, very noisy; "
-        f"patch: the lit patch as an emitter, same picture, far less noise (default: {default.engine})",
+        "patch: the lit patch as an emitter, same picture, far less noise; "
+        "surfel: the integral itself, plain diffuse scenes, no noise and far faster; "
+        f"auto: the cheapest that the scene allows, and says why (default: {default.engine})",
     )
-    parser.add_argument("--samples", type=int, metavar="N", help=f"rays per pixel (default: {default.samples})")
-    parser.add_argument("--resolution", metavar="R", help="64 or 64x48 (default: the scene's)")
+    parser.add_argument(
+        "--samples", type=int, metavar="N", help=f"rays per pixel, of path and patch (default: {default.samples})"
+    )
+    parser.add_argument(
+        "--accuracy",
+        type=float,
+        metavar="A",
+        help=f"relative error of surfel's pictures (default: {default.accuracy:g})",
+    )
     parser.add_argument(
         "--paired",
         action=argparse.BooleanOptionalAction,
         help="render each pose's background with the pose's own noise, which then cancels; twice the time, "
         "far less noise in the difference (default: on)",
     )
+    _add_pose_options(parser, "of all poses and all noise")
+    parser.add_argument("--shard", default="0/1", metavar="i/n", help="render the i-th of n parts only (from 0)")
+
+
+def _add_pose_options(parser: argparse.ArgumentParser, seed: str) -> None:
+    default = Sweep()
+    parser.add_argument("--seed", type=int, metavar="N", help=f"{seed} (default: {default.seed})")
+    parser.add_argument("--resolution", metavar="R", help="64 or 64x48 (default: the scene's)")
     parser.add_argument(
         "--inside",
         choices=["whole", "centre"],
@@ -135,7 +180,6 @@ def _add_sweep_options(parser: argparse.ArgumentParser) -> None:
         metavar=("X", "Y", "Z"),
         help="largest angles, degrees (default: 15 15 90, and none for a sphere)",
     )
-    parser.add_argument("--shard", default="0/1", metavar="i/n", help="render the i-th of n parts only (from 0)")
 
 
 def batch_parser() -> argparse.ArgumentParser:
@@ -148,21 +192,30 @@ def batch_parser() -> argparse.ArgumentParser:
     return parser
 
 
-def chosen_settings(options: argparse.Namespace) -> dict[str, Any]:
-    """Return the fields of `Sweep` that the user named on the command line.
+def chosen_settings(options: argparse.Namespace, kind: type = Sweep, **needed: Any) -> dict[str, Any]:
+    """Return the fields of `Sweep`, or of another kind of settings, that the user named on the command line.
+
+    Parameters
+    ----------
+    options : argparse.Namespace
+    kind : type
+        A dataclass with a field ``resolution``.
+    **needed
+        Stand-ins for fields that have no default, so that the others can be checked where these are not named.
 
     Raises
     ------
     NlosError
         One of them cannot be.
     """
-    chosen = {
-        name: getattr(options, name) for name in Sweep.__dataclass_fields__ if getattr(options, name) is not None
-    }
-    checked = dict(chosen)
+    names = [f.name for f in fields(kind)]
+    chosen = {name: getattr(options, name) for name in names if getattr(options, name, None) is not None}
+    checked = {**needed, **chosen}
     if "resolution" in checked:
         checked["resolution"] = spec.parse_resolution(checked["resolution"])
-    spec.from_dict(Sweep, checked, "--")
+    if checked.get("engine") == "auto":
+        del checked["engine"]
+    spec.from_dict(kind, checked, "--")
     return chosen
 
 
@@ -178,8 +231,8 @@ def parse_shard(text: str) -> tuple[int, int]:
     return shard
 
 
-def summary(dataset: Dataset, *, rendered: int, remaining: int) -> str:
-    """Return the last line of a sweep."""
+def summary(dataset: Dataset | Bulk, *, rendered: int, remaining: int) -> str:
+    """Return the last line of a sweep or of a bulk set."""
     done = dataset.planned - remaining
     state = f"{dataset.path}: {done} of {dataset.planned} pictures"
     if rendered == 0 and remaining == 0:
@@ -257,20 +310,44 @@ def _sweep(options: argparse.Namespace) -> int:
     from generator import sweep
 
     chosen = chosen_settings(options)
-    shard = parse_shard(options.shard)
+    with _progress() as progress:
+        outcome = sweep.run(options.scene, options.output, chosen, progress=progress, tell=print, **_farm(options))
+    return _report(outcome.dataset, outcome.rendered, outcome.remaining, outcome.failed)
+
+
+def _bulk(options: argparse.Namespace) -> int:
+    from generator import bulk
+
+    chosen = chosen_settings(options, bulk.Settings, pictures=1)
+    with _progress() as progress:
+        outcome = bulk.run(options.scene, options.output, chosen, progress=progress, **_farm(options))
+    return _report(outcome.bulk, outcome.rendered, outcome.remaining, outcome.failed)
+
+
+def _farm(options: argparse.Namespace) -> dict[str, Any]:
+    """Workers and shard."""
     if options.workers < 0:
         raise NlosError(f"--workers {options.workers}: must be 1 or more, or 0 for one per core")
-    with _progress() as progress:
-        outcome = sweep.run(
-            options.scene, options.output, chosen, workers=options.workers, shard=shard, progress=progress
-        )
-    for failure in outcome.failed:
+    return {"workers": options.workers, "shard": parse_shard(options.shard)}
+
+
+def _report(dataset: Dataset | Bulk, rendered: int, remaining: int, failed: list[str]) -> int:
+    for failure in failed:
         print(f"failed: {failure}", file=sys.stderr)
-    print(summary(outcome.dataset, rendered=outcome.rendered, remaining=outcome.remaining))
-    return 1 if outcome.failed else 0
+    print(summary(dataset, rendered=rendered, remaining=remaining))
+    return 1 if failed else 0
 
 
 def _verify(options: argparse.Namespace) -> int:
+    from generator.bulk import Bulk
+
+    if Bulk.exists(options.dataset):
+        bulk = Bulk.open(options.dataset)
+        faults = bulk.verify()
+        for fault in faults:
+            print(fault)
+        print(f"{options.dataset}: {bulk.planned} pictures in {bulk.parts} parts, {len(faults)} faults")
+        return 1 if faults else 0
     dataset = Dataset.open(options.dataset)
     faults = dataset.verify()
     for fault in faults:

@@ -1,6 +1,7 @@
-"""One interface, two engines: Cycles from the true spot (`path`), and Cycles from the lit patch (`patch`).
+"""One interface, three engines: Cycles from the true spot (`path`), Cycles from the lit patch (`patch`), and the
+three-reflection integral itself (`surfel`).
 
-Both give the same scene-linear radiance in the same units; they differ in what they model and in their noise.
+All give the same scene-linear radiance in the same units; they differ in what they model, in noise and in cost.
 """
 
 from __future__ import annotations
@@ -8,7 +9,7 @@ from __future__ import annotations
 import contextlib
 import math
 import tempfile
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -17,12 +18,14 @@ import numpy as np
 from bpy_extras.object_utils import world_to_camera_view
 from mathutils import Matrix, Vector
 
-from generator import stage
+from generator import extract, stage
 from generator.dataset import Picture, read_picture
-from generator.extract import LitPatch, lit_patch
 from generator.spec import NlosError
+from generator.transport import Transport
+from generator.transport.world import LitPatch
 
-ENGINES = ("path", "patch")
+ENGINES = ("path", "patch", "surfel")
+AUTO = "auto"
 
 _LIFT = 1e-3
 """How far in front of the wall the patch lamp hovers, in its own minor radius, lest shadow rays meet the wall."""
@@ -63,15 +66,17 @@ class Renderer:
             Cycles failed, or left a picture with NaN or infinite pixels.
         """
         scene = self._scene
-        hidden = stage.find(scene, "target")
-        with _Overrides() as overrides:
+        target_parts = stage.target_parts(scene)
+        with stage.Overrides() as overrides:
             overrides.set(scene.cycles, "samples", samples)
             overrides.set(scene.cycles, "seed", seed)
             overrides.set(scene.render, "filepath", str(self._file))
             if not target:
-                overrides.set(hidden, "hide_render", True)
-            elif hidden.hide_render:
-                raise NlosError(f"{bpy.data.filepath}: the target {hidden.name!r} is hidden from renders; show it")
+                for part in target_parts:
+                    overrides.set(part, "hide_render", True)
+            elif target_parts[0].hide_render:
+                name = target_parts[0].name
+                raise NlosError(f"{bpy.data.filepath}: the target {name!r} is hidden from renders; show it")
             if not ambient:
                 overrides.set(scene, "world", None)
             # With persistent data Cycles keeps the old samples and seed unless the scene is marked as changed.
@@ -86,20 +91,51 @@ class Renderer:
         return pixels
 
 
+class SurfelRenderer:
+    """As `Renderer`, by the three-reflection integral: no samples, no noise.
+
+    Parameters
+    ----------
+    scene : bpy.types.Scene
+    transport : Transport
+    """
+
+    def __init__(self, scene: bpy.types.Scene, transport: Transport) -> None:
+        self._scene = scene
+        self._transport = transport
+
+    def render(self, *, samples: int = 0, seed: int = 0, target: bool = True, ambient: bool = True) -> Picture:
+        """Render one picture with the target where it stands in the scene; samples and seed change nothing."""
+        if not target:
+            return self._transport.background().astype(np.float32)
+        hidden = stage.find(self._scene, "target")
+        if hidden.hide_render:
+            raise NlosError(f"{bpy.data.filepath}: the target {hidden.name!r} is hidden from renders; show it")
+        position, turn, _ = hidden.matrix_world.decompose()
+        return self.at(tuple(position), tuple(math.degrees(angle) for angle in turn.to_euler("XYZ")))
+
+    def at(self, position: Sequence[float], rotation: Sequence[float]) -> Picture:
+        """Render one picture with the target at a pose: metres, and degrees about x, then y, then z."""
+        picture: Picture = self._transport.pictures([position], [rotation])[0]
+        return picture
+
+
 @contextlib.contextmanager
 def opened(
-    scene: bpy.types.Scene, engine: str, *, resolution: tuple[int, int], threads: int = 0
-) -> Iterator[Renderer]:
+    scene: bpy.types.Scene, engine: str, *, resolution: tuple[int, int], threads: int = 0, accuracy: float = 1e-3
+) -> Iterator[Renderer | SurfelRenderer]:
     """Make a scene ready to be rendered by an engine; on leaving, put it back as it was.
 
     Parameters
     ----------
     scene : bpy.types.Scene
-    engine : {"path", "patch"}
+    engine : {"path", "patch", "surfel"}
     resolution : (int, int)
         Width and height, pixels.
     threads : int
         0 takes all cores. The pixels do not depend on it.
+    accuracy : float
+        Of `surfel`.
 
     Raises
     ------
@@ -110,7 +146,7 @@ def opened(
         raise NlosError(f"engine {engine!r}: there is none; choose from {', '.join(ENGINES)}")
     order = stage.reflection_order(scene)
     camera = stage.find(scene, "camera")
-    with tempfile.TemporaryDirectory(prefix="nlos-") as folder, _Overrides() as overrides:
+    with tempfile.TemporaryDirectory(prefix="nlos-") as folder, stage.Overrides() as overrides:
         overrides.set(scene, "camera", camera)
         _linear_output(scene, overrides)
         _plain_cycles(scene, overrides)
@@ -119,11 +155,39 @@ def opened(
         overrides.set(scene.render, "threads_mode", "FIXED" if threads else "AUTO")
         if threads:
             overrides.set(scene.render, "threads", threads)
+        if engine == "surfel":
+            world = extract.surfel_world(scene, resolution=resolution)
+            yield SurfelRenderer(scene, Transport(world, accuracy=accuracy, threads=threads))
+            return
         with _patch_lamp(scene, order, overrides) if engine == "patch" else contextlib.nullcontext():
             yield Renderer(scene, Path(folder))
 
 
-def _linear_output(scene: bpy.types.Scene, overrides: _Overrides) -> None:
+def choose(scene: bpy.types.Scene) -> tuple[str, list[str]]:
+    """Return the cheapest engine that is valid for a scene, and why no cheaper one is.
+
+    Returns
+    -------
+    engine : {"surfel", "patch", "path"}
+    reasons : list of str
+        What the cheaper engines cannot honour, a phrase each that names the object; empty for `surfel`.
+
+    Raises
+    ------
+    NlosError
+        A role is missing or played twice.
+    """
+    found, reasons = extract.world(scene)
+    if found is not None:
+        return "surfel", []
+    try:
+        extract.lit_patch(scene)
+    except NlosError:  # its reasons are among those of `surfel`, which needs the lit patch too
+        return "path", reasons
+    return "patch", reasons
+
+
+def _linear_output(scene: bpy.types.Scene, overrides: stage.Overrides) -> None:
     """Float32 radiance straight from the renderer: no view transform, crop, compositor, dither or denoiser."""
     render = scene.render
     image = render.image_settings
@@ -152,7 +216,7 @@ def _linear_output(scene: bpy.types.Scene, overrides: _Overrides) -> None:
         overrides.set(owner, name, value)
 
 
-def _plain_cycles(scene: bpy.types.Scene, overrides: _Overrides) -> None:
+def _plain_cycles(scene: bpy.types.Scene, overrides: stage.Overrides) -> None:
     """Unbiased Cycles: a fixed number of samples, nothing clamped, filtered, denoised, guessed or cut short."""
     for name, value in {
         "device": "CPU",
@@ -181,14 +245,14 @@ def _plain_cycles(scene: bpy.types.Scene, overrides: _Overrides) -> None:
 
 
 @contextlib.contextmanager
-def _patch_lamp(scene: bpy.types.Scene, order: int, overrides: _Overrides) -> Iterator[None]:
+def _patch_lamp(scene: bpy.types.Scene, order: int, overrides: stage.Overrides) -> Iterator[None]:
     """Put an area lamp in the place of the lit patch, which stands for the first reflection.
 
     The spot itself stays for the light of order 1, which Cycles finds without noise, if the camera sees the patch.
     What comes from the patch lamp has one reflection behind it already, so it may make one bounce less than the
     scene allows.
     """
-    patch = lit_patch(scene)
+    patch = extract.lit_patch(scene)
     spot = stage.find(scene, "spot")
     overrides.set(spot.data.cycles, "max_bounces", 0)
     seen = _in_view(scene, patch)
@@ -232,14 +296,7 @@ def _other_light(scene: bpy.types.Scene, spot: bpy.types.Object) -> bool:
     if stage.ambient(scene) > 0.0 or any(o.type == "LIGHT" and o != spot for o in scene.objects):
         return True
     materials = {slot.material for o in scene.objects for slot in o.material_slots if slot.material}
-    trees = [m.node_tree for m in materials if m.node_tree]
-    return any(_may_glow(node) for tree in trees for node in tree.nodes)
-
-
-def _may_glow(node: bpy.types.Node) -> bool:
-    strength = node.inputs.get("Emission Strength")
-    glows = strength is not None and (strength.is_linked or strength.default_value != 0.0)
-    return glows or node.type in ("EMISSION", "GROUP", "SCRIPT")
+    return any(stage.may_glow(m) for m in materials)
 
 
 def _shape_lamp(lamp: bpy.types.Object, patch: LitPatch) -> None:
@@ -306,23 +363,3 @@ def _radiance_nodes(light: Any, patch: LitPatch) -> None:
     emission.inputs["Color"].default_value = (*(float(p) / brightest if brightest else 0.0 for p in peak), 1.0)
     tree.links.new(math_node("MULTIPLY", strength, brightest), emission.inputs["Strength"])
     tree.links.new(emission.outputs["Emission"], node("ShaderNodeOutputLight").inputs["Surface"])
-
-
-class _Overrides:
-    """Set attributes of Blender's data and set them back on leaving, last first."""
-
-    def __init__(self) -> None:
-        self._old: list[tuple[Any, str, Any]] = []
-
-    def __enter__(self) -> _Overrides:
-        return self
-
-    def set(self, owner: Any, name: str, value: Any) -> None:
-        self._old.append((owner, name, getattr(owner, name)))
-        setattr(owner, name, value)
-
-    def __exit__(self, *_: object) -> None:
-        for owner, name, value in reversed(self._old):
-            # A codec or depth that only the old file format has comes back with that format, set after it.
-            with contextlib.suppress(TypeError):
-                setattr(owner, name, value)

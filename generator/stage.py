@@ -20,7 +20,7 @@ import bpy
 # isort: split
 import bmesh  # exists only once bpy is imported
 import numpy as np
-from mathutils import Euler, Matrix, Vector
+from mathutils import Euler, Matrix, Quaternion, Vector
 
 from generator import spec
 from generator.spec import Array, NlosError
@@ -34,6 +34,8 @@ COLLECTION = "NLOS"
 
 # Roles that exactly one object plays; "room" and "partition" are played by any number.
 SINGLE_ROLES = ("relay_wall", "spot", "camera", "target")
+
+_NO_SURFACE = ("LIGHT", "LIGHT_PROBE", "CAMERA", "SPEAKER", "ARMATURE", "LATTICE")
 
 _FACES = {
     "floor": ("z", 0),
@@ -62,6 +64,27 @@ def quiet() -> Iterator[None]:
         os.dup2(saved, 1)
         os.close(saved)
         os.close(nowhere)
+
+
+class Overrides:
+    """Set attributes of Blender's data and set them back on leaving, last first."""
+
+    def __init__(self) -> None:
+        self._old: list[tuple[Any, str, Any]] = []
+
+    def __enter__(self) -> Overrides:
+        return self
+
+    def set(self, owner: Any, name: str, value: Any) -> None:
+        """Set an attribute until the block is left."""
+        self._old.append((owner, name, getattr(owner, name)))
+        setattr(owner, name, value)
+
+    def __exit__(self, *_: object) -> None:
+        for owner, name, value in reversed(self._old):
+            # A codec or depth that only the old file format has comes back with that format, set after it.
+            with contextlib.suppress(TypeError):
+                setattr(owner, name, value)
 
 
 def open_file(path: Path) -> bpy.types.Scene:
@@ -250,31 +273,60 @@ def read(scene: bpy.types.Scene) -> spec.Scene:
 
 
 def others(scene: bpy.types.Scene) -> list[str]:
-    """Return the names of rendered objects that play no role: what an artist added."""
+    """Return the names of rendered objects that play no role, nor belong to the target: what an artist added."""
+    with_target = {child for target in players(scene, "target") for child in target.children_recursive}
     return sorted(
-        o.name for o in scene.objects if ROLE not in o and not o.hide_render and o.type not in ("EMPTY", "CAMERA")
+        o.name
+        for o in scene.objects
+        if ROLE not in o and o not in with_target and not o.hide_render and o.type not in ("EMPTY", "CAMERA")
     )
 
 
+def target_parts(scene: bpy.types.Scene) -> list[bpy.types.Object]:
+    """Return the target and, after it, all its children that are rendered, theirs too: what moves together.
+
+    Raises
+    ------
+    NlosError
+        There is not exactly one target.
+    """
+    target = find(scene, "target")
+    inside = set(scene.objects)
+    children = [o for o in target.children_recursive if o in inside and ROLE not in o and not o.hide_render]
+    return [target, *(o for o in children if o.type not in _NO_SURFACE)]
+
+
 def hull(scene: bpy.types.Scene) -> Array:
-    """Return the target's evaluated vertices relative to its origin, unrotated but scaled, (n, 3), metres.
+    """Return the vertices of the target and its children after modifiers, (n, 3), metres.
+
+    They are relative to the target's origin, unrotated but scaled.
 
     Raises
     ------
     NlosError
         There is not exactly one target, or it has no surface.
     """
-    target = find(scene, "target")
-    vertices = evaluated_vertices(target)
-    if not len(vertices):
+    target, *children = target_parts(scene)
+    place, turn, scale = target.matrix_world.decompose()
+    points = [evaluated_vertices(target) * np.asarray(scale, dtype=np.float64)]
+    back = Matrix.LocRotScale(place, turn, None).inverted()
+    for instance in bpy.context.evaluated_depsgraph_get().object_instances:
+        owner = (instance.parent if instance.is_instance else instance.object).original
+        if owner in children or (owner == target and instance.is_instance):
+            matrix = np.asarray(back @ instance.matrix_world, dtype=np.float64)
+            points.append(_vertices(instance.object) @ matrix[:3, :3].T + matrix[:3, 3])
+    every: Array = np.concatenate(points)
+    if not len(every):
         raise NlosError(f"{_file()}: the target {target.name!r} has no surface to reflect light")
-    scaled: Array = vertices * np.asarray(target.matrix_world.to_scale(), dtype=np.float64)
-    return scaled
+    return every
 
 
 def evaluated_vertices(obj: bpy.types.Object) -> Array:
     """Return an object's vertices after modifiers, in its own frame, (n, 3); empty if it has no surface."""
-    evaluated = obj.evaluated_get(bpy.context.evaluated_depsgraph_get())
+    return _vertices(obj.evaluated_get(bpy.context.evaluated_depsgraph_get()))
+
+
+def _vertices(evaluated: bpy.types.Object) -> Array:
     try:
         mesh = evaluated.to_mesh()
     except RuntimeError:  # lamps, empties and the like
@@ -321,6 +373,28 @@ def move_target(scene: bpy.types.Scene, position: spec.Vector, rotation: spec.Ve
         )
 
 
+@contextlib.contextmanager
+def put_back(scene: bpy.types.Scene) -> Iterator[None]:
+    """Put the target back on leaving, however it was moved."""
+    target = find(scene, "target")
+    # In this order: a parent set later would change what was set before it.
+    names = [
+        *("parent", "parent_type", "parent_bone", "matrix_parent_inverse", "rotation_mode", "location"),
+        *("rotation_euler", "rotation_quaternion", "rotation_axis_angle", "scale"),
+    ]
+    before = {name: getattr(target, name) for name in names}
+    for name, value in before.items():
+        if isinstance(value, Vector | Euler | Quaternion | Matrix):
+            before[name] = value.copy()  # else a view of what is going to change
+    before["rotation_axis_angle"] = tuple(target.rotation_axis_angle)
+    try:
+        yield
+    finally:
+        for name, value in before.items():
+            setattr(target, name, value)
+        bpy.context.view_layer.update()
+
+
 def albedo(obj: bpy.types.Object) -> float | None:
     """Return the mean albedo of an object's material if it is plainly Lambertian, else None."""
     colour = diffuse_colour(obj)
@@ -332,7 +406,15 @@ def diffuse_colour(obj: bpy.types.Object) -> tuple[float, float, float] | None:
     materials = {slot.material for slot in obj.material_slots}
     if len(materials) != 1 or None in materials:
         return None
-    tree = next(iter(materials)).node_tree
+    return material_colour(next(iter(materials)))
+
+
+def material_colour(material: bpy.types.Material) -> tuple[float, float, float] | None:
+    """Return the RGB albedo of a material that is a constant Lambertian reflector and nothing else, else None."""
+    if bpy.app.version < (5, 0) and not material.use_nodes:
+        colour = material.diffuse_color  # what Cycles takes then; Blender 5 always uses the nodes
+        return (float(colour[0]), float(colour[1]), float(colour[2]))
+    tree = material.node_tree
     output = (
         next((n for n in tree.nodes if n.type == "OUTPUT_MATERIAL" and n.is_active_output), None) if tree else None
     )
@@ -342,7 +424,7 @@ def diffuse_colour(obj: bpy.types.Object) -> tuple[float, float, float] | None:
         return None
     shader = output.inputs["Surface"].links[0].from_node
     inputs = shader.inputs
-    if any(i.is_linked for i in inputs):
+    if shader.mute or any(i.is_linked for i in inputs):
         return None
     if shader.type == "BSDF_DIFFUSE" and inputs["Roughness"].default_value == 0.0:
         colour = inputs["Color"].default_value
@@ -359,6 +441,17 @@ def _only_diffuse(inputs: Any) -> bool:
     return inputs["Alpha"].default_value == 1.0 and all(
         inputs[name].default_value == 0.0 for name in zero if name in inputs
     )
+
+
+def may_glow(material: bpy.types.Material) -> bool:
+    """Whether a material may give light of its own: a no is sure."""
+    return bool(material.node_tree) and any(_may_glow(node) for node in material.node_tree.nodes)
+
+
+def _may_glow(node: bpy.types.Node) -> bool:
+    strength = node.inputs.get("Emission Strength")
+    glows = strength is not None and (strength.is_linked or strength.default_value != 0.0)
+    return glows or node.type in ("EMISSION", "GROUP", "SCRIPT")
 
 
 def ambient(scene: bpy.types.Scene) -> float:

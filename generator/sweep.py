@@ -17,18 +17,18 @@ import time
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
+from typing import Any, Protocol
 
 from generator import spec
 from generator.dataset import SCENE, Dataset, check_free, scene_hash
-from generator.spec import NlosError
+from generator.spec import NlosError, Sweep
 
 ANSWER = "nlos "
 
 _HOME = str(Path(__file__).resolve().parents[1])
 
 TRIES = 3
-"""How often a pose is given to a worker before it is listed as failed."""
+"""How often a unit of work is given to a worker before it is listed as failed."""
 
 
 @dataclass
@@ -64,6 +64,7 @@ def run(
     workers: int = 0,
     shard: tuple[int, int] = (0, 1),
     progress: Progress = lambda done, total: None,
+    tell: Callable[[str], None] = lambda words: None,
 ) -> Outcome:
     """Render a data set, or what is missing of it.
 
@@ -75,12 +76,14 @@ def run(
         Of the data set; a folder that is new, empty, or holds the same sweep.
     chosen : mapping
         Fields of `Sweep` that the user chose. What is left out follows from the data set if there is one, else from
-        the scene and the defaults.
+        the scene and the defaults. The engine may be ``auto``: the data set's, or the cheapest that the scene allows.
     workers : int
         Processes; 0 is one per core.
     shard : (int, int)
         ``(i, n)``: render the i-th of n parts only, i from 0.
     progress : callable
+    tell : callable
+        Is told which engine ``auto`` took, and why.
 
     Raises
     ------
@@ -88,15 +91,30 @@ def run(
         The input is bad, or the data set at that path was made with other settings.
     """
     dataset = prepare(scene, path, chosen)
+    if chosen.get("engine") == "auto":
+        tell(engine_words(dataset))
     pending = pending_positions(dataset, shard)
     outcome = Outcome(dataset)
     if pending or not _has_backgrounds(dataset):
-        cores = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
-        crew = max(1, min(workers or cores, len(pending)))
-        _Crew(dataset, outcome, progress).render(pending, crew, max(1, cores // crew), cores)
+        crew = Crew(
+            lambda threads: ["generator.worker", "render", str(path), str(threads)],
+            lambda position: dataset.poses[position].file,
+            progress,
+        )
+        try:
+            crew.work(pending, workers, first="" if _has_backgrounds(dataset) else "the background")
+        finally:
+            dataset.gather()
+        outcome.failed = crew.failed
         outcome.rendered = sum(dataset.poses[position].done for position in pending)  # as gathered from disk
     outcome.remaining = sum(not pose.done for pose in dataset.poses)
     return outcome
+
+
+def engine_words(dataset: Dataset) -> str:
+    """Return which engine renders a data set, and what in its scene asked for one so dear."""
+    reasons = dataset.meta.get("engine_reasons", [])
+    return f"engine: {dataset.settings['engine']}" + (f", because {'; '.join(reasons)}" if reasons else "")
 
 
 def prepare(scene: Path, path: Path, chosen: Mapping[str, Any]) -> Dataset:
@@ -112,7 +130,16 @@ def prepare(scene: Path, path: Path, chosen: Mapping[str, Any]) -> Dataset:
     return dataset
 
 
-def check_same(dataset: Dataset, scene: Path, chosen: Mapping[str, Any]) -> None:
+class _Made(Protocol):
+    """A set on disk that knows what it was made with."""
+
+    path: Path
+
+    @property
+    def settings(self) -> dict[str, Any]: ...
+
+
+def check_same(dataset: _Made, scene: Path, chosen: Mapping[str, Any]) -> None:
     """Raise NlosError, naming each difference, if a data set was made from another scene or with other settings."""
     own = dataset.settings
     width, height = own["resolution"]
@@ -120,6 +147,10 @@ def check_same(dataset: Dataset, scene: Path, chosen: Mapping[str, Any]) -> None
     for name, value in chosen.items():
         if name == "resolution" and isinstance(value, str):
             value = list(spec.parse_resolution(value, width / height))
+        if name == "engine" and value == "auto":
+            continue
+        if name in Sweep.idle(own["engine"]) and chosen.get("engine") != "auto":
+            differences.append(f"{name} means nothing to its engine {own['engine']!r}")
         if name in own and own[name] != value:
             differences.append(f"{name} is {own[name]} there and {value} here")
     if scene_hash(scene) not in (own.get("scene_sha256"), scene_hash(dataset.path / SCENE)):
@@ -145,18 +176,24 @@ def _has_backgrounds(dataset: Dataset) -> bool:
 
 
 def _run_plan(scene: Path, path: Path, chosen: Mapping[str, Any]) -> None:
-    with _Worker(["plan", str(scene), str(path), json.dumps(dict(chosen))]) as worker:
+    with Worker(["generator.worker", "plan", str(scene), str(path), json.dumps(dict(chosen))]) as worker:
         if worker.answer() is None:
             raise NlosError(f"{scene}: Blender could not plan the sweep: {worker.last_words()}")
 
 
-class _Worker:
-    """A worker process and the talk with it."""
+class Worker:
+    """A worker process and the talk with it.
+
+    Parameters
+    ----------
+    arguments : sequence of str
+        Its module and what follows on the command line.
+    """
 
     def __init__(self, arguments: Sequence[str]) -> None:
         self._log = tempfile.TemporaryFile("w+", encoding="utf-8", errors="replace")  # noqa: SIM115 (closed in stop)
         self._process = subprocess.Popen(
-            [sys.executable, "-m", "generator.worker", *arguments],
+            [sys.executable, "-m", *arguments],
             stdin=subprocess.PIPE,
             stdout=subprocess.PIPE,
             stderr=self._log,
@@ -167,7 +204,7 @@ class _Worker:
             env={**os.environ, "PYTHONPATH": os.pathsep.join(filter(None, [_HOME, os.environ.get("PYTHONPATH")]))},
         )
 
-    def __enter__(self) -> _Worker:
+    def __enter__(self) -> Worker:
         return self
 
     def __exit__(self, kind: object, *_: object) -> None:
@@ -194,9 +231,10 @@ class _Worker:
                 return fields
         return None
 
-    def send(self, position: int) -> None:
+    def send(self, unit: int) -> None:
+        """Tell the worker which unit of work is its next."""
         assert self._process.stdin is not None
-        self._process.stdin.write(f"{position}\n")
+        self._process.stdin.write(f"{unit}\n")
         self._process.stdin.flush()
 
     def last_words(self) -> str:
@@ -207,32 +245,76 @@ class _Worker:
         return f"{lines[-1] if lines else 'it said nothing'} (exit code {code})"
 
 
-class _Crew:
-    """Workers side by side, each fed one pose at a time by a thread of its own."""
+class Crew:
+    """Workers side by side, each fed one unit of work at a time by a thread of its own.
 
-    def __init__(self, dataset: Dataset, outcome: Outcome, progress: Progress) -> None:
-        self._dataset = dataset
-        self._outcome = outcome
+    Parameters
+    ----------
+    command : callable
+        Returns a worker's module and arguments, given how many threads it may use. The worker says when it is ready,
+        takes numbers of units as lines, and answers each when it is done.
+    name : callable
+        What a unit is called in a list of failures.
+    progress : callable
+        Is told how much is done, and of how much.
+    size : callable
+        How much a unit adds to that.
+
+    Attributes
+    ----------
+    failed : list of str
+        Units that could not be done, each with its reason.
+    """
+
+    def __init__(
+        self,
+        command: Callable[[int], Sequence[str]],
+        name: Callable[[int], str],
+        progress: Progress,
+        size: Callable[[int], int] = lambda unit: 1,
+    ) -> None:
+        self.failed: list[str] = []
+        self._command = command
+        self._name = name
         self._progress = progress
+        self._size = size
         self._todo: queue.SimpleQueue[tuple[int, int]] = queue.SimpleQueue()
         self._lock = threading.Lock()
-        self._workers: set[_Worker] = set()
+        self._workers: set[Worker] = set()
         self._stopped = threading.Event()
         self._error: NlosError | None = None
         self._done = 0
         self._total = 0
 
-    def render(self, positions: Sequence[int], crew: int, threads: int, cores: int) -> None:
-        self._total = len(positions)
+    def work(self, units: Sequence[int], workers: int = 0, *, first: str = "") -> None:
+        """Do all units.
+
+        Parameters
+        ----------
+        units : sequence of int
+        workers : int
+            Processes; 0 is one per core.
+        first : str
+            What the first worker makes, on all cores, before there is a crew that needs it; empty if there is
+            no such thing.
+
+        Raises
+        ------
+        NlosError
+            A worker answered with one, which ends the work.
+        """
+        cores = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+        crew = max(1, min(workers or cores, len(units)))
+        self._total = sum(map(self._size, units))
         self._progress(0, self._total)
-        for position in positions:
-            self._todo.put((position, 1))
+        for unit in units:
+            self._todo.put((unit, 1))
         try:
-            # The first worker, on all cores, renders the background before there is a crew that needs it.
-            if not _has_backgrounds(self._dataset):
-                with self._start(cores) as first:
-                    if first.answer() is None:
-                        raise NlosError(f"the background could not be rendered: {first.last_words()}")
+            if first:
+                with self._start(cores) as worker:
+                    if worker.answer() is None:
+                        raise NlosError(f"{first} could not be rendered: {worker.last_words()}")
+            threads = max(1, cores // crew)
             feeders = [threading.Thread(target=self._feed, args=(threads,), daemon=True) for _ in range(crew)]
             for feeder in feeders:
                 feeder.start()
@@ -243,46 +325,45 @@ class _Crew:
             with self._lock:
                 for worker in self._workers:
                     worker.stop()
-            self._dataset.gather()
         if self._error:
             raise self._error
 
-    def _start(self, threads: int) -> _Worker:
+    def _start(self, threads: int) -> Worker:
         with self._lock:
-            worker = _Worker(["render", str(self._dataset.path), str(threads)])
+            worker = Worker(self._command(threads))
             self._workers.add(worker)
         return worker
 
     def _feed(self, threads: int) -> None:
-        worker: _Worker | None = None
+        worker: Worker | None = None
         try:
             while not self._stopped.is_set():
                 try:
-                    position, attempt = self._todo.get_nowait()
+                    unit, attempt = self._todo.get_nowait()
                 except queue.Empty:
                     break
                 worker = worker or self._start(threads)
-                if self._render_one(worker, position):
+                if self._do_one(worker, unit):
                     with self._lock:
-                        self._done += 1
+                        self._done += self._size(unit)
                         self._progress(self._done, self._total)
                 elif not self._stopped.is_set():
                     words, worker = worker.last_words(), None
                     if attempt < TRIES:
-                        self._todo.put((position, attempt + 1))
+                        self._todo.put((unit, attempt + 1))
                     else:
-                        self._outcome.failed.append(f"{self._dataset.poses[position].file}: {words}")
+                        self.failed.append(f"{self._name(unit)}: {words}")
         except NlosError as error:
             self._error = error
             self._stopped.set()
 
     @staticmethod
-    def _render_one(worker: _Worker, position: int) -> bool:
-        """Whether the worker says that it rendered the pose; False if it is gone."""
+    def _do_one(worker: Worker, unit: int) -> bool:
+        """Whether the worker says that it has done the unit; False if it is gone."""
         try:
-            worker.send(position)
+            worker.send(unit)
             while answer := worker.answer():
-                if "file" in answer:
+                if "ready" not in answer:
                     return True
         except NlosError:
             raise

@@ -13,7 +13,7 @@ import time
 from collections.abc import Callable, Iterable, Mapping
 from importlib import metadata
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import bpy
 import numpy as np
@@ -24,6 +24,9 @@ from generator import engines, poses, spec, stage
 from generator.dataset import BACKGROUND_AMBIENT, SCENE, Dataset, Picture, PoseRecord, check_free, scene_hash
 from generator.spec import NlosError, Sweep
 from generator.sweep import ANSWER
+
+if TYPE_CHECKING:
+    from generator.bulk import Bulk
 
 BACKGROUND_FACTOR = 16
 """The background is rendered with this many times a pose's samples: its noise stands in every difference."""
@@ -52,28 +55,47 @@ def plan(scene: bpy.types.Scene, source: Path, path: Path, chosen: Mapping[str, 
     """
     check_free(path)
     described = stage.read(scene)
-    width, height = described.resolution
-    settings = {"resolution": [width, height], "rotation": list(TURNS[described.target.kind]), **chosen}
-    if isinstance(settings["resolution"], str):
-        settings["resolution"] = list(spec.parse_resolution(settings["resolution"], width / height))
+    settings = with_defaults(described, chosen)
+    reasons: list[str] = []
+    automatic = settings.get("engine") == engines.AUTO
+    if automatic:
+        settings["engine"], reasons = engines.choose(scene)
     sweep: Sweep = spec.from_dict(Sweep, settings, "")
-    with engines.opened(scene, sweep.engine, resolution=sweep.resolution):
+    idle = Sweep.idle(sweep.engine)
+    if not automatic and any(name in chosen for name in idle):
+        name = next(name for name in idle if name in chosen)
+        raise NlosError(f"{name}: means nothing to the engine {sweep.engine!r}; leave it out")
+    with engines.opened(scene, sweep.engine, resolution=sweep.resolution, accuracy=sweep.accuracy):
         pass  # refuses now what it could not honour later
     records = poses.plan(described.grid, sweep, stage.hull(scene), _clearance(scene))
     stage.save_file(path / SCENE)
     meta = {
-        "sweep": {**spec.to_dict(sweep), "scene_sha256": scene_hash(source)},
+        "sweep": {
+            **{name: value for name, value in spec.to_dict(sweep).items() if name not in idle},
+            "scene_sha256": scene_hash(source),
+        },
+        "engine_reasons": reasons,
         "reference_radiance": described.reference_radiance,
         "scene": spec.to_dict(described),
         "extra_objects": stage.others(scene),
-        "software": {"nlos-lab": _version(), "blender": bpy.app.version_string, "numpy": np.__version__},
+        "software": {"nlos-lab": version(), "blender": bpy.app.version_string, "numpy": np.__version__},
     }
     return Dataset.create(path, meta, records)
 
 
-def _version() -> str:
+def with_defaults(described: spec.Scene, chosen: Mapping[str, Any]) -> dict[str, Any]:
+    """Return the settings that the user chose, with those that follow from the scene where none was chosen."""
+    width, height = described.resolution
+    settings = {"resolution": [width, height], "rotation": list(TURNS[described.target.kind]), **chosen}
+    if isinstance(settings["resolution"], str):
+        settings["resolution"] = list(spec.parse_resolution(settings["resolution"], width / height))
+    return settings
+
+
+def version(package: str = "nlos-lab") -> str:
+    """Return the version of an installed package."""
     try:
-        return metadata.version("nlos-lab")
+        return metadata.version(package)
     except metadata.PackageNotFoundError:  # run from a checkout, inside Blender
         return "unknown"
 
@@ -81,10 +103,11 @@ def _version() -> str:
 def _clearance(scene: bpy.types.Scene) -> Callable[[spec.Vector, spec.Vector], bool]:
     """Return the test whether the target at a pose cuts none of the scene's other surfaces."""
     target = stage.find(scene, "target")
+    parts = stage.target_parts(scene)
     depsgraph = bpy.context.evaluated_depsgraph_get()
     surfaces = []
     for obj in scene.objects:
-        if obj.type == "MESH" and obj != target and not obj.hide_render:
+        if obj.type == "MESH" and obj not in parts and not obj.hide_render:
             vertices, faces = _polygons(obj, depsgraph)
             placed = [obj.matrix_world @ v for v in vertices]
             surfaces.append(BVHTree.FromPolygons(placed, faces))
@@ -97,7 +120,7 @@ def _clearance(scene: bpy.types.Scene) -> Callable[[spec.Vector, spec.Vector], b
         near = [tree for tree in surfaces if tree.find_nearest(Vector(position), radius)[0] is not None]
         if not near:
             return True
-        turn = Matrix(poses.rotation_matrix(rotation).tolist())
+        turn = Matrix(spec.rotation_matrix(rotation).tolist())
         placed = BVHTree.FromPolygons([turn @ v + Vector(position) for v in vertices], faces)
         return not any(placed.overlap(tree) for tree in near)
 
@@ -112,7 +135,7 @@ def _polygons(obj: bpy.types.Object, depsgraph: Any) -> tuple[list[Vector], list
     return vertices, faces
 
 
-def check_blender(dataset: Dataset) -> None:
+def check_blender(dataset: Dataset | Bulk) -> None:
     """Raise NlosError unless this Blender is the one that the data set was planned with."""
     planned = str(dataset.meta.get("software", {}).get("blender"))
     if planned != bpy.app.version_string:
@@ -145,11 +168,17 @@ def render(
         Is told of each finished pose.
     """
     sweep = dataset.sweep
-    with engines.opened(scene, sweep.engine, resolution=sweep.resolution, threads=threads) as renderer:
+    with engines.opened(
+        scene, sweep.engine, resolution=sweep.resolution, threads=threads, accuracy=sweep.accuracy
+    ) as renderer:
         background = _background(renderer, dataset, sweep)
         for position in positions:
             pose = dataset.poses[position]
             start = time.perf_counter()
+            if isinstance(renderer, engines.SurfelRenderer):
+                pixels = renderer.at(pose.position, pose.rotation)
+                report(dataset.write_pose(pose, pixels, seconds=time.perf_counter() - start, samples=0))
+                continue
             stage.move_target(scene, pose.position, pose.rotation)
             pixels = renderer.render(samples=sweep.samples, seed=pose.seed)
             if sweep.paired and background.any():
@@ -160,9 +189,9 @@ def render(
             report(dataset.write_pose(pose, pixels, seconds=seconds, samples=sweep.samples))
 
 
-def _background(renderer: engines.Renderer, dataset: Dataset, sweep: Sweep) -> Picture:
+def _background(renderer: engines.Renderer | engines.SurfelRenderer, dataset: Dataset, sweep: Sweep) -> Picture:
     seed = poses.noise_seed(sweep.seed, 0)
-    samples = BACKGROUND_FACTOR * sweep.samples
+    samples = 0 if sweep.engine == "surfel" else BACKGROUND_FACTOR * sweep.samples
     for name in dataset.background_names:
         if not dataset.has_background(name):
             pixels = renderer.render(samples=samples, seed=seed, target=False, ambient=name == BACKGROUND_AMBIENT)
@@ -170,12 +199,14 @@ def _background(renderer: engines.Renderer, dataset: Dataset, sweep: Sweep) -> P
     return dataset.background()
 
 
-def _answer(**fields: Any) -> None:
+def answer(**fields: Any) -> None:
+    """Tell the coordinator something."""
     print(ANSWER + json.dumps(fields), flush=True)
 
 
-def _commands() -> Iterable[int]:
-    _answer(ready=True)
+def commands() -> Iterable[int]:
+    """Say that this process is ready, and return the numbers that the coordinator sends."""
+    answer(ready=True)
     for line in sys.stdin:
         yield int(line)
 
@@ -186,7 +217,7 @@ def main(argv: list[str]) -> int:
         if argv[0] == "plan":
             source = Path(argv[1])
             plan(stage.open_file(source), source, Path(argv[2]), json.loads(argv[3]))
-            _answer(planned=True)
+            answer(planned=True)
         else:
             dataset = Dataset.open(Path(argv[1]))
             check_blender(dataset)
@@ -194,12 +225,12 @@ def main(argv: list[str]) -> int:
             render(
                 scene,
                 dataset,
-                _commands(),
+                commands(),
                 threads=int(argv[2]),
-                report=lambda pose: _answer(file=pose.file, seconds=pose.seconds),
+                report=lambda pose: answer(file=pose.file, seconds=pose.seconds),
             )
     except NlosError as error:
-        _answer(error=str(error))
+        answer(error=str(error))
         return 2
     return 0
 

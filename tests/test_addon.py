@@ -79,7 +79,8 @@ def blender(package: Path, folder: Path, script: str) -> str:
 def test_zip_holds_what_is_needed_and_no_more(package: Path) -> None:
     with zipfile.ZipFile(package) as archive:
         sources = {n: archive.read(n).decode() for n in archive.namelist()}
-    assert {"blender_manifest.toml", "__init__.py", "generator/stage.py", "generator/engines.py"} <= set(sources)
+    wanted = ("__init__.py", "generator/stage.py", "generator/engines.py", "generator/transport/world.py")
+    assert {"blender_manifest.toml", "generator/transport/__init__.py", *wanted} <= set(sources)
     unwanted = ("tests", "__pycache__", "classify", "build.py", "cli.py", "sweep.py", ".whl")
     assert not [n for n in sources if any(word in n for word in unwanted)]
     for name, text in sources.items():
@@ -130,6 +131,8 @@ def test_imports_become_relative(tmp_path: Path, line: str, in_addon: str | None
         assert copy.read_text() == in_addon
     assert "a" in build._copy(source, copy, ".")
     assert copy.read_text() == in_generator
+    assert "a" in build._copy(source, copy, "..")
+    assert copy.read_text() == in_generator.replace("from .", "from ..")
 
 
 def test_operator_builds_what_the_api_builds(package: Path, tmp_path: Path) -> None:

@@ -1,0 +1,735 @@
+"""Very large sets: a million pictures of the engine `surfel` in a few hundred HDF5 files.
+
+A bulk set is a folder::
+
+    bulk.toml           format version, settings, scene, radiometry, software
+    scene.blend         the scene as rendered
+    world.npz           what the pictures were computed from, as plain arrays; no Blender is needed to read it
+    background.exr      no hidden object
+    part-1f0c9a27-000000.h5 ...   some thousand pictures each, with their poses; the middle is the set's fingerprint
+    set.h5              all parts as one, once they are all there (HDF5 virtual datasets)
+
+Picture number i shows voxel i % n_voxels with pose i // n_voxels, the very pose that a sweep with the same seed draws
+there; so any first pictures of a set have seen every voxel. The datasets, one row per picture, are
+
+    pictures    (n, height, width) float32, W/m^2/sr, row 0 the top; (n, height, width, 3) where the scene has colours
+    position    (n, 3) float64, m, of the target's origin
+    rotation    (n, 3) float64, degrees about x, then y, then z
+    voxel       (n,) int64
+    index       (n,) int64, of the pose within its voxel
+
+A part is put in place by rename when it is whole, so a run that is killed loses the parts in hand and no other, and a
+shard needs nothing but the folder.
+
+The fingerprint stands in the parts' names because HDF5 looks for a part that is missing in the current directory too,
+and would take another set's for it.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import math
+import os
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field, replace
+from functools import cached_property
+from pathlib import Path
+from typing import Any, Literal, Protocol
+
+import h5py
+import numpy as np
+from numpy.typing import NDArray
+
+from generator import dataset
+from generator.dataset import BACKGROUND, SCENE, Picture, atomic, fingerprint, read_picture, write_picture, write_text
+from generator.poses import Pose
+from generator.spec import Array, NlosError, Sweep, Vector, VoxelGrid, dump_toml, from_dict, read_toml, to_dict
+from generator.sweep import Crew, Progress, Worker, check_same
+from generator.transport.store import load_world, save_world, world_hash
+from generator.transport.world import Mesh, World
+
+FORMAT = 1
+MANIFEST = "bulk.toml"
+WORLD = "world.npz"
+MASTER = "set.h5"
+
+COLUMNS = ("position", "rotation", "voxel", "index")
+
+_ABOUT = {
+    "pictures": {"units": "W/m^2/sr", "about": "scene-linear radiance of the relay wall; row 0 is the top"},
+    "position": {"units": "m", "about": "of the target's origin"},
+    "rotation": {"units": "degrees", "about": "about x, then y, then z"},
+    "voxel": {"about": "where the target stands; x runs fastest, then y, then z"},
+    "index": {"about": "of the pose within its voxel"},
+}
+
+# Files that HDF5 1.10 can read, the first that knows virtual datasets, whatever is newest here.
+_VERSIONS = ("v110", "v110")
+
+_CHUNK = 64 * 1024
+_PART = 64 * 1024**2
+_LARGEST_PART = 1024**3
+_MOST_PARTS = 512
+"""HDF5 holds every part open that it has read through the master, and a process may have 1024 files open."""
+_OPEN = 128
+_BATCH = 16 * 1024**2
+
+Pictures = NDArray[np.float32]
+
+
+class Renderer(Protocol):
+    """What renders the pictures: `generator.transport.Transport`, or a stand-in."""
+
+    def pictures(self, positions: Array, rotations: Array) -> Pictures:
+        """Return pictures (n, height, width, 3) of poses: positions (n, 3), metres, and rotations (n, 3), degrees."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Settings:
+    """All that decides a bulk set besides the scene.
+
+    Attributes
+    ----------
+    pictures : int
+        In all voxels together.
+    seed, inside, rotation, resolution
+        As of `spec.Sweep`.
+    accuracy : float
+        Relative, of the engine.
+    part : int
+        Pictures per file; 0 chooses.
+    compress : bool
+        Smaller files (gzip, which every HDF5 reader knows), slower to write and to read.
+    """
+
+    pictures: int
+    seed: int = 0
+    resolution: tuple[int, int] = (64, 64)
+    accuracy: float = 1e-3
+    inside: Literal["whole", "centre"] = "whole"
+    rotation: Vector = (0.0, 0.0, 0.0)
+    part: int = 0
+    compress: bool = False
+
+    def __post_init__(self) -> None:
+        if not 1 <= self.pictures <= 10**9:
+            raise NlosError(f"pictures: {self.pictures} must be from 1 to {10**9}")
+        if not 1e-9 <= self.accuracy <= 0.5:
+            raise NlosError(f"accuracy: {self.accuracy} must be from 1e-9 to 0.5")
+        if self.part < 0:
+            raise NlosError(f"part: {self.part} must be 1 or more, or 0 to choose")
+        self.sweep  # noqa: B018 (refuses what a sweep refuses)
+
+    @property
+    def sweep(self) -> Sweep:
+        """The sweep whose poses these are."""
+        return Sweep(seed=self.seed, resolution=self.resolution, inside=self.inside, rotation=self.rotation)
+
+    def chunk(self, channels: int) -> int:
+        """Pictures per HDF5 chunk: what is read from the disk to see one picture, about 64 KiB."""
+        return max(1, min(1024, _CHUNK // self.picture_bytes(channels)))
+
+    def picture_bytes(self, channels: int) -> int:
+        """Bytes of one picture."""
+        return math.prod(self.resolution) * channels * 4
+
+    def with_part(self, channels: int) -> Settings:
+        """Return the settings with a size of part chosen, if there is none yet.
+
+        About 64 MiB, but enough parts to share among workers, and not so many that they cannot all be open at once.
+        """
+        if self.part:
+            return self
+        size = self.picture_bytes(channels)
+        wanted = min(4096, _PART // size, max(64, math.ceil(self.pictures / 64)))
+        wanted = max(1, min(max(wanted, math.ceil(self.pictures / _MOST_PARTS)), _LARGEST_PART // size))
+        chunk = self.chunk(channels)
+        return replace(self, part=math.ceil(wanted / chunk) * chunk)
+
+
+@dataclass
+class Outcome:
+    """What a run did.
+
+    Attributes
+    ----------
+    bulk : Bulk
+    rendered : int
+        Pictures made by this run.
+    failed : list of str
+        Parts that could not be made, each with its reason.
+    remaining : int
+        Pictures of the whole set, other shards' included, that are not rendered yet.
+    """
+
+    bulk: Bulk
+    rendered: int = 0
+    failed: list[str] = field(default_factory=list)
+    remaining: int = 0
+
+
+def run(
+    scene: Path,
+    path: Path,
+    chosen: Mapping[str, Any],
+    *,
+    workers: int = 0,
+    shard: tuple[int, int] = (0, 1),
+    progress: Progress = lambda done, total: None,
+) -> Outcome:
+    """Make a bulk set, or what is missing of it.
+
+    Parameters
+    ----------
+    scene : Path
+        The ``.blend``.
+    path : Path
+        Of the set; a folder that is new, empty, or holds the same set.
+    chosen : mapping
+        Fields of `Settings` that the user chose; ``resolution`` may be text. What is left out follows from the set
+        if there is one, else from the scene and the defaults.
+    workers : int
+        Processes; 0 is one per core.
+    shard : (int, int)
+        ``(i, n)``: make the i-th of n shares of the parts only, i from 0.
+    progress : callable
+        Is told how many pictures of this run are done, and how many there are to do.
+
+    Raises
+    ------
+    NlosError
+        The input is bad, the engine cannot honour the scene, or the set at that path was made with other settings.
+    """
+    if not Bulk.exists(path):
+        _plan(scene, path, chosen)
+    bulk = Bulk.open(path)
+    check_same(bulk, scene, chosen)
+    index, count = shard
+    if not 0 <= index < count:
+        raise NlosError(f"--shard {index}/{count}: must be i/n with i from 0 to n - 1")
+    pending = [number for number in bulk.missing() if number % count == index]
+    outcome = Outcome(bulk)
+    if pending:
+        crew = Crew(
+            lambda threads: ["generator.bulkworker", "render", str(path), str(threads)],
+            lambda number: bulk.part_path(number).name,
+            progress,
+            size=lambda number: len(bulk.part_range(number)),
+        )
+        crew.work(pending, workers)
+        outcome.failed = crew.failed
+    missing = set(bulk.missing())
+    outcome.rendered = sum(len(bulk.part_range(number)) for number in pending if number not in missing)
+    outcome.remaining = sum(len(bulk.part_range(number)) for number in missing)
+    if not missing:
+        bulk.finish()
+    return outcome
+
+
+def _plan(scene: Path, path: Path, chosen: Mapping[str, Any]) -> None:
+    if not scene.is_file():
+        raise NlosError(f"{scene}: no such scene file")
+    if "pictures" not in chosen:
+        raise NlosError(f"{path}: is a new set, so say how many pictures it shall hold with --pictures N")
+    check_free(path)
+    with Worker(["generator.bulkworker", "plan", str(scene), str(path), json.dumps(dict(chosen))]) as worker:
+        if worker.answer() is None:
+            raise NlosError(f"{scene}: Blender could not plan the set: {worker.last_words()}")
+
+
+def check_free(path: Path) -> None:
+    """Raise NlosError unless a bulk set can be created at that path."""
+    ours = {SCENE, WORLD, BACKGROUND}  # what planning leaves when it is killed
+    if path.is_dir():
+        names = {p.name for p in path.iterdir() if not p.name.endswith(".tmp")}
+        if names and names <= ours:
+            return
+    dataset.check_free(path)
+
+
+def is_grey(world: World) -> bool:
+    """Whether light and surfaces are the same in all three colour channels, and hence every picture."""
+    meshes = [body for body in (*world.target, *world.room) if isinstance(body, Mesh)]
+    spheres = [body for body in world.target if not isinstance(body, Mesh)]
+    light = [world.patch.intensity, world.patch.albedo, world.watched.albedo]
+    colours = [np.atleast_2d(c) for c in (*light, *(b.albedo for b in meshes), *(b.albedo for b in spheres))]
+    return all(bool((c == c[:, :1]).all()) for c in colours)
+
+
+class Bulk:
+    """A bulk set on disk, whole or not.
+
+    Attributes
+    ----------
+    path : Path
+    meta : dict
+        All of ``bulk.toml``.
+
+    Examples
+    --------
+    >>> bulk = Bulk.open("million")  # doctest: +SKIP
+    >>> bulk.pictures[123456].shape, bulk.pictures[:256].shape  # doctest: +SKIP
+    ((64, 64), (256, 64, 64))
+    """
+
+    def __init__(self, path: Path, meta: dict[str, Any]) -> None:
+        self.path = path
+        self.meta = meta
+        self.plan: Settings = from_dict(Settings, {k: v for k, v in self.settings.items() if k in _FIELDS}, "sweep.")
+        self._opened: dict[tuple[int, int], dict[str, Any]] = {}
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        return Bulk, (self.path, self.meta)
+
+    @classmethod
+    def exists(cls, path: Path) -> bool:
+        """Whether a bulk set stands at that path, finished or not."""
+        return (Path(path) / MANIFEST).is_file()
+
+    @classmethod
+    def open(cls, path: Path | str) -> Bulk:
+        """Open a bulk set.
+
+        Raises
+        ------
+        NlosError
+            There is none, its format is newer than this software, or its manifest is broken.
+        """
+        path = Path(path)
+        if not cls.exists(path):
+            raise NlosError(f"{path}: is not a bulk set (it holds no {MANIFEST})")
+        meta = read_toml(path / MANIFEST)
+        version = meta.get("format")
+        if not isinstance(version, int):
+            raise NlosError(f"{path / MANIFEST}: lacks the field 'format'")
+        if version > FORMAT:
+            raise NlosError(f"{path}: has bulk format {version}; this software reads up to {FORMAT}, so update it")
+        kinds = {"sweep": dict, "scene": dict, "reference_radiance": float, "fingerprint": str, "channels": int}
+        for name, kind in kinds.items():
+            if not isinstance(meta.get(name), kind):
+                raise NlosError(f"{path / MANIFEST}: lacks the field '{name}'")
+        try:
+            bulk = cls(path, meta)
+        except NlosError as error:
+            raise NlosError(f"{path / MANIFEST}: {error}") from None
+        if bulk.plan.part < 1 or meta["channels"] not in (1, 3):
+            raise NlosError(f"{path / MANIFEST}: sweep.part must be 1 or more, and channels 1 or 3")
+        return bulk
+
+    @classmethod
+    def create(
+        cls, path: Path, plan: Settings, meta: Mapping[str, Any], world: World, background: Picture, scene_sha256: str
+    ) -> Bulk:
+        """Put a new set in place, with no part yet; ``bulk.toml`` comes last and makes it one.
+
+        Parameters
+        ----------
+        path : Path
+            Holds nothing, or ``scene.blend``.
+        plan : Settings
+        meta : mapping
+            ``scene`` (table), ``reference_radiance`` (float, W/m^2/sr), ``software`` (table).
+        world : World
+        background : ndarray of shape (height, width, 3), float32
+            W/m^2/sr.
+        scene_sha256 : str
+            Of the file that the scene was opened from.
+
+        Raises
+        ------
+        NlosError
+            Something cannot be written.
+        """
+        channels = 1 if is_grey(world) else 3
+        settings = {
+            **to_dict(plan.with_part(channels)),
+            "engine": "surfel",
+            "scene_sha256": scene_sha256,
+            "world_sha256": world_hash(world),
+        }
+        full = {
+            "format": FORMAT,
+            "fingerprint": fingerprint(settings),
+            "channels": channels,
+            **meta,
+            "sweep": settings,
+        }
+        save_world(path / WORLD, world)
+        write_picture(path / BACKGROUND, background, {"sweep": full["fingerprint"], "units": "W/m^2/sr"})
+        write_text(path / MANIFEST, dump_toml(full))
+        return cls.open(path)
+
+    @property
+    def settings(self) -> dict[str, Any]:
+        """The set's settings, with the hashes of its scene."""
+        settings: dict[str, Any] = self.meta["sweep"]
+        return settings
+
+    @cached_property
+    def grid(self) -> VoxelGrid:
+        """The voxel grid."""
+        grid: VoxelGrid = from_dict(VoxelGrid, self.meta["scene"].get("grid", {}), "grid.")
+        return grid
+
+    @property
+    def reference_radiance(self) -> float:
+        """Radiance of the directly lit patch around w1, W/m^2/sr: the scene's own scale of light."""
+        return float(self.meta["reference_radiance"])
+
+    @property
+    def planned(self) -> int:
+        """How many pictures the set has when it is finished."""
+        return self.plan.pictures
+
+    @property
+    def parts(self) -> int:
+        """How many parts the set has when it is finished."""
+        return math.ceil(self.plan.pictures / self.plan.part)
+
+    @property
+    def picture_shape(self) -> tuple[int, ...]:
+        """Shape of one picture: (height, width), or (height, width, 3) where the scene has colours."""
+        width, height = self.plan.resolution
+        return (height, width) if self.meta["channels"] == 1 else (height, width, 3)
+
+    @property
+    def background(self) -> Picture:
+        """The picture without the hidden object, (height, width, 3), W/m^2/sr."""
+        return read_picture(self.path / BACKGROUND)[0]
+
+    @property
+    def pictures(self) -> Rows:
+        """The pictures, W/m^2/sr, read as they are asked for: ``pictures[7]``, ``pictures[100:200]``."""
+        return Rows(self, "pictures", self.picture_shape, np.dtype(np.float32))
+
+    @cached_property
+    def positions(self) -> Array:
+        """Of the target's origin, (n, 3), metres; all are read."""
+        return np.asarray(Rows(self, "position", (3,), np.dtype(np.float64)))
+
+    @cached_property
+    def rotations(self) -> Array:
+        """About x, then y, then z, (n, 3), degrees; all are read."""
+        return np.asarray(Rows(self, "rotation", (3,), np.dtype(np.float64)))
+
+    @property
+    def voxels(self) -> NDArray[np.int64]:
+        """Which voxel the target stands in, (n,)."""
+        return np.arange(self.planned) % self.grid.n_voxels
+
+    @property
+    def labels(self) -> NDArray[np.str_]:
+        """The voxels' names, (n,)."""
+        return np.array(self.grid.labels)[self.voxels]
+
+    def world(self) -> World:
+        """What the pictures were computed from.
+
+        Raises
+        ------
+        NlosError
+            It is missing, or not the one this set was begun with.
+        """
+        world = load_world(self.path / WORLD)
+        if world_hash(world) != self.settings.get("world_sha256"):
+            raise NlosError(f"{self.path / WORLD}: is not the world that this set was begun with")
+        return world
+
+    def part_path(self, number: int) -> Path:
+        """Return the file of a part."""
+        return self.path / f"part-{self.meta['fingerprint'][:8]}-{number:06d}.h5"
+
+    def part_range(self, number: int) -> range:
+        """Return the numbers of a part's pictures."""
+        return range(number * self.plan.part, min((number + 1) * self.plan.part, self.plan.pictures))
+
+    def missing(self) -> list[int]:
+        """Return the parts that are not there; a part that was renamed into place is believed to be whole."""
+        return [number for number in range(self.parts) if not self._is_there(number)]
+
+    def _is_there(self, number: int) -> bool:
+        try:
+            self._open_part(number).close()
+        except NlosError:
+            return False
+        return True
+
+    def _open_part(self, number: int) -> Any:
+        path = self.part_path(number)
+        if not path.is_file():
+            raise NlosError(f"{path}: is not there yet; run the same command again to make it")
+        try:
+            file = h5py.File(path, "r")
+        except OSError as error:
+            raise NlosError(f"{path}: is broken ({_short(error)}); run the same command again to make it") from None
+        count = len(self.part_range(number))
+        try:
+            if file.attrs.get("fingerprint") != self.meta["fingerprint"] or file.attrs.get("part") != number:
+                raise ValueError("is of another set")
+            for name in ("pictures", *COLUMNS):
+                if not isinstance(file.get(name, getlink=True), h5py.HardLink):
+                    raise ValueError(f"has no {name} of its own")
+                if file[name].external or file[name].is_virtual:  # HDF5 would read any file that is named there
+                    raise ValueError(f"keeps {name} in another file, which is not followed")
+                inner = self.picture_shape if name == "pictures" else (3,) if name in COLUMNS[:2] else ()
+                if file[name].shape != (count, *inner):
+                    raise ValueError(f"holds {name} of shape {file[name].shape}, not {(count, *inner)}")
+        except (ValueError, OSError, KeyError, AttributeError) as error:
+            file.close()
+            raise NlosError(f"{path}: {_short(error)}; run the same command again to make it anew") from None
+        return file
+
+    def rows(self, number: int, name: str) -> Any:
+        """Return a part's dataset, as h5py gives it; some parts are kept open."""
+        # A file that was opened before a fork must not be used after it, so the process is part of the key. Datasets
+        # are kept and not the file alone, since to look one up takes longer than to read a picture from it.
+        key = (number, os.getpid())
+        kept = self._opened.pop(key, None)
+        if kept is None:
+            file = self._open_part(number)
+            kept = {"file": file} | {column: file[column] for column in ("pictures", *COLUMNS)}
+        self._opened[key] = kept  # the last used comes last
+        if len(self._opened) > _OPEN:
+            del self._opened[next(iter(self._opened))]
+        return kept[name]
+
+    def close(self) -> None:
+        """Close the parts that are kept open; they open again when they are read."""
+        for kept in self._opened.values():
+            kept["file"].close()
+        self._opened.clear()
+
+    def write_part(self, number: int, draw: Callable[[int, int], Pose], renderer: Renderer) -> None:
+        """Render a part and put it in place.
+
+        Parameters
+        ----------
+        number : int
+        draw : callable
+            Returns the pose of (voxel, index).
+        renderer : Renderer
+
+        Raises
+        ------
+        NlosError
+            A picture is not finite or of the wrong shape, or the part cannot be written.
+        """
+        numbers = np.array(self.part_range(number), dtype=np.int64)
+        voxel, index = numbers % self.grid.n_voxels, numbers // self.grid.n_voxels
+        drawn = [draw(v, i) for v, i in zip(voxel.tolist(), index.tolist(), strict=True)]
+        position = np.array([p for p, _ in drawn], dtype=np.float64)
+        rotation = np.array([r for _, r in drawn], dtype=np.float64)
+        digest = hashlib.sha256()
+        channels = self.meta["channels"]
+        batch = max(1, min(1024, _BATCH // self.plan.picture_bytes(3)))
+        chunk = min(self.plan.chunk(channels), len(numbers))
+        # In memory first: HDF5 that finds the disk full in the middle of a file ends the process, not the call.
+        with h5py.File(f"part {number}", "w", driver="core", backing_store=False, libver=_VERSIONS) as file:
+            packed = {"compression": "gzip", "compression_opts": 1, "shuffle": True} if self.plan.compress else {}
+            shape = (len(numbers), *self.picture_shape)
+            pictures = file.create_dataset("pictures", shape, "<f4", chunks=(chunk, *self.picture_shape), **packed)
+            for start in range(0, len(numbers), batch):
+                some = slice(start, start + batch)
+                made = self._checked(renderer.pictures(position[some], rotation[some]), numbers[some])
+                digest.update(made.tobytes())
+                pictures[some] = made
+            for name, column in zip(COLUMNS, (position, rotation, voxel, index), strict=True):
+                file.create_dataset(name, data=column, dtype=column.dtype.newbyteorder("<"))
+                digest.update(file[name][()].tobytes())
+            _describe(file)
+            file.attrs.update(format=FORMAT, fingerprint=self.meta["fingerprint"], part=number, first=int(numbers[0]))
+            file.attrs["sha256"] = digest.hexdigest()
+            _write_image(self.part_path(number), file)
+
+    def _checked(self, made: Pictures, numbers: NDArray[np.int64]) -> NDArray[Any]:
+        """Return pictures as they are stored, once they are known to be sound."""
+        width, height = self.plan.resolution
+        if made.shape != (len(numbers), height, width, 3):
+            raise NlosError(f"{self.path}: the renderer made {made.shape}, not {(len(numbers), height, width, 3)}")
+        whole = np.isfinite(made).all(axis=(1, 2, 3))
+        if not whole.all():
+            raise NlosError(f"{self.path}: picture {numbers[~whole][0]} holds NaN or infinite pixels")
+        if self.meta["channels"] == 1:
+            if not ((made[..., 0] == made[..., 1]) & (made[..., 0] == made[..., 2])).all():
+                raise NlosError(f"{self.path}: the scene is grey, but the renderer made coloured pictures of it")
+            made = made[..., 0]
+        return np.ascontiguousarray(made, dtype="<f4")
+
+    def finish(self) -> None:
+        """Write ``set.h5``, which shows all parts as one, unless it is there; clear away what killed runs left."""
+        for left in self.path.glob(".part-*.tmp"):
+            left.unlink(missing_ok=True)
+        if self._has_master():
+            return
+        columns = {
+            "pictures": (self.picture_shape, "<f4", np.nan),
+            "position": ((3,), "<f8", np.nan),
+            "rotation": ((3,), "<f8", np.nan),
+            "voxel": ((), "<i8", -1),
+            "index": ((), "<i8", -1),
+        }
+        # A part that is taken away later reads as the fill value: NaN, which nobody takes for a picture.
+        with h5py.File("set", "w", driver="core", backing_store=False, libver=_VERSIONS) as file:
+            for name, (shape, dtype, fill) in columns.items():
+                layout = h5py.VirtualLayout((self.planned, *shape), dtype)
+                for number in range(self.parts):
+                    rows = self.part_range(number)
+                    source = h5py.VirtualSource(self.part_path(number).name, name, (len(rows), *shape), dtype)
+                    layout[rows.start : rows.stop] = source
+                file.create_virtual_dataset(name, layout, fillvalue=fill)
+            _describe(file)
+            file["background"] = self.background
+            file["background"].attrs["units"] = "W/m^2/sr"
+            file.create_dataset("label", data=self.grid.labels, dtype=h5py.string_dtype())
+            file["label"].attrs["about"] = "names of the voxels: row v is voxel v's"
+            file.attrs.update(
+                format=FORMAT,
+                fingerprint=self.meta["fingerprint"],
+                reference_radiance=self.reference_radiance,
+                **{f"grid_{name}": value for name, value in to_dict(self.grid).items()},
+            )
+            _write_image(self.path / MASTER, file)
+
+    def _has_master(self) -> bool:
+        try:
+            with h5py.File(self.path / MASTER, "r") as file:
+                return bool(file.attrs.get("fingerprint") == self.meta["fingerprint"])
+        except OSError:
+            return False
+
+    def verify(self, progress: Progress = lambda done, total: None) -> list[str]:
+        """Re-read everything; return what is wrong, a line each."""
+        faults = []
+        for check in (self.world, lambda: self.background):
+            try:
+                check()
+            except NlosError as error:
+                faults.append(str(error))
+        for number in range(self.parts):
+            progress(number, self.parts)
+            if fault := self._fault(number):
+                faults.append(fault)
+        progress(self.parts, self.parts)
+        if not faults and not self._has_master():
+            faults.append(f"{self.path / MASTER}: missing or broken; run the same command again to make it")
+        return faults
+
+    def _fault(self, number: int) -> str:
+        path = self.part_path(number)
+        try:
+            file = self._open_part(number)
+        except NlosError as error:
+            return str(error)
+        digest, finite = hashlib.sha256(), True
+        numbers = np.array(self.part_range(number), dtype=np.int64)
+        batch = max(1, _BATCH // self.plan.picture_bytes(self.meta["channels"]))
+        try:
+            with file:
+                for start in range(0, len(numbers), batch):
+                    pictures = np.ascontiguousarray(file["pictures"][start : start + batch], dtype="<f4")
+                    finite &= bool(np.isfinite(pictures).all())
+                    digest.update(pictures.tobytes())
+                for name in COLUMNS:
+                    digest.update(file[name][()].tobytes())
+                order = np.array_equal(file["voxel"][()], numbers % self.grid.n_voxels)
+                order &= np.array_equal(file["index"][()], numbers // self.grid.n_voxels)
+                told = file.attrs.get("sha256")
+        except OSError as error:
+            return f"{path}: is broken ({_short(error)}); take it away and run the same command again"
+        if digest.hexdigest() != told:
+            return f"{path}: its contents differ from their hash; take it away and run the same command again"
+        if not finite:
+            return f"{path}: holds NaN or infinite pixels"
+        return "" if order else f"{path}: its voxels and indices are not those of this part"
+
+
+_FIELDS = frozenset(Settings.__dataclass_fields__)
+
+
+class Rows:
+    """One row per picture, spread over the parts, read as they are asked for.
+
+    Parameters
+    ----------
+    bulk : Bulk
+    name : str
+        Of the dataset.
+    shape : tuple of int
+        Of one row.
+    dtype : dtype
+    """
+
+    def __init__(self, bulk: Bulk, name: str, shape: tuple[int, ...], dtype: np.dtype[Any]) -> None:
+        self._bulk = bulk
+        self._name = name
+        self.shape = (bulk.planned, *shape)
+        self.dtype = dtype
+
+    def __len__(self) -> int:
+        return self.shape[0]
+
+    def __array__(self, dtype: Any = None, copy: bool | None = None) -> NDArray[Any]:
+        whole: NDArray[Any] = self[:]
+        return whole if dtype is None else whole.astype(dtype)
+
+    def __getitem__(self, which: Any) -> Any:
+        """Return one row, a slice of them, or those that an array of numbers or of truth values names."""
+        part = self._bulk.plan.part
+        if isinstance(which, int | np.integer):
+            number = range(len(self))[which]
+            return self._bulk.rows(number // part, self._name)[number % part]
+        if isinstance(which, slice):
+            start, stop, step = which.indices(len(self))
+            if step != 1:
+                return self[np.arange(start, stop, step)]
+            rows = np.empty((max(0, stop - start), *self.shape[1:]), self.dtype)
+            for number in range(start // part, math.ceil(stop / part) if stop > start else 0):
+                low, high = max(start, number * part), min(stop, (number + 1) * part)
+                source = self._bulk.rows(number, self._name)
+                rows[low - start : high - start] = source[low - number * part : high - number * part]
+            return rows
+        numbers = self._numbers(which)
+        rows = np.empty((len(numbers), *self.shape[1:]), self.dtype)
+        owner = numbers // part
+        for number in np.unique(owner).tolist():
+            mine = np.flatnonzero(owner == number)
+            wanted = numbers[mine] - number * part
+            source = self._bulk.rows(number, self._name)
+            low, high = int(wanted.min()), int(wanted.max()) + 1
+            # h5py's own way with lists of rows is slower than either of these.
+            if high - low <= 4 * len(wanted):
+                rows[mine] = source[low:high][wanted - low]
+            else:
+                for at, row in zip(mine.tolist(), wanted.tolist(), strict=True):
+                    rows[at] = source[row]
+        return rows
+
+    def _numbers(self, which: Any) -> NDArray[np.int64]:
+        numbers = np.asarray(which)
+        if numbers.dtype == bool and numbers.shape == (len(self),):
+            return np.flatnonzero(numbers)
+        if numbers.ndim != 1 or (numbers.size and numbers.dtype.kind not in "iu"):
+            raise IndexError(f"{self._name}: ask for a number, a slice, or one list of numbers or of truth values")
+        numbers = numbers.astype(np.int64)
+        numbers = np.where(numbers < 0, numbers + len(self), numbers)
+        if numbers.size and (numbers.min() < 0 or numbers.max() >= len(self)):
+            raise IndexError(f"{self._name}: holds rows 0 to {len(self) - 1}")
+        return numbers
+
+
+def _describe(file: Any) -> None:
+    for name, attributes in _ABOUT.items():
+        file[name].attrs.update(attributes)
+
+
+def _write_image(path: Path, file: Any) -> None:
+    file.flush()
+    with atomic(path) as temporary:
+        temporary.write_bytes(file.id.get_file_image())
+
+
+def _short(error: Exception) -> str:
+    """HDF5's message without its inner monologue of addresses and times."""
+    text = " ".join(str(error.args[0] if error.args else error).split())
+    return text[:120]

@@ -1,0 +1,101 @@
+"""One process, one Blender: plans a bulk set from a scene, and makes the parts it is told to.
+
+Run as ``python -m generator.bulkworker`` by the coordinator (`generator.bulk`); the talk is `generator.worker`'s.
+Blender is here for the scene, once, and to tell whether a pose cuts a surface; the pictures need none.
+"""
+
+from __future__ import annotations
+
+import json
+import sys
+from collections.abc import Iterable, Mapping
+from pathlib import Path
+from typing import Any
+
+import bpy
+import numpy as np
+
+from generator import bulk, extract, poses, spec, stage, worker
+from generator.bulk import Bulk, Settings
+from generator.dataset import SCENE, scene_hash
+from generator.spec import NlosError
+from generator.transport import Transport
+
+
+def plan(scene: bpy.types.Scene, source: Path, path: Path, chosen: Mapping[str, Any]) -> Bulk:
+    """Create a bulk set from the open scene: settings, scene, world and background; no part yet.
+
+    Parameters
+    ----------
+    scene : bpy.types.Scene
+    source : Path
+        The file the scene was opened from; its hash is recorded.
+    path : Path
+        Of the set.
+    chosen : mapping
+        Fields of `Settings` that the user chose; ``resolution`` may be text. The rest follow from the scene.
+
+    Raises
+    ------
+    NlosError
+        The scene lacks a role, the engine cannot honour it, the target fits nowhere, or nothing can be written.
+    """
+    bulk.check_free(path)
+    described = stage.read(scene)
+    settings: Settings = spec.from_dict(Settings, worker.with_defaults(described, chosen), "")
+    world, reasons = extract.world(scene, resolution=settings.resolution)
+    if world is None:
+        raise NlosError(
+            f"{source}: a bulk set is made by the engine 'surfel', which cannot honour that "
+            f"{', nor that '.join(reasons)}; use nlos-generate sweep"
+        )
+    sampler = _sampler(scene, described.grid, settings)
+    for voxel in range(min(described.grid.n_voxels, settings.pictures)):
+        sampler.draw(voxel, 0)  # refuses now a target that fits nowhere
+    background = Transport(world, accuracy=settings.accuracy).background().astype(np.float32)
+    stage.save_file(path / SCENE)
+    meta = {
+        "reference_radiance": described.reference_radiance,
+        "scene": spec.to_dict(described),
+        "software": {
+            "nlos-lab": worker.version(),
+            "blender": bpy.app.version_string,
+            "numpy": np.__version__,
+            "numba": worker.version("numba"),
+        },
+    }
+    return Bulk.create(path, settings, meta, world, background, scene_hash(source))
+
+
+def _sampler(scene: bpy.types.Scene, grid: spec.VoxelGrid, settings: Settings) -> poses.Sampler:
+    return poses.Sampler(grid, settings.sweep, stage.hull(scene), worker._clearance(scene))
+
+
+def render(found: Bulk, parts: Iterable[int], *, threads: int = 0) -> None:
+    """Make parts of a set, telling of each."""
+    worker.check_blender(found)
+    scene = stage.open_file(found.path / SCENE)
+    draw = _sampler(scene, found.grid, found.plan).draw
+    renderer = Transport(found.world(), accuracy=found.plan.accuracy, threads=threads)
+    for number in parts:
+        found.write_part(number, draw, renderer)
+        worker.answer(part=number)
+
+
+def main(argv: list[str]) -> int:
+    """Plan (``plan SCENE SET SETTINGS``) or make parts (``render SET THREADS``, their numbers on standard input)."""
+    try:
+        if argv[0] == "plan":
+            source = Path(argv[1])
+            plan(stage.open_file(source), source, Path(argv[2]), json.loads(argv[3]))
+            worker.answer(planned=True)
+        else:
+            render(Bulk.open(Path(argv[1])), worker.commands(), threads=int(argv[2]))
+    except NlosError as error:
+        worker.answer(error=str(error))
+        return 2
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main(sys.argv[1:]))
