@@ -1,0 +1,609 @@
+"""Error against time, and agreement in absolute units: `surfel`, `patch`, `path`, and Mitsuba 3 as the outsider.
+
+    python benchmarks/engines.py -o DIR [--quick] [--only agreement|time]
+
+What is measured is the light that the hidden target makes: picture with it minus picture without it, both from the
+same noise. "time": error (root mean square over pixels, relative to the signal's) of a new pose, at a ladder of
+samples, against `surfel` at an accuracy of 1e-6 (in the room 1e-4). "agreement": the picture's mean, engine against
+engine, with 95 % intervals over independent renders, from 1 m down to 5 cm from the relay wall; that table, not the
+first, is what shows that the engines are right, since Mitsuba shares nothing with them: it gets worlds made by hand
+(`scenes.py`), and `surfel` those that `generator.extract` reads from the Blender scene.
+
+Mitsuba is left out, with a word, where it is not installed (`pip install mitsuba`; its LLVM variants need LLVM 17 or
+later). Cycles and Mitsuba each run in a process of their own, one at a time.
+"""
+
+from __future__ import annotations
+
+import argparse
+import functools
+import json
+import math
+import multiprocessing
+import time
+from collections import defaultdict
+from collections.abc import Callable, Iterator
+from concurrent.futures import ProcessPoolExecutor
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import scenes
+from scipy.stats import t as student
+
+from generator import spec
+from generator.spec import rotation_matrix
+from generator.transport.world import Body, Sphere, World
+
+ROTATION = (15.0, -10.0, -35.0)
+"""Turns the sheet's face to the lit patch; edge-on, there would be next to no light to compare."""
+GOAL = 0.01
+REFERENCE = {False: 1e-6, True: 1e-4}
+"""Accuracy of what pictures are judged by, before the bare wall and in the room, whose own light takes its time."""
+
+
+@dataclass(frozen=True)
+class Case:
+    """A target in one pose, in the room or before the bare wall.
+
+    Attributes
+    ----------
+    target : {"sphere", "sheet", "box", "sphere+sheet"}
+        The box is open, so that it shadows itself; the last is one target of two parts, one before the other.
+    gap : float
+        Distance of the target's nearest point from the relay wall, metres.
+    room : bool
+        In the preset room, or without room and partition.
+    resolution : int
+        Pixels along each side.
+    """
+
+    target: str
+    gap: float
+    room: bool
+    resolution: int = 64
+
+    @property
+    def name(self) -> str:
+        """For tables and plots."""
+        return f"{self.target}, {self.gap:g} m, {'room' if self.room else 'bare wall'}"
+
+    @property
+    def spec(self) -> spec.Scene:
+        """The scene, its target a sheet where the spec knows none such."""
+        kind = self.target if self.target in ("sphere", "sheet") else "sheet"
+        scene = replace(spec.preset("room", kind), resolution=(self.resolution, self.resolution))
+        return scene if self.room else replace(scene, room=None, partition=None)
+
+    @property
+    def bodies(self) -> tuple[Body, ...]:
+        """The target in its own frame."""
+        if self.target == "box":
+            return (scenes.box(0.35, 0.9),)
+        if self.target == "sphere+sheet":
+            ball = Sphere(np.array([-0.13, -0.12, 0.04]), 0.12, np.full(3, 0.9))
+            sheet = scenes.bodies(spec.Target(kind="sheet", size=0.3, albedo=0.9))[0]
+            return (ball, scenes.moved(sheet, (0.08, 0.12, 0.0)))
+        return scenes.bodies(self.spec.target)
+
+    @property
+    def position(self) -> spec.Vector:
+        """Right of the lamp's cone and out of the camera's view, so far from the wall that the gap is right."""
+        turn = rotation_matrix(ROTATION)
+        spheres = [float((turn @ b.centre)[1]) - b.radius for b in self.bodies if isinstance(b, Sphere)]
+        meshes = [float((b.triangles @ turn.T)[..., 1].min()) for b in self.bodies if not isinstance(b, Sphere)]
+        nearest = min(spheres + meshes)
+        return (0.75, self.gap - nearest, 1.3)
+
+    @property
+    def world(self) -> World:
+        """By hand."""
+        return scenes.world_from_spec(self.spec, self.bodies)
+
+
+Shots = tuple[list[float], list[np.ndarray], list[np.ndarray]]
+"""Seconds, difference pictures (height, width) and backgrounds of one engine, render by render."""
+
+
+def cycles(case: Case, engine: str, samples: int, seeds: list[int], denoise: bool = False) -> Shots:
+    """Render differences with Cycles; runs in a process of its own. Seconds are those of a new pose."""
+    from generator import engines, stage
+
+    blender = _blender_scene(case)
+    seconds, differences, backgrounds = [], [], []
+    with engines.opened(blender, engine, resolution=case.spec.resolution) as renderer:
+        blender.cycles.use_denoising = denoise
+        if denoise:
+            blender.cycles.denoiser = "OPENIMAGEDENOISE"
+        renderer.render(samples=1, seed=0)
+        for seed in seeds:
+            x, y, z = case.position
+            stage.move_target(blender, (x, y + 0.1, z), ROTATION)
+            renderer.render(samples=1, seed=0)
+            start = time.perf_counter()
+            stage.move_target(blender, case.position, ROTATION)
+            picture = renderer.render(samples=samples, seed=seed)[..., 0].astype(float)
+            empty = np.zeros_like(picture)
+            if case.room:
+                empty = renderer.render(samples=samples, seed=seed, target=False)[..., 0].astype(float)
+            seconds.append(time.perf_counter() - start)
+            differences.append(picture - empty)
+            backgrounds.append(empty)
+        blender.cycles.use_denoising = False
+    return seconds, differences, backgrounds
+
+
+def extracted(case: Case) -> tuple[World | None, list[str]]:
+    """Return what `generator.extract` makes of the case's Blender scene; runs in Cycles' process."""
+    from generator import extract
+
+    return extract.world(_blender_scene(case), resolution=case.spec.resolution)
+
+
+@functools.lru_cache(maxsize=1)
+def _blender_scene(case: Case) -> Any:
+    from generator import stage
+
+    blender = stage.new_file()
+    stage.build(blender, case.spec)
+    target = stage.find(blender, "target")
+    if case.target not in ("sphere", "sheet"):
+        target[stage.KIND] = "mesh"
+        _give_shape(target, case.bodies[0])
+        for body in case.bodies[1:]:
+            part = target.copy()
+            part.data = target.data.copy()
+            del part[stage.ROLE]
+            _give_shape(part, body)
+            target.users_collection[0].objects.link(part)
+            part.parent = target
+            part.location = (0.0, 0.0, 0.0)
+    stage.move_target(blender, case.position, ROTATION)
+    return blender
+
+
+def _give_shape(obj: Any, body: Body) -> None:
+    triangles = body.centre + scenes.icosphere(body.radius, 5) if isinstance(body, Sphere) else body.triangles
+    corners, index = np.unique(triangles.reshape(-1, 3).round(9), axis=0, return_inverse=True)
+    obj.data.clear_geometry()
+    obj.data.from_pydata(corners.tolist(), [], index.reshape(-1, 3).tolist())
+    obj.data.update()
+
+
+def mitsuba(case: Case, method: str, samples: int, seeds: list[int]) -> Shots:
+    """Render differences with Mitsuba; runs in a process of its own. Seconds are those of a new pose."""
+    from mitsuba_scene import Prepared
+
+    world, pose = case.world, (case.position, ROTATION)
+    empty = Prepared(world, *pose, method=method, target=False) if case.room else None
+    seconds, differences, backgrounds = [], [], []
+    # First in vain: kernels are compiled for every kind of scene, and anew while another scene still lives.
+    for n, seed in ((min(samples, 1024), 0), *((samples, seed) for seed in seeds)):
+        start = time.perf_counter()
+        picture = Prepared(world, *pose, method=method).draw(n, seed)[..., 0]
+        background = empty.draw(n, seed)[..., 0] if empty else np.zeros_like(picture)
+        seconds.append(time.perf_counter() - start)
+        differences.append(picture - background)
+        backgrounds.append(background)
+    return seconds[1:], differences[1:], backgrounds[1:]
+
+
+def mitsuba_missing() -> str:
+    """Return why Mitsuba cannot be used, or nothing; runs in its process, which a wrong LLVM would abort."""
+    try:
+        from mitsuba_scene import mitsuba as load
+
+        load("llvm_ad_mono").Float([1.0, 2.0]) + 1.0
+    except Exception as error:
+        return f"Mitsuba left out: {error}"
+    return ""
+
+
+class Surfel:
+    """The transport engine in one world.
+
+    Parameters
+    ----------
+    world : World
+    accuracy : float
+    """
+
+    def __init__(self, world: World, accuracy: float) -> None:
+        from generator.transport import Transport
+
+        start = time.perf_counter()
+        self._transport = Transport(world, accuracy=accuracy)
+        self.background = np.asarray(self._transport.background(), dtype=float)[..., 0]
+        self.setup = time.perf_counter() - start
+
+    def difference(self, case: Case) -> np.ndarray:
+        """Return what the target adds less what it hides, (height, width)."""
+        found = self._transport.render(case.position, ROTATION)
+        return np.asarray(found.added - found.hidden, dtype=float)[..., 0]
+
+    def hidden_share(self, case: Case) -> float:
+        """Return how much of what the target adds it takes away again, as a fraction."""
+        found = self._transport.render(case.position, ROTATION)
+        return float(np.mean(found.hidden) / np.mean(found.added))
+
+    def timed(self, case: Case, repeats: int = 5) -> tuple[float, np.ndarray]:
+        """Return the seconds of a new pose, median, and its picture."""
+        seconds = []
+        for _ in range(repeats):
+            self.difference(replace(case, gap=case.gap + 0.1))
+            start = time.perf_counter()
+            picture = self.difference(case)
+            seconds.append(time.perf_counter() - start)
+        return float(np.median(seconds)), picture
+
+
+class Processes:
+    """Cycles and Mitsuba, each in a fresh interpreter that lives as long as this does."""
+
+    def __enter__(self) -> Processes:
+        spawn = multiprocessing.get_context("spawn")
+        self._pools = {name: ProcessPoolExecutor(1, mp_context=spawn) for name in ("cycles", "mitsuba")}
+        try:
+            self.missing = self.mitsuba(mitsuba_missing)
+        except Exception as error:  # aborted: no interpreter is left to say why
+            self.missing = f"Mitsuba left out: its process died ({error}); is there an LLVM of version 17 or later?"
+        if self.missing:
+            print(self.missing, flush=True)
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        for pool in self._pools.values():
+            pool.shutdown()
+
+    def cycles(self, function: Callable[..., Any], *arguments: Any) -> Any:
+        """Call a function in Cycles' process."""
+        return self._pools["cycles"].submit(function, *arguments).result()
+
+    def mitsuba(self, function: Callable[..., Any], *arguments: Any) -> Any:
+        """Call a function in Mitsuba's process."""
+        return self._pools["mitsuba"].submit(function, *arguments).result()
+
+    def surfel_world(self, case: Case) -> World:
+        """Return the world that `generator.extract` reads from the case's Blender scene."""
+        world, reasons = self.cycles(extracted, case)
+        if world is None:
+            raise spec.NlosError(f"{case.name}: surfel cannot render it: {'; '.join(reasons)}")
+        return world
+
+
+Sampler = Callable[[Case, int, list[int]], Shots]
+
+PATH, PATCH, DENOISED = "path", "patch", "patch, OIDN"
+MITSUBA_PATCH, MITSUBA_SPOT, SURFEL = "Mitsuba, patch", "Mitsuba, spot", "surfel"
+
+
+def samplers(processes: Processes) -> dict[str, Sampler]:
+    """Return every Monte Carlo method that there is here, by name."""
+    found: dict[str, Sampler] = {
+        PATH: lambda case, n, seeds: processes.cycles(cycles, case, "path", n, seeds),
+        PATCH: lambda case, n, seeds: processes.cycles(cycles, case, "patch", n, seeds),
+        DENOISED: lambda case, n, seeds: processes.cycles(cycles, case, "patch", n, seeds, True),
+    }
+    if not processes.missing:
+        found[MITSUBA_PATCH] = lambda case, n, seeds: processes.mitsuba(mitsuba, case, "patch", n, seeds)
+        found[MITSUBA_SPOT] = lambda case, n, seeds: processes.mitsuba(mitsuba, case, "spot", n, seeds)
+    return found
+
+
+# --- error against time ---------------------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True)
+class Rung:
+    """One method at one number of samples (or accuracy): medians over rounds.
+
+    Attributes
+    ----------
+    setting : float
+        Samples per pixel, or accuracy.
+    seconds : list of float
+        Of a new pose, round by round.
+    error : float
+        Root mean square over pixels and rounds, relative to the reference's.
+    bias : float
+        The part of it that all rounds share.
+    least_bias : float
+        Less could not be told from noise (four sigma, since its tails are heavy; a denoiser's pixels share theirs).
+    """
+
+    setting: float
+    seconds: list[float]
+    error: float
+    bias: float
+    least_bias: float
+
+
+def measure(processes: Processes, case: Case, *, budget: float, rounds: int) -> dict[str, list[Rung]]:
+    """Climb every method's ladder of samples, methods in turn, as often as there are rounds.
+
+    Parameters
+    ----------
+    processes : Processes
+    case : Case
+    budget : float
+        Seconds that one render may take; the ladder ends below.
+    rounds : int
+        Renders of every rung, each with its own noise.
+    """
+    world = processes.surfel_world(case)
+    finest = REFERENCE[case.room]
+    reference = Surfel(world, finest).difference(case)
+    ladders = {a: Surfel(world, a) for a in (1e-1, 1e-2, 1e-3, 1e-4) if a > finest}
+    taken: dict[str, dict[float, list[tuple[float, np.ndarray]]]] = defaultdict(lambda: defaultdict(list))
+    for turn in range(rounds):
+        for accuracy, transport in ladders.items():
+            taken[SURFEL][accuracy].append(transport.timed(case))
+        climbing = samplers(processes)
+        samples = 16
+        while climbing:
+            for name, sampler in list(climbing.items()):
+                seconds, differences, _ = sampler(case, samples, [1 + turn + 1000 * samples])
+                taken[name][samples].append((seconds[0], differences[0]))
+                # The first round decides how high the ladder goes, or rungs would lack rounds.
+                if samples >= max(taken[name]) if turn else 4.0 * seconds[0] > budget:
+                    del climbing[name]
+            samples *= 4
+        print(f"  {case.name}: round {turn + 1} of {rounds}", flush=True)
+    return {
+        name: [_rung(setting, shots, reference) for setting, shots in sorted(rungs.items(), key=_by_time)]
+        for name, rungs in taken.items()
+    }
+
+
+def _by_time(rung: tuple[float, Any]) -> float:
+    setting = rung[0]
+    return setting if setting >= 1.0 else 1.0 / setting
+
+
+def _rung(setting: float, shots: list[tuple[float, np.ndarray]], reference: np.ndarray) -> Rung:
+    level = math.sqrt(float((reference**2).mean()))
+    off = np.array([picture for _, picture in shots]) - reference
+    rounds = len(shots)
+    scatter = off.var(axis=0, ddof=1).mean() if rounds > 1 else 0.0
+    shared = max(0.0, float((off.mean(axis=0) ** 2).mean()) - scatter / rounds)
+    least = 4.0 * scatter / rounds * math.sqrt(2.0 * rounds / max(1, rounds - 1) / off[0].size)
+    return Rung(
+        setting=setting,
+        seconds=[seconds for seconds, _ in shots],
+        error=math.sqrt(float((off**2).mean())) / level,
+        bias=math.sqrt(shared) / level,
+        least_bias=math.sqrt(least) / level,
+    )
+
+
+def time_to(rungs: list[Rung], goal: float, rounds: slice = slice(None)) -> tuple[float, str]:
+    """Return the seconds to an error, and how that is known.
+
+    Between two rungs it follows by interpolation; beyond the last, by the law of 1/sqrt(N), unless the error
+    has stopped following it.
+
+    Returns
+    -------
+    seconds : float
+        Infinite if the error will not get there.
+    how : {"measured", "at most", "extrapolated", "not reached"}
+    """
+    seconds = [float(np.median(r.seconds[rounds])) for r in rungs]
+    errors = [r.error for r in rungs]
+    if errors[0] <= goal:
+        return seconds[0], "at most"
+    for i in range(1, len(rungs)):
+        if errors[i] <= goal:
+            share = math.log(errors[i - 1] / goal) / math.log(errors[i - 1] / errors[i])
+            return seconds[i - 1] * (seconds[i] / seconds[i - 1]) ** share, "measured"
+    # Four times the samples halve the noise; a fall by less than a quarter is a floor.
+    if len(rungs) > 1 and (rungs[-1].bias > max(goal, rungs[-1].least_bias) and errors[-1] > 0.75 * errors[-2]):
+        return math.inf, "not reached"
+    return seconds[-1] * (errors[-1] / goal) ** 2, "extrapolated"
+
+
+def print_times(case: Case, found: dict[str, list[Rung]]) -> None:
+    """Print one scene's table."""
+    rounds = len(found[SURFEL][0].seconds)
+    base = time_to(found[SURFEL], GOAL)[0]
+    print(f"\n{case.name}: {case.resolution} x {case.resolution} pixels, {rounds} rounds")
+    print(f"{'method':<16} {'time to 1 %':>12}  {'known':<13} {'x surfel':>9} {'[rounds]':>20}   last rung")
+    for name, rungs in sorted(found.items(), key=lambda item: time_to(item[1], GOAL)[0]):
+        seconds, how = time_to(rungs, GOAL)
+        ratios = [
+            time_to(rungs, GOAL, slice(i, i + 1))[0] / time_to(found[SURFEL], GOAL, slice(i, i + 1))[0]
+            for i in range(rounds)
+        ]
+        last = rungs[-1]
+        bias = f"{last.bias:.2%}" if last.bias > last.least_bias else f"< {last.least_bias:.2%}"
+        setting = f"accuracy {last.setting:g}" if last.setting < 1.0 else f"{last.setting:g} samples"
+        print(
+            f"{name:<16} {_short(seconds) + ' s':>12}  {how:<13} {_short(seconds / base):>9} "
+            f"{'[' + _short(min(ratios)) + ' .. ' + _short(max(ratios)) + ']':>20}   {setting}, "
+            f"{_short(float(np.median(last.seconds)))} s: error {last.error:.2%}, bias {bias}"
+        )
+
+
+def _short(value: float) -> str:
+    return f"{value:.2g}" if value < 100.0 or not math.isfinite(value) else f"{value:.1e}"
+
+
+def plot(found: dict[Case, dict[str, list[Rung]]], file: Path) -> None:
+    """Draw error against time, a panel a scene, on logarithmic axes."""
+    import matplotlib
+
+    matplotlib.use("Agg")
+    from matplotlib import pyplot as plt
+
+    names = [SURFEL, PATCH, DENOISED, MITSUBA_PATCH, MITSUBA_SPOT, PATH]
+    colours = dict(zip(names, ("#0072b2", "#d55e00", "#e69f00", "#009e73", "#56b4e9", "#444444"), strict=True))
+    figure, axes = plt.subplots(1, len(found), figsize=(5.0 * len(found), 4.6), sharey=True, squeeze=False)
+    for ax, (case, methods) in zip(axes[0], found.items(), strict=True):
+        for name in (n for n in names if n in methods):
+            rungs = methods[name]
+            seconds = np.array([np.median(r.seconds) for r in rungs])
+            spread = [[s - min(r.seconds), max(r.seconds) - s] for s, r in zip(seconds, rungs, strict=True)]
+            errors = np.array([r.error for r in rungs])
+            ax.errorbar(
+                seconds, errors, xerr=np.transpose(spread), color=colours[name], marker="o", markersize=4, label=name
+            )
+            goal, how = time_to(rungs, GOAL)
+            if how == "extrapolated":
+                ax.plot([seconds[-1], goal], [errors[-1], GOAL], ":", color=colours[name])
+        ax.axhline(GOAL, color="0.6", linewidth=0.8)
+        ax.set(xscale="log", yscale="log", xlabel="seconds a new pose", title=case.name)
+        ax.grid(which="major", alpha=0.3)
+    axes[0, 0].set_ylabel("error of the target's light, relative RMS")
+    axes[0, -1].legend(fontsize=8, title="dotted: extrapolated", title_fontsize=8)
+    figure.tight_layout()
+    figure.savefig(file, dpi=150)
+    plt.close(figure)
+
+
+def times(processes: Processes, folder: Path, *, quick: bool) -> dict[str, Any]:
+    """Measure, print and plot error against time."""
+    pairs = [("sphere", False)] if quick else [("sphere", False), ("sheet", False), ("sphere", True)]
+    found = {}
+    for target, room in pairs:
+        case = Case(target, 1.0, room)
+        found[case] = measure(processes, case, budget=1.5 if quick else 12.0, rounds=2 if quick else 5)
+        print_times(case, found[case])
+    plot(found, folder / "error-by-time.png")
+    print(f"\nplot: {folder / 'error-by-time.png'}")
+    return {case.name: methods for case, methods in found.items()}
+
+
+# --- agreement ------------------------------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True)
+class Mean:
+    """A picture's mean and half its 95 % interval; no half for what has no noise."""
+
+    value: float
+    half: float = 0.0
+
+    def over(self, other: Mean) -> Mean:
+        """Return the ratio less one."""
+        half = math.hypot(self.half / other.value, self.value * other.half / other.value**2)
+        return Mean(self.value / other.value - 1.0, half)
+
+    def __str__(self) -> str:
+        return f"{self.value:+8.3%} +- {self.half:6.3%}"
+
+
+def mean_of(pictures: list[np.ndarray]) -> Mean:
+    """Return the mean over pictures of independent noise, with its interval."""
+    means = [float(p.mean()) for p in pictures]
+    half = student.ppf(0.975, len(means) - 1) * np.std(means, ddof=1) / math.sqrt(len(means))
+    return Mean(float(np.mean(means)), float(half))
+
+
+def converge(sampler: Sampler, case: Case, samples: int, budget: float) -> tuple[Mean, Mean]:
+    """Render until the budget is spent; return the means of difference and background."""
+    differences: list[np.ndarray] = []
+    backgrounds: list[np.ndarray] = []
+    spent = 0.0
+    while len(differences) < 8 or spent < budget:
+        seeds = [1 + len(differences) + i for i in range(4)]
+        seconds, more, empty = sampler(case, samples, seeds)
+        spent += sum(seconds)
+        differences += more
+        backgrounds += empty
+    return mean_of(differences), mean_of(backgrounds)
+
+
+def agreement(
+    processes: Processes,
+    *,
+    targets: tuple[str, ...] = ("sphere", "sheet", "box", "sphere+sheet"),
+    gaps: tuple[float, ...] = (1.0, 0.3, 0.05),
+    rooms: tuple[bool, ...] = (False, True),
+    budget: float = 25.0,
+) -> list[dict[str, Any]]:
+    """Print how well the engines' absolute means agree, and return the figures.
+
+    Parameters
+    ----------
+    processes : Processes
+    targets, gaps, rooms : tuple
+        Every combination is rendered.
+    budget : float
+        Seconds per combination and Monte Carlo method.
+    """
+    print("\nmean of the target's light (with it minus without it): ratio - 1, with 95 % interval")
+    columns = f"{'patch / surfel':>20}  {'Mitsuba / surfel':>20}  {'patch / Mitsuba':>20}"
+    print(f"{'case':<32} {'surfel':>10} {'hidden':>7}  {columns}")
+    rows = []
+    for case in _cases(targets, gaps, rooms):
+        if case.gap == gaps[0]:
+            transport = _surfel(processes, case)
+        row = _agree(processes, case, transport, budget)
+        rows.append(row)
+        print(_line(case.name, row["difference"], row["hidden"]), flush=True)
+        if case.room and case == next(c for c in _cases(targets, gaps, (True,))):
+            print(_line("the room's own light", row["background"], None), flush=True)
+    return rows
+
+
+def _cases(targets: tuple[str, ...], gaps: tuple[float, ...], rooms: tuple[bool, ...]) -> Iterator[Case]:
+    return (Case(t, g, room, resolution=32) for room in rooms for t in targets for g in gaps)
+
+
+def _surfel(processes: Processes, case: Case) -> Surfel | None:
+    try:
+        return Surfel(processes.surfel_world(case), 1e-3 if case.room else 1e-4)
+    except (ImportError, spec.NlosError) as error:
+        print(f"surfel left out: {error}", flush=True)
+        return None
+
+
+def _agree(processes: Processes, case: Case, transport: Surfel | None, budget: float) -> dict[str, Any]:
+    methods = samplers(processes)
+    difference: dict[str, Mean] = {}
+    background: dict[str, Mean] = {}
+    for name, samples in ((PATCH, 1024), (MITSUBA_SPOT, 8192)):
+        if name in methods:
+            difference[name], background[name] = converge(methods[name], case, samples, budget)
+    if transport:
+        difference[SURFEL] = Mean(float(transport.difference(case).mean()))
+        background[SURFEL] = Mean(float(transport.background.mean()))
+    hidden = transport.hidden_share(case) if transport else None
+    return {"case": case.name, "difference": difference, "background": background, "hidden": hidden}
+
+
+def _line(name: str, means: dict[str, Mean], hidden: float | None) -> str:
+    def ratio(a: str, b: str) -> str:
+        return str(means[a].over(means[b])) if a in means and b in means else "-"
+
+    value = f"{means[SURFEL].value:.4e}" if SURFEL in means else "-"
+    share = "-" if hidden is None else f"{hidden:.2%}"
+    columns = [ratio(PATCH, SURFEL), ratio(MITSUBA_SPOT, SURFEL), ratio(PATCH, MITSUBA_SPOT)]
+    return f"{name:<32} {value:>10} {share:>7}  " + "  ".join(f"{c:>20}" for c in columns)
+
+
+def main() -> None:
+    """Run the benchmarks that are asked for."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("-o", "--output", type=Path, required=True, help="folder for the plot and the figures")
+    parser.add_argument("--quick", action="store_true", help="minutes instead of an hour: fewer scenes and renders")
+    parser.add_argument("--only", choices=["agreement", "time"], help="one of the parts")
+    parser.add_argument(
+        "--seconds", type=float, default=25.0, help="agreement: for every scene and Monte Carlo method (default 25)"
+    )
+    options = parser.parse_args()
+    options.output.mkdir(parents=True, exist_ok=True)
+    figures: dict[str, Any] = {}
+    with Processes() as processes:
+        if options.only != "agreement":
+            figures["time"] = times(processes, options.output, quick=options.quick)
+        if options.only != "time":
+            fewer = {"targets": ("sphere", "box"), "gaps": (1.0, 0.05)} if options.quick else {}
+            figures["agreement"] = agreement(processes, budget=options.seconds, **fewer)
+    text = json.dumps(figures, indent=1, default=vars)
+    (options.output / "figures.json").write_text(text + "\n", encoding="utf-8")
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,310 @@
+"""The reference renderer: a `World` in Mitsuba 3, which shares no code and no author with Cycles or the transport.
+
+Radiance is absolute (W/m^2/sr): nothing is fitted. "spot" traces light from the true lamp and connects it to the
+camera; "patch" traces paths from the camera to the lit patch, a disc whose radiance is a texture of the closed form.
+Mitsuba is no dependency of the project; its LLVM variants need LLVM 17 or later (`apt-get install libllvm19`).
+"""
+
+from __future__ import annotations
+
+import math
+import os
+import re
+from functools import cache
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from generator.spec import NlosError, rotation_matrix
+from generator.transport.world import LitPatch, Sphere, Watched, World
+
+METHODS = ("patch", "spot")
+
+_LANES = 2**22
+"""Paths a call to Mitsuba traces at once: more would not be faster, only take more memory."""
+
+_PER_PIXEL = 1024
+"""Of these a pixel: Mitsuba adds them up in float32, and 16,384 equal ones came out 0.3 % wrong."""
+
+_PINHOLE = 0.5
+"""Distance of the pinhole from the wall, in widths of the picture: at 0.1 light tracing is 0.1 % too dark."""
+
+_TEXELS = (128, 256)
+"""Of the patch's radiance, along the radius and round it: smooth, so that this holds it to 1e-6."""
+
+
+@cache
+def mitsuba(variant: str) -> Any:
+    """Return Mitsuba with a variant set, an LLVM found for it that it can use.
+
+    Raises
+    ------
+    ImportError
+        Mitsuba is not installed.
+    """
+    # Dr.Jit takes the first LLVM it finds, and aborts the process if that is version 15 or 16.
+    found = [(int(re.sub(r".*?(\d+)(\.\d+)?$", r"\1", p.name)), p) for p in Path("/usr/lib").glob("*/libLLVM*.so.*")]
+    fit = sorted((version, str(p)) for version, p in found if version >= 17)
+    if fit:
+        os.environ.setdefault("DRJIT_LIBLLVM_PATH", fit[-1][1])
+    import mitsuba as mi
+
+    mi.set_variant(variant)
+    mi.set_log_level(mi.LogLevel.Error)
+    return mi
+
+
+class Prepared:
+    """A world in Mitsuba with the target in one pose.
+
+    Parameters
+    ----------
+    world : World
+        Its watched patch is seen straight on, with square pixels; the lamp's edge is hard.
+    position, rotation_degrees : (float, float, float)
+        The target's pose, as in `generator.poses`; metres and degrees.
+    method : {"patch", "spot"}
+    target : bool
+        With the target, or the background.
+    variant : str, optional
+        Of Mitsuba; the default is the fastest that holds the world's colours.
+
+    Raises
+    ------
+    NlosError
+        The world is not one that this reference can show.
+    ImportError
+        Mitsuba is not installed.
+    """
+
+    def __init__(
+        self,
+        world: World,
+        position: Any,
+        rotation_degrees: Any,
+        *,
+        method: str,
+        target: bool = True,
+        variant: str | None = None,
+    ) -> None:
+        if method not in METHODS:
+            raise NlosError(f"method {method!r}: there is none; choose from {', '.join(METHODS)}")
+        self._mi = mi = mitsuba(variant or ("llvm_ad_mono" if _grey(world) else "llvm_ad_rgb"))
+        self.resolution = world.watched.resolution
+        # Mitsuba counts the lamp's own edge too; the patch is one reflection already.
+        depth = world.order + 1 if method == "spot" else world.order
+        kind = "ptracer" if method == "spot" else "path"
+        content: dict[str, Any] = {
+            "type": "scene",
+            "integrator": {"type": kind, "max_depth": depth, "rr_depth": 1000},
+            "sensor": _sensor(mi, world.watched),
+        }
+        if method == "spot":
+            content["lamp"] = _spot(mi, world.patch)
+            content["wall"] = _wall(mi, world, _rectangle(world, patch=True))
+        else:
+            if _overlap(world):
+                raise NlosError("method 'patch': the camera sees the lit patch; use 'spot'")
+            content["lamp"] = _patch(mi, world.patch)
+            # No wall behind the patch, so that the patch can lie in the wall's plane itself.
+            content["wall"] = _wall(mi, world, _rectangle(world, patch=False))
+        for i, mesh in enumerate(world.room):
+            content.update(_meshes(mi, f"room{i}", mesh.triangles, mesh.albedo))
+        turn, at = rotation_matrix(tuple(rotation_degrees)), np.asarray(position, dtype=float)
+        for i, body in enumerate(world.target if target else ()):
+            if isinstance(body, Sphere):
+                content[f"target{i}"] = {
+                    "type": "sphere",
+                    "center": [float(c) for c in turn @ body.centre + at],
+                    "radius": float(body.radius),
+                    "bsdf": _diffuse(body.albedo),
+                }
+            else:
+                content.update(_meshes(mi, f"target{i}", body.triangles @ turn.T + at, body.albedo))
+        self._scene = mi.load_dict(content)
+
+    def draw(self, spp: int, seed: int) -> np.ndarray:
+        """Render the picture (height, width, 3), float64, W/m^2/sr.
+
+        Parameters
+        ----------
+        spp : int
+            Paths per pixel: from the camera, or as many in all from the lamp.
+        seed : int
+            Of the noise. Two worlds that differ in the target alone share the noise of the paths that miss it.
+        """
+        width, height = self.resolution
+        most = max(1, min(_PER_PIXEL, _LANES // (width * height)))
+        passes = math.ceil(spp / most)
+        total = np.zeros((height, width, 3))
+        seeds = np.random.SeedSequence(seed).generate_state(passes)
+        for i in range(passes):
+            share = spp * (i + 1) // passes - spp * i // passes
+            image = np.array(self._mi.render(self._scene, spp=share, seed=int(seeds[i])), dtype=np.float64)
+            total += share / spp * image[..., :3]
+        return total
+
+
+def render(
+    world: World,
+    position: Any,
+    rotation_degrees: Any,
+    *,
+    method: str,
+    spp: int,
+    seed: int,
+    target: bool = True,
+) -> np.ndarray:
+    """Render one picture (height, width, 3), float64, W/m^2/sr; see `Prepared` and `Prepared.draw`."""
+    return Prepared(world, position, rotation_degrees, method=method, target=target).draw(spp, seed)
+
+
+def _grey(world: World) -> bool:
+    colours = [world.patch.intensity, world.patch.albedo, world.watched.albedo]
+    colours += [b.albedo for b in (*world.target, *world.room)]
+    return all(np.ptp(c, axis=-1).max(initial=0.0) == 0.0 for c in colours)
+
+
+def _diffuse(albedo: np.ndarray) -> dict[str, Any]:
+    colour = {"type": "rgb", "value": [float(a) for a in albedo]}
+    return {"type": "twosided", "bsdf": {"type": "diffuse", "reflectance": colour}}
+
+
+def _matrix(mi: Any, x: np.ndarray, y: np.ndarray, z: np.ndarray, origin: np.ndarray) -> Any:
+    matrix = np.eye(4)
+    matrix[:3] = np.stack([x, y, z, origin], axis=1)
+    return mi.ScalarTransform4f(matrix)
+
+
+def _axes(watched: Watched) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Return the picture's top left corner on the wall and its edges to the right and down, metres."""
+    to_wall = watched.to_wall / watched.to_wall[3, 2]
+    if np.abs(to_wall[3, :2]).max() > 1e-9:
+        raise NlosError("watched: the camera must look straight at the wall")
+    corner, right, down = to_wall[:3, 2], to_wall[:3, 0], to_wall[:3, 1]
+    width, height = (float(np.linalg.norm(v)) for v in (right, down))
+    pixels = watched.resolution
+    upright = np.abs(np.cross(-down, -watched.normal) / height + right / width).max()
+    if upright > 1e-6 or abs(width / pixels[0] * pixels[1] / height - 1.0) > 1e-6:
+        raise NlosError("watched: the picture must be an upright rectangle with square pixels, not mirrored")
+    return corner, right, down
+
+
+def _sensor(mi: Any, watched: Watched) -> dict[str, Any]:
+    """A pinhole close before the wall: of a Lambertian wall, only which points a pixel covers matters.
+
+    Mitsuba cannot trace light to an orthographic camera, and so close to the wall nothing gets in the way.
+    """
+    corner, right, down = _axes(watched)
+    width = float(np.linalg.norm(right))
+    distance = _PINHOLE * width
+    eye = corner + right / 2.0 + down / 2.0 + distance * watched.normal
+    return {
+        "type": "perspective",
+        "to_world": _matrix(mi, -right / width, -down / np.linalg.norm(down), -watched.normal, eye),
+        "fov": math.degrees(2.0 * math.atan(width / 2.0 / distance)),
+        "fov_axis": "x",
+        "near_clip": 1e-2 * distance,
+        "far_clip": 1e2 * distance,
+        "film": {
+            "type": "hdrfilm",
+            "width": watched.resolution[0],
+            "height": watched.resolution[1],
+            "rfilter": {"type": "box"},
+            "pixel_format": "rgb",
+            "component_format": "float32",
+        },
+        "sampler": {"type": "independent"},
+    }
+
+
+def _spot(mi: Any, patch: LitPatch) -> dict[str, Any]:
+    """The true lamp. Where its two angles are the same, Mitsuba's spot has a hard edge, and is in W/sr."""
+    if patch.cos_width > 0.0:
+        raise NlosError("patch: the lamp must have a hard edge (blend 0)")
+    half = math.degrees(math.acos(patch.cos_outer))
+    across = np.cross(patch.axis, np.eye(3)[int(np.argmin(np.abs(patch.axis)))])
+    across /= np.linalg.norm(across)
+    return {
+        "type": "spot",
+        "to_world": _matrix(mi, across, np.cross(patch.axis, across), patch.axis, patch.lamp),
+        "intensity": {"type": "rgb", "value": [float(i) for i in patch.intensity]},
+        "cutoff_angle": half,
+        "beam_width": half,
+    }
+
+
+def _patch(mi: Any, patch: LitPatch) -> dict[str, Any]:
+    """The lit patch as a disc; its texture's axes are the radius and the angle."""
+    if patch.cos_width > 0.0:
+        raise NlosError("patch: the lamp must have a hard edge (blend 0)")
+    across, around = ((np.arange(n) + 0.5) / n for n in _TEXELS)
+    turn = 2.0 * math.pi * around[:, None, None]
+    points = patch.centre + across[None, :, None] * (np.cos(turn) * patch.major + np.sin(turn) * patch.minor)
+    distance = np.linalg.norm(points - patch.lamp, axis=-1)
+    radiance = patch.albedo / math.pi * patch.intensity * (patch.height / distance**3)[..., None]
+    texture = {"type": "bitmap", "bitmap": mi.Bitmap(radiance.astype(np.float32)), "raw": True, "wrap_mode": "clamp"}
+    normal = np.cross(patch.major, patch.minor)
+    minor = patch.minor if normal @ patch.normal > 0.0 else -patch.minor
+    return {
+        "type": "disk",
+        "to_world": _matrix(mi, patch.major, minor, patch.normal, patch.centre),
+        "emitter": {"type": "area", "radiance": texture},
+    }
+
+
+def _rectangle(world: World, *, patch: bool) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Middle and half edges of the part of the wall that must be there: the watched part, and the lit patch."""
+    corner, right, down = _axes(world.watched)
+    low, high = np.zeros(2), np.ones(2)
+    if patch:
+        low, high = np.minimum(low, _extent(world)[0]), np.maximum(high, _extent(world)[1])
+    # A ray through the picture's very edge must meet it.
+    low, high = low - 1e-4, high + 1e-4
+    middle = (low + high) / 2.0
+    half = (high - low) / 2.0
+    return corner + middle[0] * right + middle[1] * down, half[0] * right, half[1] * down
+
+
+def _extent(world: World) -> tuple[np.ndarray, np.ndarray]:
+    """Range of the lit patch in picture coordinates."""
+    corner, right, down = _axes(world.watched)
+    axes = np.stack([right / (right @ right), down / (down @ down)])
+    patch = world.patch
+    middle = axes @ (patch.centre - corner)
+    reach = np.hypot(axes @ patch.major, axes @ patch.minor)
+    return middle - reach, middle + reach
+
+
+def _overlap(world: World) -> bool:
+    low, high = _extent(world)
+    return bool((low < 1.0 + 1e-3).all() and (high > -1e-3).all())
+
+
+def _wall(mi: Any, world: World, rectangle: tuple[np.ndarray, np.ndarray, np.ndarray]) -> dict[str, Any]:
+    middle, right, down = rectangle
+    normal = world.watched.normal * math.sqrt(np.linalg.norm(right) * np.linalg.norm(down))
+    return {
+        "type": "rectangle",
+        # Right-handed: a mirrored rectangle's two frames disagree, and light tracing sees nothing of it.
+        "to_world": _matrix(mi, right, -down, normal, middle),
+        "bsdf": _diffuse(world.watched.albedo),
+    }
+
+
+def _meshes(mi: Any, name: str, triangles: np.ndarray, albedo: np.ndarray) -> dict[str, Any]:
+    """One mesh for every colour."""
+    made = {}
+    colours, which = np.unique(albedo, axis=0, return_inverse=True)
+    for i, colour in enumerate(colours):
+        corners = triangles[which.reshape(-1) == i].reshape(-1, 3)
+        properties = mi.Properties()
+        properties["bsdf"] = mi.load_dict(_diffuse(colour))
+        mesh = mi.Mesh(f"{name}-{i}", len(corners), len(corners) // 3, props=properties)
+        parameters = mi.traverse(mesh)
+        parameters["vertex_positions"] = corners.astype(np.float32).ravel()
+        parameters["faces"] = np.arange(len(corners), dtype=np.uint32)
+        parameters.update()
+        made[f"{name}_{i}"] = mesh
+    return made
