@@ -11,7 +11,7 @@ import radiometry
 from generator import engines, stage
 from generator.spec import Spot, Target, Wall, preset
 
-ENGINES = ["path", "patch"]
+ENGINES = ["path", "patch", "surfel"]
 
 
 def render(scene, engine, *, samples, seeds, target=True, pose=None):
@@ -70,7 +70,7 @@ def test_soft_edged_spot_keeps_its_falloff_in_the_patch_engine():
     assert abs(path - patch) < 4 * error + 1e-3 * path
 
 
-@pytest.mark.parametrize("engine", ENGINES)
+@pytest.mark.parametrize("engine", ["path", "patch"])
 def test_reflection_orders_switch_on_one_by_one(engine):
     """Wall and floor alone: light on the floor is order 2, back on the wall order 3, there again order 5."""
     room = radiometry.floor_room(-0.6)
@@ -116,9 +116,9 @@ def test_order_two_reaches_what_only_order_two_can():
 def test_sheet_gives_the_three_reflection_integral(engine):
     scene = radiometry.bare_scene()
     at = (0.1, 1.1, 0.1)
-    elements, area = radiometry.midpoints(1, at[1], (at[0] - 0.2, at[0] + 0.2), (at[2] - 0.2, at[2] + 0.2), 40)
-    expected = radiometry.third_order(scene, elements, (0, -1, 0), area, scene.target.albedo)
-    samples = {"path": 16384, "patch": 1024}[engine]
+    elements, area = radiometry.midpoints(1, at[1], (at[0] - 0.2, at[0] + 0.2), (at[2] - 0.2, at[2] + 0.2), 16)
+    expected = radiometry.third_order(scene, elements, (0, -1, 0), area, scene.target.albedo, n_patch=480)
+    samples = {"path": 16384, "patch": 1024, "surfel": 0}[engine]
     renders = render(scene, engine, samples=samples, seeds=range(8), pose=(at, (0.0, 0.0, 0.0)))
     assert_same_mean(renders, expected.mean(), within=0.04)
     # The picture's shape too: left and right half, each at its own level.
@@ -127,7 +127,7 @@ def test_sheet_gives_the_three_reflection_integral(engine):
 
 
 @pytest.mark.parametrize("target", ["sheet", "sphere"])
-def test_path_and_patch_agree_in_the_room(target):
+def test_engines_agree_in_the_room(target):
     """Shadows, partition and room included; a wide spot, because only then does `path` converge."""
     scene = preset("room", target)
     scene = replace(scene, spot=replace(scene.spot, half_angle=6.0), resolution=(16, 16))
@@ -139,6 +139,9 @@ def test_path_and_patch_agree_in_the_room(target):
     error = np.hypot(path.std(ddof=1), patch.std(ddof=1)) / np.sqrt(len(path))
     assert 4 * error < 0.02 * patch.mean(), "too noisy to tell"
     assert abs(path.mean() - patch.mean()) < 4 * error
+    surfel = render(scene, "surfel", samples=0, seeds=[0], pose=pose).mean()
+    error = patch.std(ddof=1) / np.sqrt(len(patch))
+    assert abs(surfel - patch.mean()) < 4 * error + 1e-3 * surfel
 
 
 def test_mirror_target_is_refused_by_neither_but_lamp_shapes_by_patch():

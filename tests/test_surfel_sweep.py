@@ -1,0 +1,101 @@
+"""The engines surfel and auto as a user meets them: sweeps, reasons, refusals."""
+
+from __future__ import annotations
+
+import shutil
+
+import numpy as np
+import pytest
+
+from generator import engines, extract, stage
+from generator.dataset import Dataset, read_picture
+from generator.spec import preset
+from generator.transport import Transport
+
+SMALL = ("--poses", "1", "--resolution", "8", "--workers", "1")
+
+
+@pytest.fixture(scope="module")
+def surfel_dataset(tmp_path_factory, scene_file, command):
+    path = tmp_path_factory.mktemp("surfel") / "set"
+    result = command("generator", "sweep", scene_file, "-o", path, *SMALL, "--engine", "auto", "--accuracy", "1e-2")
+    assert result.returncode == 0, result.stderr
+    assert "engine: surfel\n" in result.stdout
+    return path
+
+
+def test_data_set_is_like_any_other(surfel_dataset, command):
+    result = command("generator", "verify", surfel_dataset)
+    assert result.returncode == 0
+    dataset = Dataset.open(surfel_dataset)
+    assert dataset.sweep.engine == "surfel"
+    assert dataset.sweep.accuracy == 1e-2
+    assert "samples" not in dataset.settings
+    assert all(pose.samples == 0 for pose in dataset.poses)
+
+
+def test_pictures_are_those_of_the_integral(surfel_dataset):
+    dataset = Dataset.open(surfel_dataset)
+    scene = stage.open_file(surfel_dataset / "scene.blend")
+    transport = Transport(extract.surfel_world(scene, resolution=(8, 8)), accuracy=1e-2)
+    for pose in dataset.poses[:3]:
+        pixels, _ = read_picture(surfel_dataset / pose.file)
+        np.testing.assert_array_equal(pixels, transport.pictures([pose.position], [pose.rotation])[0])
+
+
+def test_lost_pictures_come_back_the_same(surfel_dataset, scene_file, command, tmp_path):
+    copy = tmp_path / "set"
+    shutil.copytree(surfel_dataset, copy)
+    lost = [copy / pose.file for pose in Dataset.open(copy).poses[::3]]
+    for picture in lost:
+        picture.unlink()
+    result = command("generator", "sweep", scene_file, "-o", copy, "--workers", "2", "--engine", "auto")
+    assert result.returncode == 0, result.stderr
+    for pose in Dataset.open(copy).poses:
+        np.testing.assert_array_equal(read_picture(copy / pose.file)[0], read_picture(surfel_dataset / pose.file)[0])
+
+
+@pytest.mark.parametrize(
+    ("options", "words"),
+    [
+        (("--engine", "surfel", "--samples", "4"), "samples: means nothing to the engine 'surfel'"),
+        (("--engine", "patch", "--accuracy", "1e-2"), "accuracy: means nothing to the engine 'patch'"),
+        (("--engine", "surfel", "--accuracy", "1e-12"), "accuracy: 1e-12 must be from 1e-08 to 0.3"),
+    ],
+)
+def test_settings_of_another_engine_are_refused_in_one_sentence(options, words, scene_file, command, tmp_path):
+    result = command("generator", "sweep", scene_file, "-o", tmp_path / "set", *SMALL, *options)
+    assert result.returncode == 2
+    assert words in result.stderr
+    assert result.stderr.count("\n") == 1
+    assert not (tmp_path / "set").exists()
+
+
+def test_auto_says_what_asks_for_a_dearer_engine(command, tmp_path):
+    scene = stage.new_file()
+    stage.build(scene, preset("room", "sheet"))
+    target = stage.find(scene, "target")
+    tree = target.material_slots[0].material.node_tree
+    shader = tree.nodes.new("ShaderNodeBsdfGlossy")
+    output = next(n for n in tree.nodes if n.type == "OUTPUT_MATERIAL")
+    tree.links.new(shader.outputs[0], output.inputs["Surface"])
+    file = tmp_path / "mirror.blend"
+    stage.save_file(file)
+    options = ("--poses", "1", "--resolution", "4", "--workers", "1", "--samples", "1", "--engine", "auto")
+    result = command("generator", "sweep", file, "-o", tmp_path / "set", *options)
+    assert result.returncode == 0, result.stderr
+    assert "engine: patch, because" in result.stdout
+    assert "'Target'" in result.stdout
+    result = command("generator", "sweep", file, "-o", tmp_path / "other", *SMALL, "--engine", "surfel")
+    assert result.returncode == 2
+    assert "'surfel' cannot honour" in result.stderr
+
+
+def test_one_interface_renders_the_target_where_it_stands():
+    scene = stage.new_file()
+    stage.build(scene, preset("room", "sphere"))
+    stage.move_target(scene, (1.0, 0.75, 1.25), (0.0, 0.0, 0.0))
+    with engines.opened(scene, "surfel", resolution=(8, 8), accuracy=1e-2) as renderer:
+        seen, background = renderer.render(), renderer.render(target=False)
+        np.testing.assert_allclose(renderer.at((1.0, 0.75, 1.25), (0.0, 0.0, 0.0)), seen, rtol=1e-5)
+    assert (seen > background).mean() > 0.5
