@@ -125,6 +125,8 @@ def _read(data: bytes) -> tuple[Planes, dict[str, str]]:
     offsets = struct.unpack_from(f"<{n_chunks}Q", data, position)
     blocks: list[bytes] = [b""] * n_chunks
     for offset in offsets:
+        if offset > len(data):  # more than struct can even look for
+            raise ValueError(f"a block claims to start at byte {offset}")
         y, size = struct.unpack_from("<ii", data, offset)
         index = (y - y0) // lines
         if not 0 <= index < n_chunks or size < 0:

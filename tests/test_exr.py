@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import OpenEXR
 import pytest
-from hypothesis import HealthCheck, given, settings
+from hypothesis import HealthCheck, example, given, settings
 from hypothesis import strategies as st
 
 from generator.dataset import pixel_hash, read_picture, write_picture
@@ -55,6 +55,7 @@ def test_every_truncation_is_refused(tmp_path):
 
 
 @given(st.integers(0, 10_000), st.integers(0, 255))
+@example(434, 128)  # a block beyond what a C integer counts
 @settings(max_examples=300, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
 def test_a_changed_byte_gives_a_picture_or_a_sentence(tmp_path, where, value):
     write_picture(tmp_path / "p.exr", random_picture(20, 6), {"label": "A"})
