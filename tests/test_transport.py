@@ -244,7 +244,7 @@ def test_target_half_behind_the_screen():
     free = worlds.sheet_picture(scene, *pose, fine=2)
     assert 0.05 * free.mean() < expected.mean() < 0.95 * free.mean()
     got = Transport(scene, accuracy=2e-3).render(*pose)
-    assert got.report["ray_tests"]
+    assert got.report["visibility"] == "polygons"
     assert worlds.error(got.added[..., 0], expected) < 5e-3
 
 

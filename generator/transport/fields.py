@@ -1,8 +1,8 @@
 """The functions on the wall that a picture is made of, each to a relative accuracy, for many poses at once.
 
 What the target adds where nothing is in the way is a sum of smooth terms. What it adds where something may be, what
-the room sends, and what the target hides of that test rays: by compiled loops where surfaces are few, else by arrays
-and Embree.
+the room sends, and what the target hides of that have shadows in them, which are cut out exactly where flat surfaces
+are few. Where they are many, and where a sphere is partly in shadow, rays are tested.
 """
 
 from __future__ import annotations
@@ -14,8 +14,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from generator.transport import compiled, elements, integral, picture, shaded, traced
-from generator.transport.rays import FEW, Placed, Surfaces
+from generator.transport import compiled, elements, integral, picture, shaded, silhouettes, traced
+from generator.transport.rays import FEW, Placed
 from generator.transport.setting import Setting
 
 Floats = NDArray[Any]
@@ -58,8 +58,9 @@ class Fields:
         self._light = shaded.Light(setting.patch, setting.whole, self._digits)
         self._few = compiled.COMPILED and max(len(setting.room.origin), len(setting.target.origin)) <= FEW
         first = np.argsort(~setting.obstacles.is_blocker, kind="stable")
-        self._room_rows, self._room_tint = traced.rows(setting.room)[first], setting.room.tint[first]
-        self._target_rows = traced.rows(setting.target)
+        self._room, self._room_tint = silhouettes.facets(setting.room)[first], setting.room.tint[first]
+        # A sphere's outline is a polygon of its area, which errs with the fourth power of the angle.
+        self._ring = silhouettes.ring(12 if accuracy > 3e-3 else 24 if accuracy > 3e-4 else 48)
         # Widest cell where rays are tested, as a share of the target: an edge must not slip between its corners.
         self._widest = min(0.2, 0.25 * (100.0 * accuracy) ** (1.0 / 3.0))
         # A quadrature point is a ray into the room there, whose light varies more slowly than the near field's.
@@ -98,8 +99,9 @@ class Fields:
 
         pixels, panels = picture.draw(evaluate, rule, n, groups * channels, setting.resolution, self._accuracy / 2.0)
         reports = [
-            _report(panels, k, most[k, 0])
-            | {"patch_points": int(most[k, 1]), "precision": "float32" if single else "float64", "ray_tests": False}
+            _report(panels, k)
+            | {"elements": int(most[k, 0]), "patch_points": int(most[k, 1])}
+            | {"precision": "float32" if single else "float64", "visibility": "free"}
             for k in range(n)
         ]
         return pixels.reshape(n, groups, channels, *pixels.shape[2:]), reports
@@ -116,34 +118,43 @@ class Fields:
         pixels : ndarray of shape (n, groups, height, width)
         reports : list of dict
         """
-        setting = self._setting
-        shape = (setting.flat, setting.balls, setting.tint)
-        if self._few:
-            evaluate = self._reflected_loops(shape, turns, places, setting.convex, setting.target.extent)
+        setting, n = self._setting, len(places)
+        orders, hiders = self._orders(places), self._hiders(turns, places)
+        cut = self._few and not len(setting.balls)
+        if cut:
+            pixels, panels, lost = self._received(setting.flat, setting.tint, turns, places, hiders, orders)
+            reports = [_report(panels, k) for k in range(n)]
         else:
-            evaluate = self._reflected_arrays(shape, turns, places, None if setting.convex else setting.target)
-        pixels, panels, most = self._refined(evaluate, len(places), setting.tint.shape[1], setting.target.extent)
-        reports = [
-            _report(panels, k, most[k])
-            | {
-                "patch_points": int(self._light.nodes(places[k : k + 1]).shape[1]),
-                "precision": "float64",
-                "ray_tests": True,
-            }
-            for k in range(len(places))
-        ]
+            pixels, lost = np.zeros((n, setting.tint.shape[1], *setting.resolution[::-1])), np.ones(n, dtype=bool)
+            reports = [{} for _ in range(n)]
+        again = np.flatnonzero(lost)
+        if len(again):
+            shape = (setting.flat, setting.balls, setting.tint)
+            evaluate = self._reflected_loops if self._few else self._reflected_arrays
+            some = evaluate(shape, turns[again], places[again], hiders[again])
+            pixels[again], panels, most = self._refined(
+                some, len(again), setting.tint.shape[1], setting.target.extent
+            )
+            for k, pose in enumerate(again):
+                reports[pose] = _report(panels, k) | {"elements": int(most[k])}
+        for report, order, traced_by_rays in zip(reports, orders, lost, strict=True):
+            report["patch_points"] = int(order) ** 2
+            report["precision"] = "float64"
+            report["visibility"] = "rays" if traced_by_rays else "polygons"
         return pixels, reports
 
     def room(self) -> Floats:
         """What the room's own surfaces send to the watched patch, (groups, height, width)."""
         setting = self._setting
-        shape = (setting.room_cells, np.zeros((0, elements.WIDTH)), setting.room.tint)
-        here, there = np.eye(3)[None], np.zeros((1, 3))
+        here, there, nothing = np.eye(3)[None], np.zeros((1, 3)), np.zeros(1, dtype=np.int64)
+        cells, tint = setting.room_cells, setting.room.tint
+        lost = np.ones(1, dtype=bool)
         if self._few:
-            evaluate = self._reflected_loops(shape, here, there, True, setting.room.extent / 4.0)
-        else:
-            evaluate = self._reflected_arrays(shape, here, there, None)
-        pixels, _, _ = self._refined(evaluate, 1, setting.room.tint.shape[1], setting.room.extent, care=0.05)
+            orders = np.array([self._light.order(setting.room.samples())], dtype=np.int64)
+            pixels, _, lost = self._received(cells, tint, here, there, nothing, orders)
+        if lost.any():
+            evaluate = self._reflected_arrays((cells, np.zeros((0, elements.WIDTH)), tint), here, there, nothing)
+            pixels, _, _ = self._refined(evaluate, 1, tint.shape[1], setting.room.extent, care=0.05)
         only: Floats = pixels[0]
         return only
 
@@ -159,65 +170,114 @@ class Fields:
         Returns
         -------
         pixels : ndarray of shape (n, groups, height, width)
-        elements : ndarray of shape (n,)
+        panels : ndarray of shape (n,)
+            How many it took.
         """
-        evaluate = self._hidden_loops(turns, places) if self._few else self._hidden_arrays(turns, places)
-        extent, groups = self._setting.target.extent, self._setting.room.tint.shape[1]
-        pixels, _, most = self._refined(evaluate, len(places), groups, extent, level)
-        return pixels, most
+        setting, n = self._setting, len(places)
+        groups = setting.room.tint.shape[1]
+        pixels, panels, lost = np.empty((n, groups, *setting.resolution[::-1])), np.zeros(n), np.ones(n, dtype=bool)
+        if self._few:
+            hiders, orders = self._hiders(turns, places), self._orders(places)
+            target = (setting.flat, setting.balls, turns, places, setting.convex, self._ring)
+            room = (self._room, self._room_tint, hiders, orders, setting.whole, setting.patch)
+
+            def cut(owner: Floats, walls: Floats, values: Floats) -> None:
+                silhouettes.hidden_panels(owner, walls, *target, *room, elements.GAUSS, self._digits + 1.0, values)
+
+            pixels, drawn, lost = self._cut_out(cut, n, groups, level)
+            panels = drawn.count
+        again = np.flatnonzero(lost)
+        if len(again):
+            evaluate = self._hidden_arrays(turns[again], places[again])
+            pixels[again], drawn, _ = self._refined(evaluate, len(again), groups, setting.target.extent, level[again])
+            panels[again] = drawn.count
+        return pixels, panels
+
+    def _received(
+        self, flat: Floats, tint: Floats, turns: Floats, places: Floats, hiders: Floats, orders: Floats
+    ) -> tuple[Floats, picture.Panels, Floats]:
+        """What flat cells send that may hide each other; as `_cut_out` returns it."""
+        setting = self._setting
+
+        def cut(owner: Floats, walls: Floats, values: Floats) -> None:
+            silhouettes.received_panels(
+                *(owner, walls, flat, turns, places, self._room, tint, hiders, orders),
+                *(setting.whole, setting.patch, elements.GAUSS, self._digits + 1.0, values),
+            )
+
+        return self._cut_out(cut, len(places), tint.shape[1])
+
+    def _cut_out(
+        self, cut: Callable[[Floats, Floats, Floats], None], n: int, groups: int, level: Floats | None = None
+    ) -> tuple[Floats, picture.Panels, Floats]:
+        """Draw fields whose shadows are cut out as polygons.
+
+        Returns
+        -------
+        pixels : ndarray of shape (n, groups, height, width)
+        panels : picture.Panels
+        lost : ndarray of shape (n,), bool
+            Where there were too many polygons.
+        """
+        lost = np.zeros(n, dtype=bool)
+
+        def on_panels(owner: Floats, boxes: Floats) -> tuple[Floats, Floats]:
+            walls = self._walls(boxes, self._rule.points).reshape(len(owner), -1, 3)
+            values = np.empty((len(owner), groups, walls.shape[1]))
+            cut(owner, walls, values)
+            broken = np.isnan(values).any(axis=(1, 2))
+            lost[owner[broken]] = True
+            values[broken] = 0.0
+            return values, np.zeros(len(owner))
+
+        accuracy, resolution = self._accuracy / 2.0, self._setting.resolution
+        pixels, panels = picture.draw(on_panels, self._rule, n, groups, resolution, accuracy, level=level)
+        return pixels, panels, lost
 
     def _hiders(self, turns: Floats, places: Floats) -> Floats:
         """How many of the room's surfaces can stand in the way, pose by pose: those that can, or all."""
         obstacles = self._setting.obstacles
         each = [len(obstacles.blockers(p, t).origin) for p, t in zip(places, turns, strict=True)]
         few = int(obstacles.is_blocker.sum())
-        return np.array([few if n == few else len(self._room_rows) for n in each], dtype=np.int64)
+        return np.array([few if n == few else len(self._room) for n in each], dtype=np.int64)
+
+    def _orders(self, places: Floats) -> Floats:
+        """Which of the patch's rules stands for it where each of its points throws shadows of its own."""
+        reach = self._setting.target.reach
+        room = self._light.order(self._setting.room.samples())
+        return np.array([max(room, self._light.order(p[None], reach)) for p in places], dtype=np.int64)
 
     def _reflected_loops(
-        self, shape: tuple[Floats, Floats, Floats], turns: Floats, places: Floats, convex: bool, extent: float
+        self, shape: tuple[Floats, Floats, Floats], turns: Floats, places: Floats, hiders: Floats
     ) -> Traced:
-        setting, hiders = self._setting, self._hiders(turns, places)
+        setting = self._setting
+        rows = np.argsort(~setting.obstacles.is_blocker, kind="stable")
+        room, target = traced.rows(setting.room)[rows], traced.rows(setting.target)
+        widest = self._widest * setting.target.extent
 
         def evaluate(owner: Floats, walls: Floats, finest: Floats) -> tuple[Floats, Floats]:
             values, used = np.empty((len(owner), shape[2].shape[1])), np.empty(len(owner))
             traced.reflected_points(
-                *(owner, walls, *shape, turns, places, hiders, convex, self._rings, self._room_rows),
-                *(self._target_rows, setting.target.spheres, setting.whole, setting.patch, elements.GAUSS),
-                *(self._digits, finest, self._widest * extent, values, used),
-            )
-            return values, used
-
-        return evaluate
-
-    def _hidden_loops(self, turns: Floats, places: Floats) -> Traced:
-        setting, hiders = self._setting, self._hiders(turns, places)
-        room = self._light.order(setting.room.samples())
-        reach = setting.target.reach
-        orders = np.array([max(room, self._light.order(p[None], reach)) for p in places], dtype=np.int64)
-
-        def evaluate(owner: Floats, walls: Floats, finest: Floats) -> tuple[Floats, Floats]:
-            values, used = np.empty((len(owner), self._room_tint.shape[1])), np.empty(len(owner))
-            traced.hidden_points(
-                *(owner, walls, setting.flat, setting.balls, turns, places, hiders, setting.convex, self._rings),
-                *(self._room_rows, self._room_tint, self._target_rows, setting.target.spheres, orders),
-                *(setting.whole, setting.patch, elements.GAUSS, self._shadow_digits, finest),
-                *(self._widest * setting.target.extent, values, used),
+                *(owner, walls, *shape, turns, places, hiders, setting.convex, self._rings, room),
+                *(target, setting.target.spheres, setting.whole, setting.patch, elements.GAUSS),
+                *(self._digits, finest, widest, values, used),
             )
             return values, used
 
         return evaluate
 
     def _reflected_arrays(
-        self, shape: tuple[Floats, Floats, Floats], turns: Floats, places: Floats, own: Surfaces | None
+        self, shape: tuple[Floats, Floats, Floats], turns: Floats, places: Floats, _: Floats
     ) -> Traced:
         flat, balls, tint = shape
         setting = self._setting
+        itself = shape[0] is setting.room_cells
 
         def some(wall: Floats, finest: float, pose: int) -> tuple[Floats, int]:
             turn, place = turns[pose], places[pose]
             hiders: list[shaded.Hider] = [setting.obstacles.blockers(place, turn)]
-            if own is not None:
-                hiders.append(Placed(own, turn, place))
+            if not itself and not setting.convex:
+                hiders.append(Placed(setting.target, turn, place))
             found, _ = integral.cover(
                 *(flat, balls, turn, place, setting.pole, setting.spread, self._rings, *_around(wall)),
                 *(setting.patch, elements.GAUSS, self._digits, finest),
@@ -319,5 +379,5 @@ def _arrays(some: Shaded, groups: int) -> Traced:
     return evaluate
 
 
-def _report(panels: picture.Panels, k: int, most: float) -> dict[str, Any]:
-    return {"panels": int(panels.count[k]), "depth": int(panels.depth[k]), "elements": int(most)}
+def _report(panels: picture.Panels, k: int) -> dict[str, Any]:
+    return {"panels": int(panels.count[k]), "depth": int(panels.depth[k])}

@@ -41,7 +41,8 @@ class Rendered:
     report : dict
         What the engine chose: ``panels`` (of the picture), ``depth`` (how often the smallest was cut), ``elements``
         (most points on the target for one panel), ``patch_points`` (most on the lit patch), ``precision`` (float32 or
-        float64), ``ray_tests`` (whether visibility was tested), ``shadow_elements``.
+        float64), ``visibility`` ("free": nothing is in the way; "polygons": shadows are cut out; "rays": they are
+        tested ray by ray), ``shadow_panels`` (of what is hidden).
     """
 
     pixels: Array
@@ -207,7 +208,7 @@ class Transport:
             level = (added[:, :, 0] ** 2).mean(axis=(2, 3))
             hidden, counts = fields.hidden(turns, places, level)
             for report, count in zip(reports, counts, strict=True):
-                report["shadow_elements"] = int(count)
+                report["shadow_panels"] = int(count)
         return added, hidden, reports
 
     def _directly_lit(self) -> Array:

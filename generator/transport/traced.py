@@ -1,8 +1,8 @@
-"""`shaded` where surfaces are few: the same sums as compiled loops, with elements refined where shadows' edges cross.
+"""Light by way of a round target that is partly in shadow: ray tests in compiled loops, where surfaces are few.
 
-Every point of the wall has elements of its own: a cell of the target whose corners do not agree on what a ray through
-them meets, or on whether it gets there, is cut until it is small; all others keep the few points that smooth light
-needs. So the cost of a shadow's edge grows with its length, not with an area.
+Every point of the wall has elements of its own: a cell of the target whose corners do not agree on whether a ray gets
+there is cut until it is small; all others keep the few points that smooth light needs. So the cost of a shadow's edge
+grows with its length, not with an area.
 """
 
 from __future__ import annotations
@@ -22,9 +22,6 @@ Floats = NDArray[Any]
 _NEAR = 1e-6
 _STACK = 512
 
-TO_TARGET, PAST_FROM_PATCH, PAST_FROM_WALL = 0, 1, 2
-"""What a ray is for: to see the target, or what is behind it as seen from the lit patch or from the wall."""
-
 Scene = tuple[Floats, int, Floats, Floats, Floats, Floats, bool]
 """Room, how many of it can hide something, the target's surfaces, spheres, turn and place, and if it is convex."""
 
@@ -38,19 +35,6 @@ def rows(surfaces: Surfaces) -> Floats:
     made[:, 0:3], made[:, 3], made[:, 4:7] = surfaces.normal, surfaces.level, surfaces.origin
     made[:, 7:13], made[:, 13] = surfaces.dual.reshape(-1, 6), surfaces.triangle
     return made
-
-
-@jit
-def _first_hit(room: Floats, start: Floats, way: Floats) -> tuple[int, float]:
-    found, far = -1, np.inf
-    for k in range(room.shape[0]):
-        row = room[k]
-        t = (row[3] - (start[0] * row[0] + start[1] * row[1] + start[2] * row[2])) / (
-            way[0] * row[0] + way[1] * row[1] + way[2] * row[2]
-        )
-        if t > _NEAR and t < far and _inside(row, start, way, t):
-            found, far = k, t
-    return found, far
 
 
 @jit
@@ -103,52 +87,15 @@ def _met_by_target(
 
 
 @jit
-def _light_at(
-    point: Floats, normal: Floats, nodes: Floats, count: int, room: Floats, hiders: int, start: Floats, way: Floats
-) -> float:
-    """Irradiance of a point of the room on one side; ``start`` and ``way`` (3,) are room to work in."""
-    total = 0.0
-    start[2] = 0.0
-    way[2] = point[2]
-    for q in range(count):
-        u, v = nodes[0, q] - point[0], nodes[1, q] - point[1]
-        facing = normal[0] * u + normal[1] * v - normal[2] * point[2]
-        if facing <= 0.0 or point[2] <= 0.0:
-            continue
-        start[0], start[1], way[0], way[1] = nodes[0, q], nodes[1, q], -u, -v
-        if _blocked(room, hiders, start, way):
-            continue
-        squared = u * u + v * v + point[2] * point[2]
-        total += nodes[2, q] * facing * point[2] / (squared * squared)
-    return total
-
-
-@jit
-def _signature(origin: Floats, point: Floats, aim: Floats, leg: int, scene: Scene, work: Floats) -> int:
-    """What a ray from an origin through a point of the target tells: what it meets, and what gets in its way."""
+def _sees(origin: Floats, point: Floats, scene: Scene, work: Floats) -> bool:
+    """Whether nothing is between an origin and a point of the target."""
     room, hiders, target, spheres, turn, at, convex = scene
-    way, behind, own = work[0:3], work[3:6], work[6:12]
+    way, own = work[0:3], work[3:9]
     for r in range(3):
         way[r] = point[r] - origin[r]
-    sign = 0
     if _blocked(room, hiders, origin, way):
-        sign += 1000
-    if not convex and _met_by_target(target, spheres, turn, at, origin, way, own):
-        sign += 8000
-    if leg == TO_TARGET:
-        return sign
-    found, far = _first_hit(room, point, way)
-    sign += found
-    if leg == PAST_FROM_PATCH and found >= 0:
-        for r in range(3):
-            behind[r] = point[r] + far * way[r]
-        for r in range(3):
-            way[r] = aim[r] - behind[r]
-        if _blocked(room, hiders, behind, way):
-            sign += 2000
-        if _met_by_target(target, spheres, turn, at, behind, way, own):
-            sign += 4000
-    return sign
+        return False
+    return convex or not _met_by_target(target, spheres, turn, at, origin, way, own)
 
 
 @jit
@@ -156,7 +103,6 @@ def _cover_cell(
     owner: int,
     wall: Floats,
     origins: Floats,
-    leg: int,
     scene: Scene,
     rule: Rule,
     stack: Floats,
@@ -165,7 +111,7 @@ def _cover_cell(
 ) -> tuple[Floats, int]:
     """Cut the first cell of ``stack`` for one wall point, finer where a shadow's edge crosses it; append points."""
     gauss, digits, finest, widest, patch = rule
-    point, normal, work = np.empty(3), np.empty(3), np.empty(12)
+    point, normal, work = np.empty(3), np.empty(3), np.empty(9)
     cell = np.empty(elements.WIDTH)
     patch_radius = math.sqrt(patch[2] ** 2 + patch[3] ** 2)
     top = 1
@@ -185,10 +131,10 @@ def _cover_cell(
         if not cut_first and not cut_second and max(first, second) > finest:
             for o in range(origins.shape[0]):
                 elements.corner_of(cell, 0, point)
-                sign = _signature(origins[o], point, wall, leg, scene, work)
+                seen = _sees(origins[o], point, scene, work)
                 for corner in range(1, 3 if cell[0] == elements.TRIANGLE else 4):
                     elements.corner_of(cell, corner, point)
-                    if _signature(origins[o], point, wall, leg, scene, work) != sign:
+                    if _sees(origins[o], point, scene, work) != seen:
                         cut_first, cut_second = first > 0.5 * second, second > 0.5 * first
                         break
                 if cut_first or cut_second:
@@ -223,7 +169,6 @@ def _cover(
     rings: int,
     wall: Floats,
     origins: Floats,
-    leg: int,
     scene: Scene,
     rule: Rule,
     stack: Floats,
@@ -234,7 +179,7 @@ def _cover(
     count = 0
     for c in range(flat.shape[0]):
         elements.place(flat[c], turn, at, stack[0])
-        found, count = _cover_cell(c, wall, origins, leg, scene, rule, stack, found, count)
+        found, count = _cover_cell(c, wall, origins, scene, rule, stack, found, count)
     ball = np.empty(elements.WIDTH)
     for c in range(balls.shape[0]):
         elements.place(balls[c], turn, at, ball)
@@ -243,7 +188,7 @@ def _cover(
             for step in range(4 * rings):
                 stack[0] = ball
                 elements.cap_cell(stack[0], rim, ring, step, rings)
-                found, count = _cover_cell(flat.shape[0] + c, wall, origins, leg, scene, rule, stack, found, count)
+                found, count = _cover_cell(flat.shape[0] + c, wall, origins, scene, rule, stack, found, count)
     return found, count
 
 
@@ -259,155 +204,6 @@ def _facing(element: Floats, start: Floats, way: Floats) -> float:
         return 0.0
     squared = way[0] ** 2 + way[1] ** 2 + way[2] ** 2
     return facing * way[2] / (squared * squared) * element[6]
-
-
-@jit
-def _behind(room: Floats, start: Floats, way: Floats, point: Floats, normal: Floats) -> int:
-    """Write what a ray beyond an element meets of the room, and its normal on that side; return which surface."""
-    found, far = _first_hit(room, start, way)
-    if found < 0:
-        return found
-    side = 0.0
-    for r in range(3):
-        point[r] = start[r] + far * way[r]
-        side += room[found, r] * way[r]
-    for r in range(3):
-        normal[r] = -room[found, r] if side > 0.0 else room[found, r]
-    return found
-
-
-@jit
-def _second_leg(
-    wall: Floats, seen: Floats, count: int, scene: Scene, tint: Floats, nodes: Floats, total: Floats
-) -> None:
-    """Add to ``total`` (groups,) the room's light that the target hides from a wall point."""
-    room, hiders, target, spheres, turn, at, convex = scene
-    way, point, normal, start, step, own = (
-        np.empty(3),
-        np.empty(3),
-        np.empty(3),
-        np.empty(3),
-        np.empty(3),
-        np.empty(6),
-    )
-    for j in range(count):
-        term = _facing(seen[j], wall, way)
-        if term == 0.0 or _blocked(room, hiders, wall, way):
-            continue
-        if not convex and _met_by_target(target, spheres, turn, at, wall, way, own):
-            continue
-        found = _behind(room, seen[j], way, point, normal)
-        if found < 0:
-            continue
-        term *= _light_at(point, normal, nodes, nodes.shape[1], room, hiders, start, step)
-        for g in range(total.shape[0]):
-            total[g] += term * tint[found, g]
-
-
-@jit
-def _first_leg(
-    wall: Floats, lit: Floats, count: int, scene: Scene, tint: Floats, nodes: Floats, total: Floats
-) -> None:
-    """Add to ``total`` (groups,) the light that is missing because the target kept it from the room."""
-    room, hiders, target, spheres, turn, at, convex = scene
-    way, point, normal, start, own = np.empty(3), np.empty(3), np.empty(3), np.zeros(3), np.empty(6)
-    for j in range(count):
-        for q in range(nodes.shape[1]):
-            start[0], start[1] = nodes[0, q], nodes[1, q]
-            caught = nodes[2, q] * _facing(lit[j], start, way)
-            if caught == 0.0 or _blocked(room, hiders, start, way):
-                continue
-            if not convex and _met_by_target(target, spheres, turn, at, start, way, own):
-                continue
-            found = _behind(room, lit[j], way, point, normal)
-            if found < 0 or point[2] <= 0.0:
-                continue
-            for r in range(3):
-                way[r] = wall[r] - point[r]
-            facing = normal[0] * way[0] + normal[1] * way[1] + normal[2] * way[2]
-            if facing <= 0.0 or _blocked(room, hiders, point, way):
-                continue
-            if _met_by_target(target, spheres, turn, at, point, way, own):
-                continue
-            squared = way[0] ** 2 + way[1] ** 2 + way[2] ** 2
-            term = caught * facing * point[2] / (squared * squared)
-            for g in range(total.shape[0]):
-                total[g] += term * tint[found, g]
-
-
-@jit_parallel
-def hidden_points(
-    owner: Floats,
-    walls: Floats,
-    flat: Floats,
-    balls: Floats,
-    turns: Floats,
-    places: Floats,
-    hiders: Floats,
-    convex: bool,
-    rings: int,
-    room: Floats,
-    tint: Floats,
-    target: Floats,
-    spheres: Floats,
-    orders: Floats,
-    whole: Floats,
-    patch: Floats,
-    gauss: Floats,
-    digits: float,
-    finest: Floats,
-    widest: float,
-    values: Floats,
-    used: Floats,
-) -> None:
-    """Evaluate `shaded.hidden` at points of the wall.
-
-    Parameters
-    ----------
-    owner : ndarray of shape (n,), int
-        Which pose each point belongs to.
-    walls : ndarray of shape (n, 3)
-    flat, balls, turns, places, rings, whole, patch, gauss, digits
-        As for `integral.panels`.
-    hiders : ndarray of shape (poses,), int
-        How many of the room's surfaces, from the first, can stand in the way.
-    convex : bool
-        As for `shaded.hidden`.
-    room, target : ndarray of shape (n, 14)
-        As `rows` gives them; the target in its own frame.
-    tint : ndarray of shape (n, groups)
-    spheres : ndarray of shape (s, 4)
-        Of the target, in its own frame.
-    orders : ndarray of shape (poses,), int
-        Which of the rules ``whole`` stands for the lit patch.
-    finest : ndarray of shape (poses,)
-        Half widths of cells are not cut below this.
-    widest : float
-        No cell keeps a half width above this: an edge must not slip between its corners.
-    values : ndarray of shape (n, groups), written
-    used : ndarray of shape (n,), written
-        Elements.
-    """
-    for item in prange(owner.shape[0]):
-        pose, wall = owner[item], walls[item]
-        scene = (room, hiders[pose], target, spheres, turns[pose], places[pose], convex)
-        rule = (gauss, digits, finest[pose], max(widest, finest[pose]), patch)
-        order = orders[pose]
-        nodes = np.ascontiguousarray(whole[order, :, : order * order])
-        stack, found = np.empty((_STACK, elements.WIDTH)), np.empty((512, 9))
-        pole, total = np.array([patch[0], patch[1], 0.0]), np.zeros(values.shape[1])
-        spread = math.sqrt(patch[2] ** 2 + patch[3] ** 2)
-        origins = wall.copy().reshape(1, 3)
-        found, count = _cover(flat, balls, wall, 0.0, rings, wall, origins, PAST_FROM_WALL, scene, rule, stack, found)
-        _second_leg(wall, found, count, scene, tint, nodes, total)
-        used[item] = count
-        origins = pole.copy().reshape(1, 3)
-        found, count = _cover(
-            flat, balls, pole, spread, rings, wall, origins, PAST_FROM_PATCH, scene, rule, stack, found
-        )
-        _first_leg(wall, found, count, scene, tint, nodes, total)
-        used[item] += count
-        values[item] = total
 
 
 @jit_parallel
@@ -434,7 +230,31 @@ def reflected_points(
     values: Floats,
     used: Floats,
 ) -> None:
-    """Evaluate `shaded.reflected` at points of the wall; parameters as for `hidden_points` and `integral.panels`."""
+    """Evaluate `shaded.reflected` at points of the wall.
+
+    Parameters
+    ----------
+    owner : ndarray of shape (n,), int
+        Which pose each point belongs to.
+    walls : ndarray of shape (n, 3)
+    flat, balls, albedo, turns, places, rings, whole, patch, gauss, digits
+        As for `integral.panels`.
+    hiders : ndarray of shape (poses,), int
+        How many of the room's surfaces, from the first, can stand in the way.
+    convex : bool
+        Whether the target is one convex body or one flat sheet, which a ray enters only once.
+    room, target : ndarray of shape (n, 14)
+        As `rows` gives them; the target in its own frame.
+    spheres : ndarray of shape (s, 4)
+        Of the target, in its own frame.
+    finest : ndarray of shape (poses,)
+        Half widths of cells are not cut below this.
+    widest : float
+        No cell keeps a half width above this: an edge must not slip between its corners.
+    values : ndarray of shape (n, groups), written
+    used : ndarray of shape (n,), written
+        Elements.
+    """
     for item in prange(owner.shape[0]):
         pose, wall = owner[item], walls[item]
         scene = (room, hiders[pose], target, spheres, turns[pose], places[pose], convex)
@@ -444,7 +264,7 @@ def reflected_points(
         spread = math.sqrt(patch[2] ** 2 + patch[3] ** 2)
         origins = np.empty((2, 3))
         origins[0], origins[1] = wall, pole
-        found, count = _cover(flat, balls, pole, spread, rings, wall, origins, TO_TARGET, scene, rule, stack, found)
+        found, count = _cover(flat, balls, pole, spread, rings, wall, origins, scene, rule, stack, found)
         _reflect(wall, found, count, albedo, scene, whole, patch, digits, total)
         used[item] = count
         values[item] = total
