@@ -553,7 +553,7 @@ def _cases(targets: tuple[str, ...], gaps: tuple[float, ...], rooms: tuple[bool,
 
 def _surfel(processes: Processes, case: Case) -> Surfel | None:
     try:
-        return Surfel(processes.surfel_world(case), 1e-4)
+        return Surfel(processes.surfel_world(case), 3e-4)
     except (ImportError, spec.NlosError) as error:
         print(f"surfel left out: {error}", flush=True)
         return None

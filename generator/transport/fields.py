@@ -14,6 +14,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from generator.spec import NlosError
 from generator.transport import compiled, elements, integral, picture, shaded, silhouettes, traced
 from generator.transport.rays import FEW, Placed
 from generator.transport.setting import Setting
@@ -33,6 +34,10 @@ _SINGLE = 5e-5
 _LOOSE = 2.0
 """Sums over ray tests jump from point to point by about the accuracy, which no polynomial follows: panels of theirs
 are cut only for what is more than that."""
+
+_SLOPES = 10.0, 5e-3
+"""Derivatives of shadows jump where a shadow's edge meets a corner of the room along its length: they are drawn to so
+many times the accuracy, and to no better than the second."""
 
 _HALVINGS = 8
 """How often the elements at shadows' edges may be halved, from an eighth of the target."""
@@ -123,6 +128,7 @@ class Fields:
         cut = self._few and not len(setting.balls)
         if cut:
             pixels, panels, lost = self._received(setting.flat, setting.tint, turns, places, hiders, orders)
+            pixels = pixels[:, :, 0]
             reports = [_report(panels, k) for k in range(n)]
         else:
             pixels, lost = np.zeros((n, setting.tint.shape[1], *setting.resolution[::-1])), np.ones(n, dtype=bool)
@@ -152,30 +158,38 @@ class Fields:
         if self._few:
             orders = np.array([self._light.order(setting.room.samples())], dtype=np.int64)
             pixels, _, lost = self._received(cells, tint, here, there, nothing, orders)
+            pixels = pixels[:, :, 0]
         if lost.any():
             evaluate = self._reflected_arrays((cells, np.zeros((0, elements.WIDTH)), tint), here, there, nothing)
             pixels, _, _ = self._refined(evaluate, 1, tint.shape[1], setting.room.extent, care=0.05)
         only: Floats = pixels[0]
         return only
 
-    def hidden(self, turns: Floats, places: Floats, level: Floats) -> tuple[Floats, Floats]:
+    def hidden(self, turns: Floats, places: Floats, moving: bool, level: Floats) -> tuple[Floats, Floats]:
         """What a target hides of the room.
 
         Parameters
         ----------
         turns, places : ndarray of shape (n, 3, 3) and (n, 3)
-        level : ndarray of shape (n, groups)
+        moving : bool
+            With derivatives.
+        level : ndarray of shape (n, groups, 1 or 7)
             Mean square of what the target adds, which errors are measured against where it is larger.
 
         Returns
         -------
-        pixels : ndarray of shape (n, groups, height, width)
+        pixels : ndarray of shape (n, groups, 1 or 7, height, width)
         panels : ndarray of shape (n,)
             How many it took.
+
+        Raises
+        ------
+        NlosError
+            There are derivatives of polygons only.
         """
-        setting, n = self._setting, len(places)
-        groups = setting.room.tint.shape[1]
-        pixels, panels, lost = np.empty((n, groups, *setting.resolution[::-1])), np.zeros(n), np.ones(n, dtype=bool)
+        setting, (n, groups, channels) = self._setting, level.shape
+        pixels, panels = np.empty((n, groups, channels, *setting.resolution[::-1])), np.zeros(n, dtype=np.int64)
+        lost = np.ones(n, dtype=bool)
         if self._few:
             hiders, orders = self._hiders(turns, places), self._orders(places)
             target = (setting.flat, setting.balls, turns, places, setting.convex, self._ring)
@@ -184,12 +198,17 @@ class Fields:
             def cut(owner: Floats, walls: Floats, values: Floats) -> None:
                 silhouettes.hidden_panels(owner, walls, *target, *room, elements.GAUSS, self._digits + 1.0, values)
 
-            pixels, drawn, lost = self._cut_out(cut, n, groups, level)
+            level = level.copy()
+            level[:, :, 1:] *= max(_SLOPES[0], _SLOPES[1] / self._accuracy) ** 2
+            pixels, drawn, lost = self._cut_out(cut, n, groups, channels, level.reshape(n, -1))
             panels = drawn.count
         again = np.flatnonzero(lost)
         if len(again):
+            if moving:
+                raise NlosError(f"derivatives: the room or the target has more than {FEW} surfaces")
             evaluate = self._hidden_arrays(turns[again], places[again])
-            pixels[again], drawn, _ = self._refined(evaluate, len(again), groups, setting.target.extent, level[again])
+            extent = setting.target.extent
+            pixels[again, :, 0], drawn, _ = self._refined(evaluate, len(again), groups, extent, level[again, :, 0])
             panels[again] = drawn.count
         return pixels, panels
 
@@ -208,13 +227,18 @@ class Fields:
         return self._cut_out(cut, len(places), tint.shape[1])
 
     def _cut_out(
-        self, cut: Callable[[Floats, Floats, Floats], None], n: int, groups: int, level: Floats | None = None
+        self,
+        cut: Callable[[Floats, Floats, Floats], None],
+        n: int,
+        groups: int,
+        channels: int = 1,
+        level: Floats | None = None,
     ) -> tuple[Floats, picture.Panels, Floats]:
         """Draw fields whose shadows are cut out as polygons.
 
         Returns
         -------
-        pixels : ndarray of shape (n, groups, height, width)
+        pixels : ndarray of shape (n, groups, channels, height, width)
         panels : picture.Panels
         lost : ndarray of shape (n,), bool
             Where there were too many polygons.
@@ -223,16 +247,16 @@ class Fields:
 
         def on_panels(owner: Floats, boxes: Floats) -> tuple[Floats, Floats]:
             walls = self._walls(boxes, self._rule.points).reshape(len(owner), -1, 3)
-            values = np.empty((len(owner), groups, walls.shape[1]))
+            values = np.empty((len(owner), groups, channels, walls.shape[1]))
             cut(owner, walls, values)
-            broken = np.isnan(values).any(axis=(1, 2))
+            broken = np.isnan(values).any(axis=(1, 2, 3))
             lost[owner[broken]] = True
             values[broken] = 0.0
-            return values, np.zeros(len(owner))
+            return values.reshape(len(owner), groups * channels, -1), np.zeros(len(owner))
 
         accuracy, resolution = self._accuracy / 2.0, self._setting.resolution
-        pixels, panels = picture.draw(on_panels, self._rule, n, groups, resolution, accuracy, level=level)
-        return pixels, panels, lost
+        pixels, panels = picture.draw(on_panels, self._rule, n, groups * channels, resolution, accuracy, level=level)
+        return pixels.reshape(n, groups, channels, *pixels.shape[2:]), panels, lost
 
     def _hiders(self, turns: Floats, places: Floats) -> Floats:
         """How many of the room's surfaces can stand in the way, pose by pose: those that can, or all."""

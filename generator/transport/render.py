@@ -36,7 +36,7 @@ class Rendered:
     hidden : ndarray
         Light of the room that the target keeps from the wall.
     derivatives : ndarray of shape (7, height, width, 3), optional
-        Of ``added``: with respect to the target's position (3, per metre), its rotation about the world's axes
+        Of ``pixels``: with respect to the target's position (3, per metre), its rotation about the world's axes
         through its origin (3, per radian), and its strength (a factor on all its albedo).
     report : dict
         What the engine chose: ``panels`` (of the picture), ``depth`` (how often the smallest was cut), ``elements``
@@ -112,7 +112,7 @@ class Transport:
         rotation : array-like of shape (3,)
             About x, then y, then z, degrees.
         derivatives : bool, default=False
-            With the derivatives of what the target adds.
+            With the picture's derivatives.
 
         Returns
         -------
@@ -125,11 +125,11 @@ class Transport:
         """
         added, hidden, reports = self._render(np.array([position], float), np.array([rotation], float), derivatives)
         light = self._colour(added[0, :, 0])
-        shade = self._colour(hidden[0])
+        shade = self._colour(hidden[0, :, 0])
         slopes = None
         if derivatives:
             # Positions are in the frame's unit, and both positions and rotations along its axes.
-            moves = np.stack([self._colour(added[0, :, 1 + k]) for k in range(6)])
+            moves = np.stack([self._colour(added[0, :, 1 + k] - hidden[0, :, 1 + k]) for k in range(6)])
             turned = np.tensordot(self._setting.frame.axes.T, moves.reshape(2, 3, *light.shape), axes=(1, 1))
             slopes = np.concatenate([turned[:, 0] / self._setting.frame.unit, turned[:, 1], light[None]])
         return Rendered(self.background() + light - shade, light, shade, slopes, reports[0])
@@ -155,7 +155,7 @@ class Transport:
         background = self.background()
         for at in range(0, len(places), _BATCH):
             added, hidden, _ = self._render(places[at : at + _BATCH], turns[at : at + _BATCH], False)
-            change = added[:, :, 0] - hidden
+            change = added[:, :, 0] - hidden[:, :, 0]
             for channel, group in enumerate(self._setting.channel):
                 made[at : at + _BATCH, ..., channel] = (
                     background[..., channel] + change[:, group] * self._setting.factor[channel]
@@ -172,12 +172,12 @@ class Transport:
     def _render(
         self, positions: Floats, rotations: Floats, moving: bool
     ) -> tuple[Floats, Floats, list[dict[str, Any]]]:
-        """Relative pictures: added (n, groups, 1 or 7, h, w), hidden (n, groups, h, w), and a report each."""
+        """Relative pictures: added and hidden (n, groups, 1 or 7, h, w), and a report each."""
         setting, fields = self._setting, self._fields
         width, height = setting.resolution
         groups, channels = setting.tint.shape[1], 7 if moving else 1
         n = len(positions)
-        added, hidden = np.zeros((n, groups, channels, height, width)), np.zeros((n, groups, height, width))
+        added, hidden = np.zeros((2, n, groups, channels, height, width))
         reports: list[dict[str, Any]] = [{} for _ in range(n)]
         if not np.isfinite(positions).all() or not np.isfinite(rotations).all():
             raise NlosError("a pose's position or rotation is not finite")
@@ -205,8 +205,8 @@ class Transport:
             for k, report in zip(behind, kept, strict=True):
                 reports[k] = report
         if len(setting.room):
-            level = (added[:, :, 0] ** 2).mean(axis=(2, 3))
-            hidden, counts = fields.hidden(turns, places, level)
+            level = (added**2).mean(axis=(3, 4))
+            hidden, counts = fields.hidden(turns, places, moving, level)
             for report, count in zip(reports, counts, strict=True):
                 report["shadow_panels"] = int(count)
         return added, hidden, reports

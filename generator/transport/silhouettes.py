@@ -3,7 +3,7 @@
 Seen from a point, a convex surface hides an intersection of half-spaces, and on a plane behind it a convex polygon.
 So what is left of a facet after all shadows on both legs - towards the wall point, and towards a point of the lit
 patch - is a handful of polygons, and light is smooth on each. No ray is tested; the result is as smooth in pose and
-wall point as the scene allows.
+wall point as the scene allows, and its derivatives are integrals along the polygons' moving edges.
 """
 
 from __future__ import annotations
@@ -14,28 +14,32 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from generator.transport import elements, kernel
+from generator.transport import elements, integral, kernel
 from generator.transport.compiled import jit, jit_parallel, prange
-from generator.transport.polygons import (
-    CORNERS,
-    FACET,
-    PIECES,
-    by_way_of,
-    lay,
-    outline,
-    spread,
-    within,
-    without,
-)
+from generator.transport.polygons import CORNERS, FACET, PIECES, by_way_of, lay, outline, spread, within, without
 from generator.transport.rays import Surfaces
 
 Floats = NDArray[Any]
 
 _TOUCH = 1e-9
+_ON_LINE = 1e-9
 _STACK = 128
 
-Work = tuple[Floats, Floats, Floats, Floats, Floats, Floats, Floats, Floats, Floats]
-"""Room to work in: pieces and how many corners each has, three times; spare polygons, lines, a stack of triangles."""
+Cones = tuple[Floats, Floats]
+"""What each occluder hides from a point: half-spaces (occluders, k, 4), n . y + c >= 0, and how many of them
+(occluders,), 0 if it hides nothing. The target's flat cells come first, then its spheres, then the room."""
+
+Occluders = tuple[Floats, int, Floats, Floats]
+"""Facets (n, FACET), how many of them are the target's, spheres (s, 4), and the sides of a sphere's outline."""
+
+Rules = tuple[Floats, Floats, Floats, float]
+"""Quadrature: the patch's rules, the patch, Gauss points, digits."""
+
+Pieces = tuple[Floats, Floats]
+"""Polygons (PIECES, CORNERS, 2) along a facet's axes, and how many corners each has (PIECES,)."""
+
+Work = tuple[Pieces, Pieces, Floats, Floats, Floats]
+"""Room to work in: pieces twice, spare polygons, lines, a stack of triangles."""
 
 
 def facets(surfaces: Surfaces) -> Floats:
@@ -47,17 +51,24 @@ def facets(surfaces: Surfaces) -> Floats:
 
 
 def ring(corners: int) -> Floats:
-    """Return the sides of a regular polygon of the unit circle's area: directions (n, 2), and the last row's first
-    number its apothem."""
+    """Return the sides of a regular polygon that has the unit circle's area.
+
+    Returns
+    -------
+    ndarray of shape (corners + 1, 2)
+        Their directions; and, as the last row's first number, their distance from the middle.
+    """
     turn = 2.0 * np.pi * np.arange(corners) / corners
     step = np.pi / corners
-    apothem = math.sqrt(step / math.tan(step))
-    return np.vstack([np.column_stack([np.cos(turn), np.sin(turn)]), [apothem, 0.0]])
+    return np.vstack([np.column_stack([np.cos(turn), np.sin(turn)]), [math.sqrt(step / math.tan(step)), 0.0]])
+
+
+# --- what is hidden from a point ------------------------------------------------------------------------------------
 
 
 @jit
 def _behind_facet(facet: Floats, view: Floats, spaces: Floats) -> int:
-    """Write the half-spaces (k, 4), n . y + c >= 0, of what a facet hides from a point; return how many, or 0."""
+    """Write the half-spaces of what a facet hides from a point; return how many, or 0."""
     level = facet[9] * view[0] + facet[10] * view[1] + facet[11] * view[2] - facet[12]
     # Of a solid, the far side hides nothing that the near side does not.
     if abs(level) < _TOUCH or (facet[34] == 1.0 and level < 0.0):
@@ -69,11 +80,7 @@ def _behind_facet(facet: Floats, view: Floats, spaces: Floats) -> int:
         a0, a1, a2 = facet[i] - view[0], facet[i + 1] - view[1], facet[i + 2] - view[2]
         b0, b1, b2 = facet[j] - view[0], facet[j + 1] - view[1], facet[j + 2] - view[2]
         row = spaces[k]
-        row[0], row[1], row[2] = (
-            -side * (a1 * b2 - a2 * b1),
-            -side * (a2 * b0 - a0 * b2),
-            -side * (a0 * b1 - a1 * b0),
-        )
+        row[0], row[1], row[2] = side * (a2 * b1 - a1 * b2), side * (a0 * b2 - a2 * b0), side * (a1 * b0 - a0 * b1)
         row[3] = -(row[0] * view[0] + row[1] * view[1] + row[2] * view[2])
     row = spaces[n]
     row[0], row[1], row[2], row[3] = -side * facet[9], -side * facet[10], -side * facet[11], side * facet[12] - _TOUCH
@@ -113,18 +120,40 @@ def _behind_ball(ball: Floats, view: Floats, sides: Floats, spaces: Floats) -> i
 
 
 @jit
-def _all_hidden(
-    view: Floats, parts: Floats, first: int, balls: Floats, sides: Floats, spaces: Floats, counts: Floats
-) -> None:
-    """Write what each occluder hides from a point: half-spaces (parts, k, 4) and how many.
-
-    Spheres are counted after the ``first`` flat ones and before the others.
-    """
-    for k in range(parts.shape[0]):
+def _all_hidden(view: Floats, occluders: Occluders, cones: Cones) -> None:
+    """Write what each occluder hides from a point."""
+    every, first, balls, sides = occluders
+    spaces, counts = cones
+    for k in range(every.shape[0]):
         at = k if k < first else k + balls.shape[0]
-        counts[at] = _behind_facet(parts[k], view, spaces[at])
+        counts[at] = _behind_facet(every[k], view, spaces[at])
     for k in range(balls.shape[0]):
         counts[first + k] = _behind_ball(balls[k], view, sides, spaces[first + k])
+
+
+@jit
+def _no_cones(occluders: Occluders) -> Cones:
+    """Return room for what is hidden from a point."""
+    every, _, balls, sides = occluders
+    depth = max(6, sides.shape[0] + 1 if balls.shape[0] else 0)
+    number = every.shape[0] + balls.shape[0]
+    return np.empty((number, depth, 4)), np.zeros(number, dtype=np.int64)
+
+
+@jit
+def _from_nodes(nodes: Floats, occluders: Occluders) -> tuple[Floats, Floats]:
+    """Return cones from each point of the patch: (nodes, occluders, k, 4) and (nodes, occluders)."""
+    spaces, counts = _no_cones(occluders)
+    every = np.empty((nodes.shape[1], *spaces.shape))
+    numbers = np.empty((nodes.shape[1], counts.shape[0]), dtype=np.int64)
+    view = np.zeros(3)
+    for q in range(nodes.shape[1]):
+        view[0], view[1] = nodes[0, q], nodes[1, q]
+        _all_hidden(view, occluders, (every[q], numbers[q]))
+    return every, numbers
+
+
+# --- on a facet -----------------------------------------------------------------------------------------------------
 
 
 @jit
@@ -141,22 +170,32 @@ def _on(facet: Floats, spaces: Floats, k: int, lines: Floats) -> None:
 
 
 @jit
+def _above(facet: Floats, polygon: Floats, lines: Floats, spare: Floats) -> int:
+    """Write the corners of the part of a facet that is above the relay wall; return how many."""
+    n = outline(facet, polygon)
+    lines[0, 0], lines[0, 1], lines[0, 2] = facet[5], facet[8], facet[2]
+    return within(polygon, n, lines, 1, polygon, spare)
+
+
+@jit
 def _cleared(
-    facet: Floats,
-    own: int,
-    pieces: Floats,
-    corners: Floats,
-    count: int,
-    spaces: Floats,
-    counts: Floats,
-    first: int,
-    last: int,
-    others: Floats,
-    other_corners: Floats,
-    spare: Floats,
-    lines: Floats,
+    facet: Floats, own: int, pieces: Pieces, count: int, cones: Cones, first: int, last: int, left: Pieces, work: Work
 ) -> int:
-    """Take the shadows of parts ``first`` to ``last`` but the facet's own from pieces on it; return their number."""
+    """Take the shadows of occluders ``first`` to ``last`` but the facet's own from pieces on it.
+
+    Parameters
+    ----------
+    left : Pieces, room to work in
+
+    Returns
+    -------
+    int
+        How many pieces there are then; below 0, there were too many.
+    """
+    spaces, counts = cones
+    polygons, corners = pieces
+    others, other_corners = left
+    _, _, spare, lines, _ = work
     for part in range(first, last):
         if part == own or counts[part] == 0 or count <= 0:
             continue
@@ -164,18 +203,18 @@ def _cleared(
         _on(facet, spaces[part], k, lines)
         touched = False
         for p in range(count):
-            if within(pieces[p], corners[p], lines, k, spare[0], spare[1]):
+            if within(polygons[p], corners[p], lines, k, spare[0], spare[1]):
                 touched = True
                 break
         if not touched:
             continue
         made = 0
         for p in range(count):
-            made = without(pieces[p], corners[p], lines, k, others, other_corners, made, spare)
-            if made < 0:
-                return -1
+            made = without(polygons[p], corners[p], lines, k, others, other_corners, made, spare)
+        if made < 0:
+            return -1
         for p in range(made):
-            pieces[p, : other_corners[p]] = others[p, : other_corners[p]]
+            polygons[p, : other_corners[p]] = others[p, : other_corners[p]]
             corners[p] = other_corners[p]
         count = made
     return count
@@ -186,66 +225,56 @@ def _covered(
     facet: Floats,
     polygon: Floats,
     n: int,
-    spaces: Floats,
-    counts: Floats,
+    cones: Cones,
     parts: int,
     disjoint: bool,
-    pieces: Floats,
-    corners: Floats,
+    pieces: Pieces,
     count: int,
-    others: Floats,
-    other_corners: Floats,
-    more: Floats,
-    more_corners: Floats,
-    spare: Floats,
-    lines: Floats,
+    work: Work,
 ) -> int:
-    """Append what the first ``parts`` parts together hide of a polygon on a facet, as pieces that do not overlap."""
+    """Append what the first ``parts`` occluders together hide of a polygon on a facet, in pieces that do not overlap.
+
+    Returns
+    -------
+    int
+        How many pieces there are then; below 0, there were too many.
+    """
+    some, left, spare, lines, _ = work
+    spaces, counts = cones
+    polygons, corners = pieces
+    others, other_corners = some
     for part in range(parts):
         k = counts[part]
-        if k == 0:
+        if k == 0 or count < 0:
             continue
         _on(facet, spaces[part], k, lines)
-        m = within(polygon, n, lines, k, others[0], spare[0])
-        if m == 0:
+        other_corners[0] = within(polygon, n, lines, k, others[0], spare[0])
+        if other_corners[0] == 0:
             continue
-        other_corners[0] = m
-        made = 1
-        if not disjoint and part > 0:
-            made = _cleared(
-                facet, -1, others, other_corners, 1, spaces, counts, 0, part, more, more_corners, spare, lines
-            )
+        made = 1 if disjoint or part == 0 else _cleared(facet, -1, some, 1, cones, 0, part, left, work)
         if made < 0 or count + made > PIECES:
             return -1
         for p in range(made):
-            pieces[count, : other_corners[p]] = others[p, : other_corners[p]]
+            polygons[count, : other_corners[p]] = others[p, : other_corners[p]]
             corners[count] = other_corners[p]
             count += 1
     return count
 
 
 @jit
-def _may_meet(
-    facet: Floats,
-    polygon: Floats,
-    n: int,
-    ends: Floats,
-    end_counts: Floats,
-    part: int,
-    lines: Floats,
-    outside: Floats,
-) -> bool:
+def _may_meet(facet: Floats, polygon: Floats, n: int, ends: Cones, part: int, lines: Floats, outside: Floats) -> bool:
     """Whether a flat part's shadow, seen from anywhere between some points, may reach a polygon on a facet.
 
     The side of an edge's plane on which y lies, as seen from w, is a determinant that is affine in w and in y: with
     one sign for all corners of both, it has that sign everywhere between them.
     """
-    k = end_counts[0, part]
+    spaces, counts = ends
+    k = counts[0, part]
     outside[:] = True
-    for e in range(ends.shape[0]):
-        if end_counts[e, part] != k or k == 0:
+    for e in range(spaces.shape[0]):
+        if counts[e, part] != k or k == 0:
             return True
-        _on(facet, ends[e, part], k, lines)
+        _on(facet, spaces[e, part], k, lines)
         for i in range(k):
             for j in range(n):
                 if lines[i, 0] * polygon[j, 0] + lines[i, 1] * polygon[j, 1] + lines[i, 2] > 0.0:
@@ -253,81 +282,287 @@ def _may_meet(
     return not outside[:k].any()
 
 
-@jit
-def _above(facet: Floats, polygon: Floats, lines: Floats, spare: Floats) -> int:
-    """Write the corners of the part of a facet that is above the relay wall; return how many."""
-    n = outline(facet, polygon)
-    lines[0, 0], lines[0, 1], lines[0, 2] = facet[5], facet[8], facet[2]
-    return within(polygon, n, lines, 1, polygon, spare)
+# --- light ----------------------------------------------------------------------------------------------------------
 
 
 @jit
-def _seen(
+def _add_light(
+    light: Floats,
+    sign: float,
+    polygon: Floats,
+    n: int,
+    facet: Floats,
+    wall: Floats,
+    node: Floats,
+    rules: Rules,
+    stack: Floats,
+    found: Floats,
+) -> Floats:
+    """Add to ``light[0]`` what a wall point receives by way of a polygon; return ``found``, perhaps grown."""
+    whole, patch, gauss, digits = rules
+    found, count = spread(polygon, n, facet, wall, 0.0, patch, gauss, digits, stack, found, 0)
+    light[0] += sign * by_way_of(found, count, facet, wall, node, whole)
+    return found
+
+
+@jit
+def _facet_rates(facet: Floats, k: int, view: Floats, at: Floats, point: Floats, rates: Floats) -> None:
+    """Write how the k-th half-space of what a facet hides changes at a point as the target moves and turns.
+
+    With corners a and b as seen from the view and d the point, it is -(a x b) . d, and a moves by t + w x (a's arm).
+    """
+    level = facet[9] * view[0] + facet[10] * view[1] + facet[11] * view[2] - facet[12]
+    side = 1.0 if level > 0.0 else -1.0
+    n = int(facet[13])
+    if k == n:
+        for r in range(3):
+            s, t = (r + 1) % 3, (r + 2) % 3
+            rates[r] = side * facet[9 + r]
+            rates[3 + r] = -side * (facet[9 + s] * (point[t] - at[t]) - facet[9 + t] * (point[s] - at[s]))
+        return
+    i, j = 14 + 3 * k, 14 + 3 * ((k + 1) % n)
+    left, right = np.empty(3), np.empty(3)
+    for r in range(3):
+        s, t = (r + 1) % 3, (r + 2) % 3
+        ds, dt = point[s] - view[s], point[t] - view[t]
+        left[r] = (facet[j + s] - view[s]) * dt - (facet[j + t] - view[t]) * ds
+        right[r] = ds * (facet[i + t] - view[t]) - dt * (facet[i + s] - view[s])
+    for r in range(3):
+        s, t = (r + 1) % 3, (r + 2) % 3
+        rates[r] = -side * (left[r] + right[r])
+        rates[3 + r] = -side * (
+            (facet[i + s] - at[s]) * left[t]
+            - (facet[i + t] - at[t]) * left[s]
+            + (facet[j + s] - at[s]) * right[t]
+            - (facet[j + t] - at[t]) * right[s]
+        )
+
+
+@jit
+def _ball_rates(
+    ball: Floats, space: Floats, apothem: float, view: Floats, at: Floats, point: Floats, rates: Floats
+) -> None:
+    """As `_facet_rates`, for one side of a sphere's outline, carried along without turning about its axis."""
+    far, along, sine = 0.0, 0.0, 0.0
+    for r in range(3):
+        far += (ball[r] - view[r]) ** 2
+        along += (ball[r] - view[r]) * (point[r] - view[r])
+    far = math.sqrt(far)
+    along /= far
+    sine = min(ball[3] / far, 1.0 - 1e-9)
+    cosine = math.sqrt(1.0 - sine * sine)
+    opening = apothem * sine / cosine
+    slope = -apothem * sine / (far * cosine**3)
+    for r in range(3):
+        axis = (ball[r] - view[r]) / far
+        radial = opening * axis - space[r]
+        rates[r] = (slope - opening / far) * along * axis + (opening * (point[r] - view[r]) + along * radial) / far
+    for r in range(3):
+        s, t = (r + 1) % 3, (r + 2) % 3
+        rates[3 + r] = (ball[s] - at[s]) * rates[t] - (ball[t] - at[t]) * rates[s]
+
+
+@jit
+def _add_rates(
+    light: Floats,
+    sign: float,
+    polygon: Floats,
+    n: int,
+    facet: Floats,
+    wall: Floats,
+    node: Floats,
+    view: Floats,
+    cones: Cones,
+    occluders: Occluders,
+    at: Floats,
+    rules: Rules,
+    lines: Floats,
+    found: Floats,
+) -> None:
+    """Add to ``light[1:]`` how light by way of a polygon changes as the target's shadows, seen from a point, move.
+
+    By Reynolds' theorem that is an integral of the light along the edges that move, times how fast they do.
+    """
+    every, first, balls, sides = occluders
+    spaces, counts = cones
+    whole, patch, gauss, digits = rules
+    patch_radius = math.sqrt(patch[2] ** 2 + patch[3] ** 2)
+    rates, point = np.empty(6), np.empty(3)
+    middle0, middle1 = polygon[:n, 0].mean(), polygon[:n, 1].mean()
+    for part in range(first + balls.shape[0]):
+        _on(facet, spaces[part], counts[part], lines)
+        for i in range(counts[part]):
+            a, b, c = lines[i, 0], lines[i, 1], lines[i, 2]
+            steep = math.hypot(a, b)
+            if steep == 0.0 or (part >= first and i == counts[part] - 1):
+                continue
+            inside = 1.0 if a * middle0 + b * middle1 + c > 0.0 else -1.0
+            for j in range(n):
+                u0, v0 = polygon[j, 0], polygon[j, 1]
+                u1, v1 = polygon[(j + 1) % n, 0], polygon[(j + 1) % n, 1]
+                if abs(a * u0 + b * v0 + c) > _ON_LINE * steep or abs(a * u1 + b * v1 + c) > _ON_LINE * steep:
+                    continue
+                length = math.hypot(u1 - u0, v1 - v0)
+                for r in range(3):
+                    point[r] = facet[r] + (u0 + u1) / 2.0 * facet[3 + r] + (v0 + v1) / 2.0 * facet[6 + r]
+                distance = min(
+                    elements.distance_to_disc(point, wall[0], wall[1], 0.0),
+                    elements.distance_to_disc(point, patch[0], patch[1], patch_radius),
+                )
+                cuts = min(1000, 1 + int(length / distance))
+                wanted = min(elements.MAX_POINTS, elements.points_wanted(length / cuts / 2.0, distance, digits))
+                found[0, 3], found[0, 4] = 1.0, integral.patch_order(point, patch, digits)
+                for piece in range(cuts):
+                    for g in range(wanted):
+                        share = (piece + gauss[0, wanted, g]) / cuts
+                        for r in range(3):
+                            point[r] = (
+                                facet[r]
+                                + (u0 + share * (u1 - u0)) * facet[3 + r]
+                                + (v0 + share * (v1 - v0)) * facet[6 + r]
+                            )
+                            found[0, r] = point[r]
+                        if part < first:
+                            _facet_rates(every[part], i, view, at, point, rates)
+                        else:
+                            apothem = sides[sides.shape[0] - 1, 0]
+                            _ball_rates(balls[part - first], spaces[part, i], apothem, view, at, point, rates)
+                        weight = sign * inside * gauss[1, wanted, g] * length / cuts / steep
+                        weight *= by_way_of(found, 1, facet, wall, node, whole)
+                        for r in range(6):
+                            light[1 + r] += weight * rates[r]
+
+
+@jit
+def _add_seen(
+    light: Floats,
     facet: Floats,
     own: int,
-    view: Floats,
-    pieces: Floats,
-    corners: Floats,
+    wall: Floats,
+    pieces: Pieces,
     count: int,
     nodes: Floats,
-    from_nodes: Floats,
-    node_counts: Floats,
+    from_nodes: Cones,
     first: int,
     last: int,
-    whole: Floats,
-    patch: Floats,
-    gauss: Floats,
-    digits: float,
+    occluders: Occluders,
+    from_wall: Cones,
+    at: Floats,
+    rules: Rules,
     work: Work,
     found: Floats,
-) -> tuple[float, Floats]:
-    """Return what a wall point receives by way of pieces of a facet that it sees, and ``found``, perhaps grown."""
-    others, other_corners, more, more_corners, _, _, spare, lines, stack = work
-    total = 0.0
+) -> Floats:
+    """Add what a wall point receives by way of pieces of a facet that it sees, if occluders let the patch's light in.
+
+    Returns
+    -------
+    ndarray
+        ``found``, perhaps grown.
+    """
+    some, left, spare, lines, stack = work
+    polygons, corners = pieces
+    others, other_corners = some
+    spaces, counts = from_nodes
+    moving = light.shape[0] > 1
     nothing = np.zeros(3)
     for p in range(count):
         blocked = False
         for q in range(nodes.shape[1]):
             for part in range(first, last):
-                k = node_counts[q, part]
-                if part == own or k == 0:
+                k = counts[q, part]
+                if blocked or part == own or k == 0:
                     continue
-                _on(facet, from_nodes[q, part], k, lines)
-                if within(pieces[p], corners[p], lines, k, spare[0], spare[1]):
-                    blocked = True
-                    break
-            if blocked:
-                break
-        if not blocked:
-            found, n = spread(pieces[p], corners[p], facet, view, 0.0, patch, gauss, digits, stack, found, 0)
-            total += by_way_of(found, n, facet, view, nothing, whole)
-            continue
-        for q in range(nodes.shape[1]):
-            others[0, : corners[p]] = pieces[p, : corners[p]]
+                _on(facet, spaces[q, part], k, lines)
+                blocked = within(polygons[p], corners[p], lines, k, spare[0], spare[1]) > 0
+        for q in range(nodes.shape[1] if blocked else 1):
+            others[0, : corners[p]] = polygons[p, : corners[p]]
             other_corners[0] = corners[p]
-            made = _cleared(
-                facet,
-                own,
-                others,
-                other_corners,
-                1,
-                from_nodes[q],
-                node_counts[q],
-                first,
-                last,
-                more,
-                more_corners,
-                spare,
-                lines,
-            )
+            made, node = 1, nothing
+            if blocked:
+                node = nodes[:, q].copy()
+                made = _cleared(facet, own, some, 1, (spaces[q], counts[q]), first, last, left, work)
             if made < 0:
-                return np.nan, found
+                light[:] = np.nan
             for i in range(made):
-                found, n = spread(
-                    others[i], other_corners[i], facet, view, 0.0, patch, gauss, digits, stack, found, 0
-                )
-                total += by_way_of(found, n, facet, view, nodes[:, q], whole)
-    return total, found
+                n = other_corners[i]
+                found = _add_light(light, 1.0, others[i], n, facet, wall, node, rules, stack, found)
+                if moving:
+                    _add_rates(
+                        light,
+                        1.0,
+                        others[i],
+                        n,
+                        facet,
+                        wall,
+                        node,
+                        wall,
+                        from_wall,
+                        occluders,
+                        at,
+                        rules,
+                        lines,
+                        found,
+                    )
+    return found
+
+
+@jit
+def _add_kept(
+    light: Floats,
+    whole: bool,
+    polygon: Floats,
+    n: int,
+    facet: Floats,
+    own: int,
+    wall: Floats,
+    node: Floats,
+    from_node: Cones,
+    from_wall: Cones,
+    occluders: Occluders,
+    target: int,
+    last: int,
+    disjoint: bool,
+    at: Floats,
+    held: Pieces,
+    pieces: Pieces,
+    rules: Rules,
+    work: Work,
+    found: Floats,
+) -> Floats:
+    """Add the light that a node's shadow keeps from a wall point, or (not ``whole``) take away what is hidden anyway.
+
+    Returns
+    -------
+    ndarray
+        ``found``, perhaps grown.
+    """
+    _, left, _, lines, stack = work
+    moving = light.shape[0] > 1
+    view = np.array([node[0], node[1], 0.0])
+    held[0][0, :n] = polygon[:n]
+    held[1][0] = n
+    count = _cleared(facet, own, held, 1, from_wall, target, last, left, work) if whole else 1
+    made = 0
+    for p in range(count):
+        made = _covered(facet, held[0][p], held[1][p], from_wall, target, disjoint, pieces, made, work)
+    if count < 0 or made < 0:
+        light[:] = np.nan
+        return found
+    for p in range(count if whole else 0):
+        some, n = held[0][p], held[1][p]
+        found = _add_light(light, 1.0, some, n, facet, wall, node, rules, stack, found)
+        if moving:
+            _add_rates(light, 1.0, some, n, facet, wall, node, view, from_node, occluders, at, rules, lines, found)
+    for p in range(made):
+        some, n = pieces[0][p], pieces[1][p]
+        found = _add_light(light, -1.0, some, n, facet, wall, node, rules, stack, found)
+        if moving:
+            _add_rates(light, -1.0, some, n, facet, wall, node, view, from_node, occluders, at, rules, lines, found)
+            _add_rates(light, -1.0, some, n, facet, wall, node, wall, from_wall, occluders, at, rules, lines, found)
+    return found
+
+
+# --- panels ---------------------------------------------------------------------------------------------------------
 
 
 @jit
@@ -346,18 +581,28 @@ def _placed(flat: Floats, balls: Floats, turn: Floats, at: Floats) -> tuple[Floa
 
 
 @jit
-def _room_to_work(depth: int) -> Work:
-    return (
-        np.empty((PIECES, CORNERS, 2)),
-        np.empty(PIECES, dtype=np.int64),
-        np.empty((PIECES, CORNERS, 2)),
-        np.empty(PIECES, dtype=np.int64),
-        np.empty((PIECES, CORNERS, 2)),
-        np.empty(PIECES, dtype=np.int64),
-        np.empty((3, CORNERS, 2)),
-        np.empty((depth, 3)),
-        np.empty((_STACK, 6)),
-    )
+def _no_pieces() -> Pieces:
+    return np.empty((PIECES, CORNERS, 2)), np.empty(PIECES, dtype=np.int64)
+
+
+@jit
+def _room_to_work(cones: Cones) -> Work:
+    depth = cones[0].shape[1]
+    return _no_pieces(), _no_pieces(), np.empty((3, CORNERS, 2)), np.empty((depth, 3)), np.empty((_STACK, 6))
+
+
+@jit
+def _around(walls: Floats) -> tuple[Floats, float]:
+    """Return middle and radius of a circle around a panel's points, whose last four are its corners."""
+    ends = walls[walls.shape[0] - 4 :]
+    centre = np.zeros(2)
+    for e in range(4):
+        centre[0] += ends[e, 0] / 4.0
+        centre[1] += ends[e, 1] / 4.0
+    radius = 0.0
+    for e in range(4):
+        radius = max(radius, math.hypot(ends[e, 0] - centre[0], ends[e, 1] - centre[1]))
+    return centre, radius
 
 
 @jit_parallel
@@ -380,7 +625,7 @@ def hidden_panels(
     digits: float,
     values: Floats,
 ) -> None:
-    """Evaluate `shaded.hidden` on panels.
+    """Evaluate `shaded.hidden` on panels, and its derivatives.
 
     The target hides y from w, or from a point q of the patch, where y is in the one or the other's shadow. So the sum
     is over what w's shadow covers, with all of the light that y would have; and over what q's shadow covers, but for
@@ -404,127 +649,191 @@ def hidden_panels(
         How many of the room's facets, from the first, can stand in the way.
     orders : ndarray of shape (poses,), int
         Which of the rules ``whole`` stands for the lit patch where its points throw shadows one by one.
-    values : ndarray of shape (n, groups, k), written
-        Not a number where shadows fall into too many pieces.
+    values : ndarray of shape (n, groups, 1 or 7, k), written
+        Not a number where shadows fall into too many pieces. With seven channels, the derivatives for the target's
+        position (3) and its rotation about the three axes (3) follow.
     """
+    rules = (whole, patch, gauss, digits)
     for item in prange(owner.shape[0]):
         pose = owner[item]
         parts, spheres = _placed(flat, balls, turns[pose], places[pose])
-        order, blockers = orders[pose], hiders[pose]
-        nodes = np.ascontiguousarray(whole[order, :, : order * order])
-        values[item] = _hidden_panel(
-            walls[item], parts, spheres, disjoint, sides, room, tint, blockers, nodes, whole, patch, gauss, digits
-        )
+        occluders = (np.concatenate((parts, room[: hiders[pose]])), parts.shape[0], spheres, sides)
+        nodes = np.ascontiguousarray(whole[orders[pose], :, : orders[pose] ** 2])
+        values[item] = 0.0
+        _hidden_panel(walls[item], occluders, disjoint, room, tint, nodes, places[pose], rules, values[item])
 
 
 @jit
 def _hidden_panel(
     walls: Floats,
-    parts: Floats,
-    spheres: Floats,
+    occluders: Occluders,
     disjoint: bool,
-    sides: Floats,
     room: Floats,
     tint: Floats,
-    blockers: int,
     nodes: Floats,
-    whole: Floats,
-    patch: Floats,
-    gauss: Floats,
-    digits: float,
-) -> Floats:
-    target = parts.shape[0] + spheres.shape[0]
-    last = target + blockers
-    depth = max(6, sides.shape[0] + 1 if spheres.shape[0] else 0)
-    every = np.concatenate((parts, room[:blockers]))
-    total = np.zeros((tint.shape[1], walls.shape[0]))
-    work = _room_to_work(depth)
-    others, other_corners, more, more_corners, _, _, spare, lines, stack = work
-    pieces, corners = np.empty((PIECES, CORNERS, 2)), np.empty(PIECES, dtype=np.int64)
+    at: Floats,
+    rules: Rules,
+    total: Floats,
+) -> None:
+    every, flat, balls, _ = occluders
+    target, last = flat + balls.shape[0], every.shape[0] + balls.shape[0]
+    from_wall = _no_cones(occluders)
+    from_nodes = _from_nodes(nodes, occluders)
+    work, pieces, held = _room_to_work(from_wall), _no_pieces(), _no_pieces()
+    _, left, spare, lines, _ = work
     polygon, found = np.empty((CORNERS, 2)), np.empty((256, 5))
-    numbers = nodes.shape[1]
-
-    # What each node of the patch, and each corner of the panel, sees hidden.
-    from_nodes, node_counts = np.empty((numbers, last, depth, 4)), np.empty((numbers, last), dtype=np.int64)
-    view = np.zeros(3)
-    for q in range(numbers):
-        view[0], view[1] = nodes[0, q], nodes[1, q]
-        _all_hidden(view, every, parts.shape[0], spheres, sides, from_nodes[q], node_counts[q])
-    from_ends, end_counts = np.empty((4, last, depth, 4)), np.empty((4, last), dtype=np.int64)
-    for e in range(4):
-        _all_hidden(walls[walls.shape[0] - 4 + e], every, parts.shape[0], spheres, sides, from_ends[e], end_counts[e])
+    light = np.zeros(total.shape[1])
 
     # What the nodes' shadows cover, node by node.
-    most = PIECES + 2 * numbers * room.shape[0]
-    kept, kept_corners = np.empty((most, CORNERS, 2)), np.empty(most, dtype=np.int64)
-    kept_of = np.empty((most, 2), dtype=np.int64)
+    most = PIECES + 2 * nodes.shape[1] * room.shape[0]
+    kept, kept_corners, kept_of = (
+        np.empty((most, CORNERS, 2)),
+        np.empty(most, np.int64),
+        np.empty((most, 2), np.int64),
+    )
     number = 0
     for s in range(room.shape[0]):
         n = _above(room[s], polygon, lines, spare[0])
-        for q in range(numbers if n else 0):
-            count = _covered(
-                room[s],
-                polygon,
-                n,
-                from_nodes[q],
-                node_counts[q],
-                target,
-                disjoint,
-                pieces,
-                corners,
-                0,
-                others,
-                other_corners,
-                more,
-                more_corners,
-                spare,
-                lines,
-            )
-            count = _cleared(
-                room[s],
-                target + s,
-                pieces,
-                corners,
-                count,
-                from_nodes[q],
-                node_counts[q],
-                target,
-                last,
-                others,
-                other_corners,
-                spare,
-                lines,
-            )
+        for q in range(nodes.shape[1] if n else 0):
+            cones = (from_nodes[0][q], from_nodes[1][q])
+            count = _covered(room[s], polygon, n, cones, target, disjoint, pieces, 0, work)
+            count = _cleared(room[s], target + s, pieces, count, cones, target, last, left, work)
             if count < 0 or number + count > most:
                 total[:] = np.nan
-                return total
+                return
             for p in range(count):
-                kept[number, : corners[p]] = pieces[p, : corners[p]]
-                kept_corners[number], kept_of[number, 0], kept_of[number, 1] = corners[p], s, q
+                n_p = pieces[1][p]
+                kept[number, :n_p] = pieces[0][p, :n_p]
+                kept_corners[number], kept_of[number, 0], kept_of[number, 1] = n_p, s, q
                 number += 1
 
-    # Light of those that nothing keeps from any point of the panel: one sum for all of its points.
-    centre, radius = _around(walls)
-    may_block, may_cover = np.zeros(number, dtype=np.bool_), np.zeros(number, dtype=np.bool_)
-    outside = np.empty(depth, dtype=np.bool_)
-    sent, filled = np.empty((tint.shape[1], 6, 256)), 0
+    together, apart = _sorted(walls, kept, kept_corners, kept_of, number, occluders, target, room, work)
+    if total.shape[1] > 1:
+        together[:] = False
+        apart[:] = True
+    _add_together(walls, kept, kept_corners, kept_of, number, together, room, tint, nodes, rules, work, total)
+    for w in range(walls.shape[0]):
+        wall = walls[w]
+        _all_hidden(wall, occluders, from_wall)
+        for s in range(room.shape[0]):
+            n = _above(room[s], polygon, lines, spare[0])
+            count = _covered(room[s], polygon, n, from_wall, target, disjoint, pieces, 0, work)
+            count = _cleared(room[s], target + s, pieces, count, from_wall, target, last, left, work)
+            light[:] = 0.0 if count >= 0 else np.nan
+            found = _add_seen(
+                light,
+                room[s],
+                target + s,
+                wall,
+                pieces,
+                count,
+                nodes,
+                from_nodes,
+                target,
+                last,
+                occluders,
+                from_wall,
+                at,
+                rules,
+                work,
+                found,
+            )
+            for g in range(tint.shape[1]):
+                total[g, :, w] += light * tint[s, g]
+        for p in range(number):
+            if together[p] and not apart[p]:
+                continue
+            s, q = kept_of[p, 0], kept_of[p, 1]
+            light[:] = 0.0
+            found = _add_kept(
+                light,
+                not together[p],
+                kept[p],
+                kept_corners[p],
+                room[s],
+                target + s,
+                wall,
+                nodes[:, q].copy(),
+                (from_nodes[0][q], from_nodes[1][q]),
+                from_wall,
+                occluders,
+                target,
+                last,
+                disjoint,
+                at,
+                held,
+                pieces,
+                rules,
+                work,
+                found,
+            )
+            for g in range(tint.shape[1]):
+                total[g, :, w] += light * tint[s, g]
+
+
+@jit
+def _sorted(
+    walls: Floats,
+    kept: Floats,
+    corners: Floats,
+    of: Floats,
+    number: int,
+    occluders: Occluders,
+    target: int,
+    room: Floats,
+    work: Work,
+) -> tuple[Floats, Floats]:
+    """Say of which nodes' shadows all of a panel sees everything, and which w's own shadow may overlap somewhere."""
+    every, flat, balls, _ = occluders
+    last = every.shape[0] + balls.shape[0]
+    ends = np.empty((4, *_no_cones(occluders)[0].shape))
+    end_counts = np.empty((4, last), dtype=np.int64)
+    for e in range(4):
+        _all_hidden(walls[walls.shape[0] - 4 + e], occluders, (ends[e], end_counts[e]))
+    outside = np.empty(ends.shape[2], dtype=np.bool_)
+    lines = work[3]
+    together = np.ones(number, dtype=np.bool_)
+    apart = np.full(number, balls.shape[0] > 0)  # a sphere's outline differs from point to point
     for p in range(number):
-        s, q = kept_of[p, 0], kept_of[p, 1]
-        facet, n = room[s], kept_corners[p]
-        may_cover[p] = spheres.shape[0] > 0  # whose outline differs from point to point
-        for part in range(parts.shape[0]):
-            if _may_meet(facet, kept[p], n, from_ends, end_counts, part, lines, outside):
-                may_cover[p] = True
-                break
-        for part in range(target, last):
-            if part != target + s and _may_meet(facet, kept[p], n, from_ends, end_counts, part, lines, outside):
-                may_block[p] = True
-                break
-        if may_block[p]:
+        facet = room[of[p, 0]]
+        for part in range(last):
+            if part == target + of[p, 0] or flat <= part < target or (apart[p] if part < flat else not together[p]):
+                continue
+            if _may_meet(facet, kept[p], corners[p], (ends, end_counts), part, lines, outside):
+                if part < flat:
+                    apart[p] = True
+                else:
+                    together[p] = False
+    return together, apart
+
+
+@jit
+def _add_together(
+    walls: Floats,
+    kept: Floats,
+    corners: Floats,
+    of: Floats,
+    number: int,
+    together: Floats,
+    room: Floats,
+    tint: Floats,
+    nodes: Floats,
+    rules: Rules,
+    work: Work,
+    total: Floats,
+) -> None:
+    """Add the light of nodes' shadows that nothing keeps from any point of a panel: one sum for all of its points."""
+    _, patch, gauss, digits = rules
+    centre, radius = _around(walls)
+    found, filled = np.empty((256, 5)), 0
+    sent = np.empty((tint.shape[1], 6, 256))
+    for p in range(number):
+        if not together[p]:
             continue
-        found, n = spread(kept[p], n, facet, centre, radius, patch, gauss, digits, stack, found, 0)
+        s, q = of[p, 0], of[p, 1]
+        facet = room[s]
+        found, n = spread(kept[p], corners[p], facet, centre, radius, patch, gauss, digits, work[4], found, 0)
         level = facet[9] * nodes[0, q] + facet[10] * nodes[1, q] - facet[12]
-        side = 1.0 if level > 0.0 else -1.0
         if filled + n > sent.shape[2]:
             grown = np.empty((sent.shape[0], 6, 2 * (filled + n)))
             grown[:, :, :filled] = sent[:, :, :filled]
@@ -532,7 +841,8 @@ def _hidden_panel(
         for k in range(n):
             u, v = found[k, 0] - nodes[0, q], found[k, 1] - nodes[1, q]
             near = u * u + v * v + found[k, 2] ** 2
-            strength = side * found[k, 3] * nodes[2, q] * abs(level) * found[k, 2] / (near * near)
+            # The sign of ``level`` turns the normal to the side that is lit.
+            strength = found[k, 3] * nodes[2, q] * level * found[k, 2] / (near * near)
             for g in range(tint.shape[1]):
                 for r in range(3):
                     sent[g, r, filled] = found[k, r]
@@ -540,192 +850,7 @@ def _hidden_panel(
             filled += 1
     a, b = np.ascontiguousarray(walls[:, 0]), np.ascontiguousarray(walls[:, 1])
     for g in range(tint.shape[1]):
-        kernel.radiance(a, b, sent[g], filled, total[g])
-
-    from_wall, wall_counts = np.empty((last, depth, 4)), np.empty(last, dtype=np.int64)
-    for w in range(walls.shape[0]):
-        wall = walls[w]
-        _all_hidden(wall, every, parts.shape[0], spheres, sides, from_wall, wall_counts)
-        for s in range(room.shape[0]):
-            n = _above(room[s], polygon, lines, spare[0])
-            count = _covered(
-                room[s],
-                polygon,
-                n,
-                from_wall,
-                wall_counts,
-                target,
-                disjoint,
-                pieces,
-                corners,
-                0,
-                others,
-                other_corners,
-                more,
-                more_corners,
-                spare,
-                lines,
-            )
-            count = _cleared(
-                room[s],
-                target + s,
-                pieces,
-                corners,
-                count,
-                from_wall,
-                wall_counts,
-                target,
-                last,
-                others,
-                other_corners,
-                spare,
-                lines,
-            )
-            if count == 0:
-                continue
-            light = np.nan
-            if count > 0:
-                light, found = _seen(
-                    room[s],
-                    target + s,
-                    wall,
-                    pieces,
-                    corners,
-                    count,
-                    nodes,
-                    from_nodes,
-                    node_counts,
-                    target,
-                    last,
-                    whole,
-                    patch,
-                    gauss,
-                    digits,
-                    work,
-                    found,
-                )
-            for g in range(tint.shape[1]):
-                total[g, w] += light * tint[s, g]
-        for p in range(number):
-            if not may_block[p] and not may_cover[p]:
-                continue
-            s, q = kept_of[p, 0], kept_of[p, 1]
-            light, found = _kept_light(
-                kept[p],
-                kept_corners[p],
-                room[s],
-                target + s,
-                wall,
-                nodes[:, q],
-                from_wall,
-                wall_counts,
-                target,
-                last,
-                may_block[p],
-                disjoint,
-                pieces,
-                corners,
-                work,
-                whole,
-                patch,
-                gauss,
-                digits,
-                found,
-            )
-            for g in range(tint.shape[1]):
-                total[g, w] += light * tint[s, g]
-    return total
-
-
-@jit
-def _kept_light(
-    polygon: Floats,
-    n: int,
-    facet: Floats,
-    own: int,
-    wall: Floats,
-    node: Floats,
-    from_wall: Floats,
-    wall_counts: Floats,
-    target: int,
-    last: int,
-    may_block: bool,
-    disjoint: bool,
-    pieces: Floats,
-    corners: Floats,
-    work: Work,
-    whole: Floats,
-    patch: Floats,
-    gauss: Floats,
-    digits: float,
-    found: Floats,
-) -> tuple[float, Floats]:
-    """Return what is still to be added of the light that a node's shadow keeps from a wall point."""
-    others, other_corners, more, more_corners, held, held_corners, spare, lines, stack = work
-    held[0, :n] = polygon[:n]
-    held_corners[0] = n
-    count, light = 1, 0.0
-    if may_block:
-        count = _cleared(
-            facet,
-            own,
-            held,
-            held_corners,
-            1,
-            from_wall,
-            wall_counts,
-            target,
-            last,
-            others,
-            other_corners,
-            spare,
-            lines,
-        )
-        for p in range(count):
-            found, n = spread(held[p], held_corners[p], facet, wall, 0.0, patch, gauss, digits, stack, found, 0)
-            light += by_way_of(found, n, facet, wall, node, whole)
-    made = 0
-    for p in range(count):
-        made = _covered(
-            facet,
-            held[p],
-            held_corners[p],
-            from_wall,
-            wall_counts,
-            target,
-            disjoint,
-            pieces,
-            corners,
-            made,
-            others,
-            other_corners,
-            more,
-            more_corners,
-            spare,
-            lines,
-        )
-        if made < 0:
-            break
-    if count < 0 or made < 0:
-        return np.nan, found
-    for p in range(made):
-        found, n = spread(pieces[p], corners[p], facet, wall, 0.0, patch, gauss, digits, stack, found, 0)
-        light -= by_way_of(found, n, facet, wall, node, whole)
-    return light, found
-
-
-@jit
-def _around(walls: Floats) -> tuple[Floats, float]:
-    """Return middle and radius of a circle around a panel's points, whose last four are its corners."""
-    ends = walls[walls.shape[0] - 4 :]
-    centre = np.zeros(2)
-    for e in range(4):
-        centre[0] += ends[e, 0] / 4.0
-        centre[1] += ends[e, 1] / 4.0
-    radius = 0.0
-    for e in range(4):
-        radius = max(radius, math.hypot(ends[e, 0] - centre[0], ends[e, 1] - centre[1]))
-    return centre, radius
+        kernel.radiance(a, b, sent[g], filled, total[g, 0])
 
 
 @jit_parallel
@@ -749,74 +874,53 @@ def received_panels(
 
     Parameters are those of `hidden_panels`; ``tint`` is the cells'.
     """
+    rules = (whole, patch, gauss, digits)
     for item in prange(owner.shape[0]):
         pose = owner[item]
-        parts, _ = _placed(flat, np.empty((0, elements.WIDTH)), turns[pose], places[pose])
-        order = orders[pose]
-        nodes = np.ascontiguousarray(whole[order, :, : order * order])
-        values[item] = _received_panel(
-            walls[item], parts, tint, room[: hiders[pose]], nodes, whole, patch, gauss, digits
-        )
+        parts, none = _placed(flat, np.empty((0, elements.WIDTH)), turns[pose], places[pose])
+        every = np.concatenate((parts, room[: hiders[pose]]))
+        nodes = np.ascontiguousarray(whole[orders[pose], :, : orders[pose] ** 2])
+        values[item] = 0.0
+        occluders = (every, every.shape[0], none, np.empty((1, 2)))
+        _received_panel(walls[item], parts, occluders, tint, nodes, rules, values[item])
 
 
 @jit
 def _received_panel(
-    walls: Floats,
-    parts: Floats,
-    tint: Floats,
-    blockers: Floats,
-    nodes: Floats,
-    whole: Floats,
-    patch: Floats,
-    gauss: Floats,
-    digits: float,
-) -> Floats:
-    every, none, sides = np.concatenate((parts, blockers)), np.empty((0, 4)), np.empty((1, 2))
-    last, depth, numbers = len(every), 6, nodes.shape[1]
-    total = np.zeros((tint.shape[1], walls.shape[0]))
-    work = _room_to_work(depth)
-    others, other_corners, _, _, _, _, spare, lines, _ = work
-    pieces, corners = np.empty((PIECES, CORNERS, 2)), np.empty(PIECES, dtype=np.int64)
-    found, view = np.empty((256, 5)), np.zeros(3)
-    from_nodes, node_counts = np.empty((numbers, last, depth, 4)), np.empty((numbers, last), dtype=np.int64)
-    for q in range(numbers):
-        view[0], view[1] = nodes[0, q], nodes[1, q]
-        _all_hidden(view, every, last, none, sides, from_nodes[q], node_counts[q])
-    from_wall, wall_counts = np.empty((last, depth, 4)), np.empty(last, dtype=np.int64)
+    walls: Floats, parts: Floats, occluders: Occluders, tint: Floats, nodes: Floats, rules: Rules, total: Floats
+) -> None:
+    last = occluders[1]
+    from_wall, from_nodes = _no_cones(occluders), _from_nodes(nodes, occluders)
+    work, pieces = _room_to_work(from_wall), _no_pieces()
+    _, left, spare, lines, _ = work
+    found, light, at = np.empty((256, 5)), np.zeros(1), np.zeros(3)
     for w in range(walls.shape[0]):
         wall = walls[w]
-        _all_hidden(wall, every, last, none, sides, from_wall, wall_counts)
+        _all_hidden(wall, occluders, from_wall)
         for s in range(parts.shape[0]):
             facet = parts[s]
             if facet[34] == 1.0 and facet[9] * wall[0] + facet[10] * wall[1] < facet[12]:
                 continue
-            corners[0] = _above(facet, pieces[0], lines, spare[0])
-            if corners[0] == 0:
-                continue
-            count = _cleared(
-                facet, s, pieces, corners, 1, from_wall, wall_counts, 0, last, others, other_corners, spare, lines
+            pieces[1][0] = _above(facet, pieces[0][0], lines, spare[0])
+            count = _cleared(facet, s, pieces, 1 if pieces[1][0] else 0, from_wall, 0, last, left, work)
+            light[:] = 0.0 if count >= 0 else np.nan
+            found = _add_seen(
+                light,
+                facet,
+                s,
+                wall,
+                pieces,
+                count,
+                nodes,
+                from_nodes,
+                0,
+                last,
+                occluders,
+                from_wall,
+                at,
+                rules,
+                work,
+                found,
             )
-            light = np.nan
-            if count >= 0:
-                light, found = _seen(
-                    facet,
-                    s,
-                    wall,
-                    pieces,
-                    corners,
-                    count,
-                    nodes,
-                    from_nodes,
-                    node_counts,
-                    0,
-                    last,
-                    whole,
-                    patch,
-                    gauss,
-                    digits,
-                    work,
-                    found,
-                )
             for g in range(tint.shape[1]):
-                total[g, w] += light * tint[s, g]
-    return total
+                total[g, 0, w] += light[0] * tint[s, g]
