@@ -384,3 +384,154 @@ def test_panels_share_all_of_their_light_among_pixels():
         picture.deposit(out, np.array([0]), np.array([box]), rule.coefficients(values))
         area = (box[1] - box[0]) * (box[3] - box[2])
         assert out.mean() == pytest.approx(area * float(values[0, 0, :25] @ rule.weights), rel=1e-12)
+
+
+def closed_room(albedo=0.8):
+    """Floor, ceiling, back and sides of a room behind the wall y = 0, and a screen that stands in it."""
+    x, y, z = (-1.2, 2.0), 1.6, (-1.0, 1.2)
+    wide, deep, tall = (x[1] - x[0], 0, 0), (0, y, 0), (0, 0, z[1] - z[0])
+    low, right = (x[0], 0, z[0]), (x[1], 0, z[0])
+    made = [quad_of(low, wide, deep), quad_of((x[0], 0, z[1]), wide, deep), quad_of((x[0], y, z[0]), wide, tall)]
+    made += [quad_of(low, deep, tall), quad_of(right, deep, tall), quad_of((0.2, 0.9, z[0]), (0, y - 0.9, 0), tall)]
+    return [worlds.quad(*sides, albedo) for sides in made]
+
+
+def quad_of(*sides):
+    return sides
+
+
+TARGETS = {
+    "sheet": worlds.sheet(),
+    "ball": Sphere(np.array([0.02, 0.0, -0.03]), 0.2, np.full(3, 0.9)),
+    "wedge": Mesh(
+        np.concatenate(
+            [worlds.sheet().triangles, worlds.quad((0.2, 0, -0.2), (0, -0.3, 0), (0, 0, 0.4), 1).triangles]
+        ),
+        np.full((4, 3), 0.9),
+    ),
+}
+IN_THE_ROOM = ((0.9, 0.7, 0.1), (8.0, -5.0, 20.0))
+
+
+@pytest.mark.parametrize("name", TARGETS)
+def test_polygons_and_rays_are_one_shadow(name):
+    scene = worlds.world(TARGETS[name], room=closed_room(), view=worlds.watched(resolution=(8, 8)))
+    cut, traced = Transport(scene, accuracy=1e-3), Transport(scene, accuracy=1e-2)
+    traced._fields._few = False
+    one, two = cut.render(*IN_THE_ROOM), traced.render(*IN_THE_ROOM)
+    assert worlds.error(traced.background(), cut.background()) < 1e-2
+    assert 0.1 * one.added.mean() < one.hidden.mean()
+    level = np.sqrt(max((one.added**2).mean(), (one.hidden**2).mean()))
+    for a, b in ((one.added, two.added), (one.hidden, two.hidden)):
+        assert np.sqrt(((a - b) ** 2).mean()) < 1e-2 * level
+
+
+@pytest.mark.parametrize("name", TARGETS)
+def test_shadows_to_the_accuracy_that_is_asked(name):
+    """Ten times finer polygons, rules and panels: what they agree in is not theirs to choose."""
+    scene = worlds.world(TARGETS[name], room=closed_room())
+    fine = Transport(scene, accuracy=2e-5).render(*IN_THE_ROOM)
+    level = np.sqrt(max((fine.added**2).mean(), (fine.hidden**2).mean()))
+    for accuracy in (1e-2, 1e-3, 2e-4):
+        got = Transport(scene, accuracy=accuracy).render(*IN_THE_ROOM)
+        wrong = (got.added - got.hidden) - (fine.added - fine.hidden)
+        assert np.sqrt((wrong**2).mean()) < accuracy * level
+
+
+@pytest.mark.parametrize("name", ["sheet", "ball"])
+def test_derivatives_of_shadows_are_finite_differences(name):
+    """On a piece of wall so small that nothing on it has to be drawn; a ball's outline is a polygon that turns."""
+    view = worlds.watched(x=(-0.4, -0.4 + 1e-3), z=(0.1, 0.1 + 1e-3), resolution=(1, 1))
+    transport = Transport(
+        worlds.world(TARGETS[name], room=closed_room(), view=view), accuracy=1e-6 if name == "sheet" else 1e-5
+    )
+    position, rotation = np.array(IN_THE_ROOM[0]), np.array(IN_THE_ROOM[1])
+    got = transport.render(position, rotation, derivatives=True)
+
+    def hidden(k, step):
+        if k < 3:
+            return transport.render(position + step * np.eye(3)[k], rotation).pixels.mean()
+        return transport.render(position, rotation + np.degrees(step) * np.eye(3)[2]).pixels.mean()
+
+    for k in (0, 1, 2, 5):
+        a, b = ((hidden(k, step) - hidden(k, -step)) / (2.0 * step) for step in (2e-3, 1e-3))
+        expected = (4.0 * b - a) / 3.0
+        scale = np.abs(got.derivatives[:6].mean(axis=(1, 2, 3))).max()
+        assert got.derivatives[k].mean() == pytest.approx(
+            expected, abs=(1e-6 if name == "sheet" else 1e-4) * scale
+        ), k
+
+
+def isometry(scene, matrix):
+    """A whole world turned or mirrored, its target included."""
+    mesh = scene.target[0]
+    four = np.eye(4)
+    four[:3, :3] = matrix
+    return replace(
+        scene,
+        patch=replace(
+            scene.patch,
+            **{k: matrix @ getattr(scene.patch, k) for k in ("centre", "major", "minor", "normal", "lamp", "axis")},
+        ),
+        watched=replace(
+            scene.watched,
+            to_wall=four @ scene.watched.to_wall,
+            eye=four @ scene.watched.eye,
+            normal=matrix @ scene.watched.normal,
+        ),
+        target=(replace(mesh, triangles=mesh.triangles @ matrix.T),),
+        room=tuple(replace(m, triangles=m.triangles @ matrix.T) for m in scene.room),
+    )
+
+
+@pytest.mark.parametrize(
+    "matrix", [np.diag([-1.0, 1.0, 1.0]), rotation_matrix((20.0, -130.0, 70.0))], ids=["mirrored", "turned"]
+)
+def test_mirrored_and_turned_worlds_look_the_same(matrix):
+    turned = replace(TARGETS["sheet"], triangles=TARGETS["sheet"].triangles @ rotation_matrix(IN_THE_ROOM[1]).T)
+    scene = worlds.world(turned, room=closed_room())
+    here, there = Transport(scene, accuracy=1e-4), Transport(isometry(scene, matrix), accuracy=1e-4)
+    position = np.array(IN_THE_ROOM[0])
+    one, two = here.render(position, (0, 0, 0)), there.render(matrix @ position, (0, 0, 0))
+    for name in ("pixels", "added", "hidden"):
+        np.testing.assert_allclose(getattr(two, name), getattr(one, name), rtol=1e-5)
+
+
+@pytest.mark.parametrize("name", TARGETS)
+def test_light_path_through_a_room_is_reversible(name):
+    """Swap a small lit patch and a small watched patch, with a target, its shadows and a screen between them."""
+    one, two, half = np.array([0.5, 0.0, 0.1]), np.array([-0.3, 0.0, -0.2]), 2e-3
+    levels = []
+    for lit, seen in ((one, two), (two, one)):
+        patch = worlds.lit_patch(radius=half, centre=lit, lamp=lit + np.array([-0.3, 1.5, 0.9]))
+        span = {"x": (seen[0] - half, seen[0] + half), "z": (seen[2] - half, seen[2] + half)}
+        view = worlds.watched(**span, resolution=(1, 1), eye=(seen[0] - 0.4, 1.5, 0.9))
+        scene = worlds.world(TARGETS[name], room=closed_room(), patch=patch, view=view)
+        _, power = worlds.patch_points(scene.patch)
+        got = Transport(scene, accuracy=1e-4).render(*IN_THE_ROOM)
+        levels.append(np.array([got.pixels.mean(), got.added.mean(), got.hidden.mean()]) / power.sum())
+    np.testing.assert_allclose(levels[0], levels[1], rtol=5e-4)
+
+
+@pytest.mark.parametrize("deep", [0.25, 1.6])
+def test_a_closed_white_room_returns_no_more_than_it_gets(deep):
+    """All of the relay wall of a closed room is watched; what it receives is no more than what left the patch."""
+    x, z = (-1.0, 1.0), (-1.0, 1.0)
+    wide, tall, into = (2.0, 0, 0), (0, 0, 2.0), (0, deep, 0)
+    corner = (x[0], 0, z[0])
+    sides = [(corner, wide, into), ((x[0], 0, z[1]), wide, into), (corner, into, tall), ((x[1], 0, z[0]), into, tall)]
+    room = [worlds.quad(*side, 1.0) for side in [*sides, ((x[0], deep, z[0]), wide, tall)]]
+    view = worlds.watched(x=x, z=z, resolution=(24, 24))
+    # From a camera so close to the wall that nothing can stand in its view.
+    view = replace(view, albedo=np.ones(3), eye=np.array([0.0, 1e-3, 0.0, 0.0]))
+    patch = worlds.lit_patch(centre=(-0.6, 0.0, 0.1), lamp=(-0.9, 1.0, 0.1))
+    scene = worlds.world(worlds.sheet(0.3, albedo=1.0), room=room, view=view, patch=patch)
+    transport = Transport(scene, accuracy=1e-3)
+    direct = Transport(replace(scene, order=1)).background()
+    got = transport.render((0.4, deep / 2.0, 0.1), (0, 0, 0))
+    _, power = worlds.patch_points(scene.patch)
+    received = [np.pi * (p - direct)[..., 0].sum() * (2.0 / 24) ** 2 for p in (transport.background(), got.pixels)]
+    share = np.array(received) / (np.pi * power.sum())
+    # The shallow room's back is nearly all that patch and wall see.
+    assert (share < 1.0).all()
+    assert (share > (0.75 if deep < 1.0 else 0.1)).all()

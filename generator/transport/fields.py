@@ -102,7 +102,8 @@ class Fields:
             np.maximum.at(most, owner, reports[:, :2])
             return values.reshape(len(owner), groups * channels, -1), reports[:, 3] / reports[:, 2]
 
-        pixels, panels = picture.draw(evaluate, rule, n, groups * channels, setting.resolution, self._accuracy / 2.0)
+        resolution, kin = setting.resolution, self._kin(groups, channels)
+        pixels, panels = picture.draw(evaluate, rule, n, groups * channels, resolution, self._accuracy / 2.0, kin=kin)
         reports = [
             _report(panels, k)
             | {"elements": int(most[k, 0]), "patch_points": int(most[k, 1])}
@@ -255,8 +256,30 @@ class Fields:
             return values.reshape(len(owner), groups * channels, -1), np.zeros(len(owner))
 
         accuracy, resolution = self._accuracy / 2.0, self._setting.resolution
-        pixels, panels = picture.draw(on_panels, self._rule, n, groups * channels, resolution, accuracy, level=level)
+        kin = self._kin(groups, channels)
+        pixels, panels = picture.draw(
+            on_panels, self._rule, n, groups * channels, resolution, accuracy, level=level, kin=kin
+        )
         return pixels.reshape(n, groups, channels, *pixels.shape[2:]), panels, lost
+
+    def _kin(self, groups: int, channels: int) -> Callable[[Floats], Floats] | None:
+        """What derivatives may err in proportion to: the largest of three directions, and of three axes.
+
+        One of them may be next to nothing, as for a ball that turns; a turn's natural measure is the shift of the
+        target's rim.
+        """
+        if channels == 1:
+            return None
+        reach = self._setting.target.reach
+
+        def largest(norm: Floats) -> Floats:
+            by_group = norm.reshape(len(norm), groups, channels).copy()
+            shifts = by_group[:, :, 1:4].max(axis=2, keepdims=True)
+            by_group[:, :, 1:4] = shifts
+            by_group[:, :, 4:] = np.maximum(by_group[:, :, 4:].max(axis=2, keepdims=True), shifts * reach**2)
+            return by_group.reshape(norm.shape)
+
+        return largest
 
     def _hiders(self, turns: Floats, places: Floats) -> Floats:
         """How many of the room's surfaces can stand in the way, pose by pose: those that can, or all."""

@@ -103,6 +103,7 @@ def draw(
     accuracy: float,
     *,
     level: Floats | None = None,
+    kin: Callable[[Floats], Floats] | None = None,
 ) -> tuple[Floats, Panels]:
     """Draw pictures of a function that can be evaluated on panels.
 
@@ -117,6 +118,8 @@ def draw(
         Root mean square of the error, relative to that of the picture, channel by channel.
     level : ndarray of shape (pictures, channels), optional
         A mean square that errors are relative to where it is larger than the picture's own.
+    kin : callable, optional
+        Makes of all channels' mean squares (pictures, channels) those that errors are relative to.
 
     Returns
     -------
@@ -141,6 +144,8 @@ def draw(
         np.add.at(norm, owner, square)
         if level is not None:
             norm = np.maximum(norm, level)
+        if kin is not None:
+            norm = kin(norm)
         # Small panels may err more: those along a line are few for their size.
         allowed = (0.7 * accuracy) ** 2 * norm[owner] * area * 2.0**cut
         good = (tail <= allowed).all(axis=1) & ((nearness <= _TOO_NEAR) | (size < smallest))
