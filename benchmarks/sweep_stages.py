@@ -1,14 +1,14 @@
-"""Where the seconds of a sweep go: 900 poses at 64 x 64 by the engine surfel, stage by stage, and the same by `patch`.
+"""Where the seconds of a sweep go, stage by stage: 900 poses at 64 x 64 by the engine surfel, and the same by `patch`.
 
-Run: ``python benchmarks/sweep_stages.py -o DIR`` (some minutes). Each sweep is the command line's own, in a process of
-its own, of the room preset with its sheet, with as many workers as there are cores. The package is copied to DIR first,
-so the first sweep finds no compiled code; the sweeps after it find what it left. `patch` renders with the default
-samples, 9 and then 27 poses: the time of as many as surfel makes follows from what one more pose takes.
+Run: ``python benchmarks/sweep_stages.py -o DIR`` (some minutes). Each sweep is the command line's own, in a process
+of its own, of the room preset with its sheet, with as many workers as there are cores. The package is copied to DIR
+first, so the first sweep finds no compiled code; the sweeps after it find what it left. `patch` renders with the
+default samples, 9 and then 27 poses: the time of as many as surfel makes follows from what one more pose takes.
 
 The stages are timed from outside: named functions of the product are wrapped, in the coordinator and in its workers,
 and the time of a function is its own, without that of the wrapped functions that it calls. What a stage adds to the
-whole is its time in the coordinator, in the worker that plans and in the one that comes first, and its mean over the
-workers that run side by side.
+whole is its time in the coordinator, in the worker that plans and in the one that comes first (where the background
+needs a worker to itself), and its mean over the workers that run side by side.
 """
 
 from __future__ import annotations
@@ -94,7 +94,7 @@ class Clock:
         return timed
 
     def watch(self) -> None:
-        """Wrap the functions of all stages that have been imported, under every name that the product has for them."""
+        """Wrap the stages' functions that have been imported, under every name that the product has for them."""
         for name, targets in STAGES.items():
             for target in targets:
                 module, path = target.split(":")
@@ -199,7 +199,9 @@ def table(wall: float, told: list[dict[str, Any]], poses: int) -> str:
         for stage, spent in log["seconds"].items():
             if stage in STAGES:  # what the coordinator waits for is in its workers' own times
                 seconds[stage][log["role"]] += spent / (crew if log["role"] == "crew" else 1)
-    lines = [f"{'seconds':36s}" + "".join(f"{role:>12s}" for role in roles) + f"{'all':>9s}{'ms/pose':>9s}{'share':>7s}"]
+    lines = [
+        "".join([f"{'seconds':36s}", *(f"{role:>12s}" for role in roles), f"{'all':>9s}{'ms/pose':>9s}{'share':>7s}"])
+    ]
     known = 0.0
     for stage, by_role in seconds.items():
         whole = sum(by_role.values())
@@ -217,7 +219,7 @@ def main() -> int:
     parser.add_argument("-o", "--output", type=Path, required=True)
     parser.add_argument("--poses-per-voxel", type=int, default=100)
     parser.add_argument("--accuracy", default="1e-2")
-    parser.add_argument("--runs", type=int, default=3, help="sweeps with compiled code; the quickest is told (default: 3)")
+    parser.add_argument("--runs", type=int, default=3, help="sweeps with compiled code (default: 3)")
     parser.add_argument("--no-patch", action="store_true", help="surfel only")
     options = parser.parse_args()
     home: Path = options.output.resolve()
@@ -226,7 +228,7 @@ def main() -> int:
     shutil.rmtree(home / "generator", ignore_errors=True)
     shutil.copytree(source, home / "generator", ignore=shutil.ignore_patterns("__pycache__"))
     build = [sys.executable, "-m", "generator.cli", "scene", "room", "-o", "room.blend"]
-    subprocess.run(build, cwd=home, env={**os.environ, "PYTHONPATH": str(home)}, check=True, stdout=subprocess.DEVNULL)
+    subprocess.run(build, cwd=home, env={**os.environ, "PYTHONPATH": str(home)}, check=True)
 
     poses = 9 * options.poses_per_voxel
     surfel = ("--engine", "surfel", "--resolution", "64", "--accuracy", options.accuracy)

@@ -41,13 +41,13 @@ def run(arguments: list[str]) -> int:
     show(0, len(pending))
     done = 0
 
-    def report(_: PoseRecord) -> None:
+    def report(made: list[PoseRecord]) -> None:
         nonlocal done
-        done += 1
+        done += len(made)
         show(done, len(pending))
 
     try:
-        worker.render(scene, dataset, pending, report=report)
+        worker.render(scene, dataset, sweep.in_batches(pending, sweep.batch_size(dataset)), report=report)
     finally:
         remaining = len(dataset.gather())
     print(cli.summary(dataset, rendered=done, remaining=remaining))

@@ -6,6 +6,7 @@ Blender is here for the scene, once, and to tell whether a pose cuts a surface; 
 
 from __future__ import annotations
 
+import itertools
 import json
 import sys
 from collections.abc import Iterable, Mapping
@@ -90,7 +91,8 @@ def main(argv: list[str]) -> int:
             plan(stage.open_file(source), source, Path(argv[2]), json.loads(argv[3]))
             worker.answer(planned=True)
         else:
-            render(Bulk.open(Path(argv[1])), worker.commands(), threads=int(argv[2]))
+            parts = itertools.chain.from_iterable(worker.commands())
+            render(Bulk.open(Path(argv[1])), parts, threads=int(argv[2]))
     except NlosError as error:
         worker.answer(error=str(error))
         return 2

@@ -116,8 +116,12 @@ class SurfelRenderer:
 
     def at(self, position: Sequence[float], rotation: Sequence[float]) -> Picture:
         """Render one picture with the target at a pose: metres, and degrees about x, then y, then z."""
-        picture: Picture = self._transport.pictures([position], [rotation])[0]
+        picture: Picture = self.pictures([position], [rotation])[0]
         return picture
+
+    def pictures(self, positions: Sequence[Sequence[float]], rotations: Sequence[Sequence[float]]) -> Picture:
+        """Render the pictures of many poses, (n, height, width, 3); each as `at` does, in less time."""
+        return self._transport.pictures(positions, rotations)
 
 
 @contextlib.contextmanager

@@ -30,6 +30,9 @@ _HOME = str(Path(__file__).resolve().parents[1])
 TRIES = 3
 """How often a unit of work is given to a worker before it is listed as failed."""
 
+_BATCH, _BATCH_PIXELS = 32, 2**17
+"""Most poses that `surfel` renders at once, and most pixels: more gain nothing, but memory and an uneven end."""
+
 
 @dataclass
 class Outcome:
@@ -102,7 +105,8 @@ def run(
             progress,
         )
         try:
-            crew.work(pending, workers, first="" if _has_backgrounds(dataset) else "the background")
+            first = "" if _has_backgrounds(dataset) else "the background"
+            crew.work(pending, workers, first=first, batch=batch_size(dataset))
         finally:
             dataset.gather()
         outcome.failed = crew.failed
@@ -171,6 +175,19 @@ def pending_positions(dataset: Dataset, shard: tuple[int, int] = (0, 1)) -> list
     return [i for i, pose in enumerate(dataset.poses) if i % count == index and not pose.done]
 
 
+def batch_size(dataset: Dataset) -> int:
+    """Return how many poses a worker is given at once at most: `surfel` renders many in less time than one by one."""
+    if dataset.settings["engine"] != "surfel":
+        return 1
+    width, height = dataset.sweep.resolution
+    return max(1, min(_BATCH, _BATCH_PIXELS // (width * height)))
+
+
+def in_batches(units: Sequence[int], size: int) -> list[Sequence[int]]:
+    """Return units of work as runs of that size; the last may be shorter."""
+    return [units[at : at + size] for at in range(0, len(units), size)]
+
+
 def _has_backgrounds(dataset: Dataset) -> bool:
     return all(dataset.has_background(name) for name in dataset.background_names)
 
@@ -231,10 +248,10 @@ class Worker:
                 return fields
         return None
 
-    def send(self, unit: int) -> None:
-        """Tell the worker which unit of work is its next."""
+    def send(self, batch: Sequence[int]) -> None:
+        """Tell the worker which units of work are its next."""
         assert self._process.stdin is not None
-        self._process.stdin.write(f"{unit}\n")
+        self._process.stdin.write(" ".join(map(str, batch)) + "\n")
         self._process.stdin.flush()
 
     def last_words(self) -> str:
@@ -246,13 +263,13 @@ class Worker:
 
 
 class Crew:
-    """Workers side by side, each fed one unit of work at a time by a thread of its own.
+    """Workers side by side, each fed a batch of units of work at a time by a thread of its own.
 
     Parameters
     ----------
     command : callable
         Returns a worker's module and arguments, given how many threads it may use. The worker says when it is ready,
-        takes numbers of units as lines, and answers each when it is done.
+        takes batches as lines, numbers of units with blanks between, and answers each batch when it is done.
     name : callable
         What a unit is called in a list of failures.
     progress : callable
@@ -278,7 +295,7 @@ class Crew:
         self._name = name
         self._progress = progress
         self._size = size
-        self._todo: queue.SimpleQueue[tuple[int, int]] = queue.SimpleQueue()
+        self._todo: queue.SimpleQueue[tuple[Sequence[int], int]] = queue.SimpleQueue()
         self._lock = threading.Lock()
         self._workers: set[Worker] = set()
         self._stopped = threading.Event()
@@ -286,7 +303,7 @@ class Crew:
         self._done = 0
         self._total = 0
 
-    def work(self, units: Sequence[int], workers: int = 0, *, first: str = "") -> None:
+    def work(self, units: Sequence[int], workers: int = 0, *, first: str = "", batch: int = 1) -> None:
         """Do all units.
 
         Parameters
@@ -297,6 +314,8 @@ class Crew:
         first : str
             What the first worker makes, on all cores, before there is a crew that needs it; empty if there is
             no such thing.
+        batch : int
+            Most units that a worker is given at once.
 
         Raises
         ------
@@ -307,8 +326,9 @@ class Crew:
         crew = max(1, min(workers or cores, len(units)))
         self._total = sum(map(self._size, units))
         self._progress(0, self._total)
-        for unit in units:
-            self._todo.put((unit, 1))
+        batch = max(1, min(batch, len(units) // (4 * crew)))  # a few for each worker, lest they end far apart
+        for some in in_batches(units, batch):
+            self._todo.put((some, 1))
         try:
             if first:
                 with self._start(cores) as worker:
@@ -339,29 +359,30 @@ class Crew:
         try:
             while not self._stopped.is_set():
                 try:
-                    unit, attempt = self._todo.get_nowait()
+                    batch, attempt = self._todo.get_nowait()
                 except queue.Empty:
                     break
                 worker = worker or self._start(threads)
-                if self._do_one(worker, unit):
+                if self._do(worker, batch):
                     with self._lock:
-                        self._done += self._size(unit)
+                        self._done += sum(map(self._size, batch))
                         self._progress(self._done, self._total)
                 elif not self._stopped.is_set():
                     words, worker = worker.last_words(), None
-                    if attempt < TRIES:
-                        self._todo.put((unit, attempt + 1))
-                    else:
-                        self.failed.append(f"{self._name(unit)}: {words}")
+                    for unit in batch:  # one by one from now on: the others shall not fail with the one that did
+                        if attempt < TRIES:
+                            self._todo.put(([unit], attempt + 1))
+                        else:
+                            self.failed.append(f"{self._name(unit)}: {words}")
         except NlosError as error:
             self._error = error
             self._stopped.set()
 
     @staticmethod
-    def _do_one(worker: Worker, unit: int) -> bool:
-        """Whether the worker says that it has done the unit; False if it is gone."""
+    def _do(worker: Worker, batch: Sequence[int]) -> bool:
+        """Whether the worker says that it has done the batch; False if it is gone."""
         try:
-            worker.send(unit)
+            worker.send(batch)
             while answer := worker.answer():
                 if "ready" not in answer:
                     return True

@@ -10,7 +10,7 @@ from __future__ import annotations
 import json
 import sys
 import time
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from importlib import metadata
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -36,7 +36,7 @@ TURNS = {"sphere": (0.0, 0.0, 0.0), "sheet": (15.0, 15.0, 90.0), "mesh": (15.0, 
 
 
 def plan(scene: bpy.types.Scene, source: Path, path: Path, chosen: Mapping[str, Any]) -> Dataset:
-    """Create a data set from the open scene: settings, a copy of the scene, every pose; no picture yet.
+    """Create a data set from the open scene: settings, a copy of the scene, every pose; no picture of them yet.
 
     Parameters
     ----------
@@ -65,7 +65,7 @@ def plan(scene: bpy.types.Scene, source: Path, path: Path, chosen: Mapping[str, 
     if not automatic and any(name in chosen for name in idle):
         name = next(name for name in idle if name in chosen)
         raise NlosError(f"{name}: means nothing to the engine {sweep.engine!r}; leave it out")
-    with engines.opened(scene, sweep.engine, resolution=sweep.resolution, accuracy=sweep.accuracy):
+    with engines.opened(scene, sweep.engine, resolution=sweep.resolution, accuracy=sweep.accuracy) as renderer:
         pass  # refuses now what it could not honour later
     records = poses.plan(described.grid, sweep, stage.hull(scene), _clearance(scene))
     stage.save_file(path / SCENE)
@@ -80,7 +80,10 @@ def plan(scene: bpy.types.Scene, source: Path, path: Path, chosen: Mapping[str, 
         "extra_objects": stage.others(scene),
         "software": {"nlos-lab": version(), "blender": bpy.app.version_string, "numpy": np.__version__},
     }
-    return Dataset.create(path, meta, records)
+    dataset = Dataset.create(path, meta, records)
+    if isinstance(renderer, engines.SurfelRenderer):
+        _background(renderer, dataset, sweep)  # needs no scene, and far less time than a process of its own to start
+    return dataset
 
 
 def with_defaults(described: spec.Scene, chosen: Mapping[str, Any]) -> dict[str, Any]:
@@ -148,10 +151,10 @@ def check_blender(dataset: Dataset | Bulk) -> None:
 def render(
     scene: bpy.types.Scene,
     dataset: Dataset,
-    positions: Iterable[int],
+    batches: Iterable[Sequence[int]],
     *,
     threads: int = 0,
-    report: Callable[[PoseRecord], None] = lambda _: None,
+    report: Callable[[list[PoseRecord]], None] = lambda _: None,
 ) -> None:
     """Render the background, if it is missing, and then poses.
 
@@ -160,33 +163,47 @@ def render(
     scene : bpy.types.Scene
         The data set's own scene, open.
     dataset : Dataset
-    positions : iterable of int
-        Which of ``dataset.poses``.
+    batches : iterable of sequences of int
+        Which of ``dataset.poses``. The pixels do not depend on what is rendered together, only the time does.
     threads : int
         0 takes all cores.
     report : callable
-        Is told of each finished pose.
+        Is told of each finished batch.
     """
     sweep = dataset.sweep
     with engines.opened(
         scene, sweep.engine, resolution=sweep.resolution, threads=threads, accuracy=sweep.accuracy
     ) as renderer:
         background = _background(renderer, dataset, sweep)
-        for position in positions:
-            pose = dataset.poses[position]
+        for batch in batches:
+            chosen, samples = [dataset.poses[position] for position in batch], sweep.samples
             start = time.perf_counter()
+            pictures: Iterable[Picture]
             if isinstance(renderer, engines.SurfelRenderer):
-                pixels = renderer.at(pose.position, pose.rotation)
-                report(dataset.write_pose(pose, pixels, seconds=time.perf_counter() - start, samples=0))
-                continue
-            stage.move_target(scene, pose.position, pose.rotation)
-            pixels = renderer.render(samples=sweep.samples, seed=pose.seed)
-            if sweep.paired and background.any():
-                # A control variate of weight 1: rays that never meet the target are the same in both, and cancel.
-                own = renderer.render(samples=sweep.samples, seed=pose.seed, target=False)
-                pixels = pixels + (background - own)
-            seconds = time.perf_counter() - start
-            report(dataset.write_pose(pose, pixels, seconds=seconds, samples=sweep.samples))
+                samples = 0
+                pictures = renderer.pictures([pose.position for pose in chosen], [pose.rotation for pose in chosen])
+            else:
+                pictures = [_picture(scene, renderer, pose, sweep, background) for pose in chosen]
+            seconds = (time.perf_counter() - start) / len(chosen)
+            report(
+                [
+                    dataset.write_pose(pose, pixels, seconds=seconds, samples=samples)
+                    for pose, pixels in zip(chosen, pictures, strict=True)
+                ]
+            )
+
+
+def _picture(
+    scene: bpy.types.Scene, renderer: engines.Renderer, pose: PoseRecord, sweep: Sweep, background: Picture
+) -> Picture:
+    """Render a pose with Cycles."""
+    stage.move_target(scene, pose.position, pose.rotation)
+    pixels = renderer.render(samples=sweep.samples, seed=pose.seed)
+    if sweep.paired and background.any():
+        # A control variate of weight 1: rays that never meet the target are the same in both, and cancel.
+        own = renderer.render(samples=sweep.samples, seed=pose.seed, target=False)
+        pixels = pixels + (background - own)
+    return pixels
 
 
 def _background(renderer: engines.Renderer | engines.SurfelRenderer, dataset: Dataset, sweep: Sweep) -> Picture:
@@ -204,11 +221,11 @@ def answer(**fields: Any) -> None:
     print(ANSWER + json.dumps(fields), flush=True)
 
 
-def commands() -> Iterable[int]:
-    """Say that this process is ready, and return the numbers that the coordinator sends."""
+def commands() -> Iterable[list[int]]:
+    """Say that this process is ready, and return the batches of numbers that the coordinator sends."""
     answer(ready=True)
     for line in sys.stdin:
-        yield int(line)
+        yield [int(number) for number in line.split()]
 
 
 def main(argv: list[str]) -> int:
@@ -227,7 +244,7 @@ def main(argv: list[str]) -> int:
                 dataset,
                 commands(),
                 threads=int(argv[2]),
-                report=lambda pose: answer(file=pose.file, seconds=pose.seconds),
+                report=lambda made: answer(files=[pose.file for pose in made]),
             )
     except NlosError as error:
         answer(error=str(error))
