@@ -1,4 +1,4 @@
-"""Where the seconds of a sweep go, stage by stage: 900 poses at 64 x 64 by the engine surfel, and the same by `patch`.
+"""Where the seconds of a sweep go, stage by stage: 900 poses at 64 x 64 by surfel, and the same by `patch`.
 
 Run: ``python benchmarks/sweep_stages.py -o DIR`` (some minutes). Each sweep is the command line's own, in a process
 of its own, of the room preset with its sheet, with as many workers as there are cores. The package is copied to DIR
@@ -157,7 +157,7 @@ def as_coordinator(arguments: list[str]) -> int:
         options["env"] = {**options["env"], STARTED: repr(time.time())}
         return start(own, **options)
 
-    sweep.subprocess.Popen = started  # type: ignore[misc,assignment]
+    subprocess.Popen = started  # type: ignore[misc,assignment]
     sweep._run_plan = clock.wrap("(workers)", sweep._run_plan)
     sweep.Crew.work = clock.wrap("(workers)", sweep.Crew.work)  # type: ignore[method-assign]
     code = int(cli.main(arguments))
@@ -231,8 +231,8 @@ def main() -> int:
     subprocess.run(build, cwd=home, env={**os.environ, "PYTHONPATH": str(home)}, check=True)
 
     poses = 9 * options.poses_per_voxel
-    surfel = ("--engine", "surfel", "--resolution", "64", "--accuracy", options.accuracy)
-    surfel = (*surfel, "--poses", str(options.poses_per_voxel))
+    many = ("--resolution", "64", "--poses", str(options.poses_per_voxel))
+    surfel = ("--engine", "surfel", "--accuracy", options.accuracy, *many)
     print(f"surfel, {poses} poses, 64 x 64, accuracy {options.accuracy}; load {os.getloadavg()[0]:.1f}\n")
     cold = sweep(home, "cold", *surfel)
     print(f"nothing compiled yet:\n{table(*cold, poses)}\n", flush=True)
