@@ -21,6 +21,7 @@ import os
 import shutil
 import subprocess
 import sys
+import threading
 import time
 from collections import defaultdict
 from collections.abc import Callable, Iterator
@@ -31,6 +32,7 @@ LOGS, STARTED = "NLOS_STAGES_LOGS", "NLOS_STAGES_STARTED"
 """Environment: where a worker tells its times, and when it was started."""
 
 START, WAIT, REST = "start the process and import", "talk and wait for work", "rest of Python"
+OTHERS, IDLE = "(wait for other threads)", "(nothing)"
 STAGES = {
     START: [],
     "Blender: open, read, save the scene": [
@@ -55,34 +57,57 @@ STAGES = {
         *("generator.dataset:_read_poses", "generator.dataset:read_picture", "generator.dataset:read_toml"),
     ],
     WAIT: ["generator.worker:answer"],
-    REST: [],
+    REST: ["generator.dataset:Dataset.write_pose"],
+    OTHERS: ["concurrent.futures:Future.result"],
 }
 
 
-class Clock:
-    """Own time of nested stages: what runs inside another stage counts for that one alone."""
+class _Thread(threading.local):
+    """What a thread is at, from the inside out, and since when."""
 
     def __init__(self) -> None:
-        self.seconds: dict[str, float] = defaultdict(float)
-        self._stack = [REST]
-        self._last = time.perf_counter()
+        self.main = threading.current_thread() is threading.main_thread()
+        self.stack = [REST if self.main else IDLE]
+        self.last = time.perf_counter()
+
+
+class Clock:
+    """Own time of nested stages: what runs inside another stage counts for that one alone.
+
+    Time that the main thread waits for others is shared among the stages in proportion to what those spent on them.
+    """
+
+    def __init__(self) -> None:
+        self._seconds: dict[bool, dict[str, float]] = {True: defaultdict(float), False: defaultdict(float)}
+        self._lock = threading.Lock()
+        self._thread = _Thread()
 
     def turn(self) -> None:
         """Count what has passed for the stage at hand."""
-        now = time.perf_counter()
-        self.seconds[self._stack[-1]] += now - self._last
-        self._last = now
+        thread, now = self._thread, time.perf_counter()
+        with self._lock:
+            self._seconds[thread.main][thread.stack[-1]] += now - thread.last
+        thread.last = now
 
     @contextlib.contextmanager
     def stage(self, name: str) -> Iterator[None]:
         """Count what is done inside for a stage."""
         self.turn()
-        self._stack.append(name)
+        self._thread.stack.append(name)
         try:
             yield
         finally:
             self.turn()
-            self._stack.pop()
+            self._thread.stack.pop()
+
+    def told(self) -> dict[str, float]:
+        """Return the main thread's seconds by stage."""
+        self.turn()
+        with self._lock:
+            spent, aside = dict(self._seconds[True]), dict(self._seconds[False])
+        aside.pop(IDLE, None)
+        waited = spent.pop(OTHERS, 0.0) / (sum(aside.values()) or 1.0)
+        return {name: spent.get(name, 0.0) + waited * aside.get(name, 0.0) for name in spent.keys() | aside.keys()}
 
     def wrap(self, name: str, function: Callable[..., Any]) -> Callable[..., Any]:
         """Return the function, its time counted for a stage."""
@@ -98,8 +123,8 @@ class Clock:
         for name, targets in STAGES.items():
             for target in targets:
                 module, path = target.split(":")
-                if module not in sys.modules and module.startswith("generator."):
-                    continue  # the coordinator knows no Blender
+                if module not in sys.modules:
+                    continue  # the coordinator knows neither Blender nor numba
                 *owners, last = path.split(".")
                 owner: Any = importlib.import_module(module)
                 for step in owners:
@@ -114,17 +139,16 @@ class Clock:
 
 def as_worker(arguments: list[str]) -> int:
     """Be a worker that tells in a file where its time went: before each answer, for it may be ended after any."""
-    clock = Clock()
-    clock.seconds[START] = time.time() - float(os.environ[STARTED])
+    began, clock = time.time(), Clock()
     with clock.stage(START):
         from generator import worker
+    before = began - float(os.environ[STARTED])
     write_text, role = Path.write_text, "plan" if arguments[0] == "plan" else "first"
     clock.watch()
     answer, commands = worker.answer, worker.commands
 
     def answered(**fields: Any) -> None:
-        clock.turn()
-        told = {"role": role, "generator": worker.__file__, "seconds": clock.seconds}
+        told = {"role": role, "generator": worker.__file__, "before": before, "seconds": clock.told()}
         write_text(Path(os.environ[LOGS], f"{os.getpid()}.json"), json.dumps(told))
         answer(**fields)
 
@@ -145,10 +169,10 @@ def as_worker(arguments: list[str]) -> int:
 
 def as_coordinator(arguments: list[str]) -> int:
     """Run the command line, its workers replaced by those that tell their times."""
-    clock = Clock()
-    clock.seconds[START] = time.time() - float(os.environ[STARTED])
+    began, clock = time.time(), Clock()
     with clock.stage(START):
         from generator import cli, sweep
+    before = began - float(os.environ[STARTED])
     write_text, start = Path.write_text, subprocess.Popen
     clock.watch()
 
@@ -161,8 +185,7 @@ def as_coordinator(arguments: list[str]) -> int:
     sweep._run_plan = clock.wrap("(workers)", sweep._run_plan)
     sweep.Crew.work = clock.wrap("(workers)", sweep.Crew.work)  # type: ignore[method-assign]
     code = int(cli.main(arguments))
-    clock.turn()
-    told = {"role": "coordinator", "generator": sweep.__file__, "seconds": clock.seconds}
+    told = {"role": "coordinator", "generator": sweep.__file__, "before": before, "seconds": clock.told()}
     write_text(Path(os.environ[LOGS], "coordinator.json"), json.dumps(told))
     return code
 
@@ -194,10 +217,10 @@ def table(wall: float, told: list[dict[str, Any]], poses: int) -> str:
     """Return the stages of a sweep as text."""
     roles = ("coordinator", "plan", "first", "crew")
     crew = max(1, sum(log["role"] == "crew" for log in told))
-    seconds: dict[str, dict[str, float]] = {stage: dict.fromkeys(roles, 0.0) for stage in STAGES}
+    seconds: dict[str, dict[str, float]] = {s: dict.fromkeys(roles, 0.0) for s in STAGES if s != OTHERS}
     for log in told:
-        for stage, spent in log["seconds"].items():
-            if stage in STAGES:  # what the coordinator waits for is in its workers' own times
+        for stage, spent in [(START, log["before"]), *log["seconds"].items()]:
+            if stage in seconds:  # what the coordinator waits for is in its workers' own times
                 seconds[stage][log["role"]] += spent / (crew if log["role"] == "crew" else 1)
     lines = [
         "".join([f"{'seconds':36s}", *(f"{role:>12s}" for role in roles), f"{'all':>9s}{'ms/pose':>9s}{'share':>7s}"])

@@ -430,6 +430,12 @@ class Dataset:
         self.write_manifest()
         return [pose for pose in self.poses if not pose.done]
 
+    def tidy(self) -> None:
+        """Clear away what killed runs left half-written; for a whole set, when no worker writes to it any more."""
+        for folder in {(self.path / pose.file).parent for pose in self.poses} | {self.path}:
+            for left in folder.glob(".*.tmp"):
+                left.unlink(missing_ok=True)
+
     def write_manifest(self) -> None:
         """Write ``poses.csv`` by temporary name and rename."""
         text = io.StringIO()

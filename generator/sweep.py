@@ -112,6 +112,8 @@ def run(
         outcome.failed = crew.failed
         outcome.rendered = sum(dataset.poses[position].done for position in pending)  # as gathered from disk
     outcome.remaining = sum(not pose.done for pose in dataset.poses)
+    if outcome.rendered and not outcome.remaining:
+        dataset.tidy()
     return outcome
 
 

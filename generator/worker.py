@@ -7,10 +7,12 @@ standard output as well. When the coordinator dies its end of the pipe closes, a
 
 from __future__ import annotations
 
+import functools
 import json
 import sys
 import time
 from collections.abc import Callable, Iterable, Mapping, Sequence
+from concurrent.futures import ThreadPoolExecutor
 from importlib import metadata
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -30,6 +32,9 @@ if TYPE_CHECKING:
 
 BACKGROUND_FACTOR = 16
 """The background is rendered with this many times a pose's samples: its noise stands in every difference."""
+
+_WRITERS = 4
+"""Threads that write a batch: while one waits for the disk the next packs, and the disk flushes several at once."""
 
 TURNS = {"sphere": (0.0, 0.0, 0.0), "sheet": (15.0, 15.0, 90.0), "mesh": (15.0, 15.0, 90.0)}
 """Largest rotations, degrees, where the user names none. About z, +-90 covers a two-sided sheet once."""
@@ -171,9 +176,12 @@ def render(
         Is told of each finished batch.
     """
     sweep = dataset.sweep
-    with engines.opened(
-        scene, sweep.engine, resolution=sweep.resolution, threads=threads, accuracy=sweep.accuracy
-    ) as renderer:
+    with (
+        engines.opened(
+            scene, sweep.engine, resolution=sweep.resolution, threads=threads, accuracy=sweep.accuracy
+        ) as renderer,
+        ThreadPoolExecutor(_WRITERS) as writers,
+    ):
         background = _background(renderer, dataset, sweep)
         for batch in batches:
             chosen, samples = [dataset.poses[position] for position in batch], sweep.samples
@@ -185,12 +193,8 @@ def render(
             else:
                 pictures = [_picture(scene, renderer, pose, sweep, background) for pose in chosen]
             seconds = (time.perf_counter() - start) / len(chosen)
-            report(
-                [
-                    dataset.write_pose(pose, pixels, seconds=seconds, samples=samples)
-                    for pose, pixels in zip(chosen, pictures, strict=True)
-                ]
-            )
+            write = functools.partial(dataset.write_pose, seconds=seconds, samples=samples)
+            report(list(writers.map(write, chosen, pictures)))
 
 
 def _picture(

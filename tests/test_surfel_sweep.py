@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 import shutil
+import signal
 
 import numpy as np
 import pytest
+from test_sweep import start, wait_for_pictures
 
 from generator import engines, extract, stage
 from generator.dataset import Dataset, read_picture
@@ -99,3 +101,21 @@ def test_one_interface_renders_the_target_where_it_stands():
         seen, background = renderer.render(), renderer.render(target=False)
         np.testing.assert_allclose(renderer.at((1.0, 0.75, 1.25), (0.0, 0.0, 0.0)), seen, rtol=1e-5)
     assert (seen > background).mean() > 0.5
+
+
+def test_killed_and_resumed_gives_the_same_pixels_and_no_litter(tmp_path, scene_file, command):
+    options = ("--poses", "30", "--resolution", "16", "--engine", "surfel", "--accuracy", "1e-2")
+    whole, killed = tmp_path / "whole", tmp_path / "killed"
+    assert command("generator", "sweep", scene_file, "-o", whole, *options, "--workers", "1").returncode == 0
+    process = start(scene_file, killed, *options, "--workers", "1")
+    wait_for_pictures(killed, 40, process)
+    process.send_signal(signal.SIGKILL)
+    process.wait()
+    assert 40 <= len(list(killed.glob("?/*.exr"))) < 270, "killed too late to show anything"
+    (killed / "A" / ".0000.exr.123.tmp").write_bytes(b"of a worker that was killed")
+    result = command("generator", "sweep", scene_file, "-o", killed, *options, "--workers", "2")
+    assert result.returncode == 0, result.stderr
+    a, b = Dataset.open(whole), Dataset.open(killed)
+    assert [pose.pixel_hash for pose in a.poses] == [pose.pixel_hash for pose in b.poses]
+    assert not b.verify()
+    assert not list(killed.rglob("*.tmp"))

@@ -234,6 +234,34 @@ def test_a_worker_that_dies_is_replaced_and_a_hopeless_pose_is_listed(tmp_path, 
     assert len(started) == sweep.TRIES + (1 if len(started) > sweep.TRIES else 0)
 
 
+def test_one_hopeless_unit_fails_alone_of_its_batch(monkeypatch):
+    from generator import sweep
+
+    class Mortal:
+        def __init__(self, arguments):
+            self.batch = ()
+
+        def send(self, batch):
+            self.batch = batch
+
+        def answer(self):
+            return None if 3 in self.batch else {"done": True}
+
+        def last_words(self):
+            return "out of memory"
+
+        def stop(self):
+            pass
+
+    monkeypatch.setattr(sweep, "Worker", Mortal)
+    told = []
+    crew = sweep.Crew(lambda threads: [], str, lambda done, total: told.append((done, total)))
+    crew.work(range(64), 1, batch=8)
+    assert crew.failed == ["3: out of memory"]
+    assert told[1] == (8, 64), "the others go on in batches"
+    assert told[-1] == (63, 64)
+
+
 @pytest.mark.parametrize(
     ("arguments", "words"),
     [
