@@ -588,7 +588,13 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("-o", "--output", type=Path, required=True, help="folder for the plot and the figures")
     parser.add_argument("--quick", action="store_true", help="minutes instead of an hour: fewer scenes and renders")
+    parser.add_argument("--room", action="store_true", help="agreement: in the room only")
     parser.add_argument("--only", choices=["agreement", "time"], help="one of the parts")
+    parser.add_argument(
+        "--target",
+        action="append",
+        help="agreement: sphere, sheet, box or sphere+sheet; may be given again (default all)",
+    )
     parser.add_argument(
         "--seconds", type=float, default=25.0, help="agreement: for every scene and Monte Carlo method (default 25)"
     )
@@ -599,7 +605,11 @@ def main() -> None:
         if options.only != "agreement":
             figures["time"] = times(processes, options.output, quick=options.quick)
         if options.only != "time":
-            fewer = {"targets": ("sphere", "box"), "gaps": (1.0, 0.05)} if options.quick else {}
+            fewer: dict[str, Any] = {"targets": ("sphere", "box"), "gaps": (1.0, 0.05)} if options.quick else {}
+            if options.target:
+                fewer["targets"] = tuple(options.target)
+            if options.room:
+                fewer["rooms"] = (True,)
             figures["agreement"] = agreement(processes, budget=options.seconds, **fewer)
     text = json.dumps(figures, indent=1, default=vars)
     (options.output / "figures.json").write_text(text + "\n", encoding="utf-8")

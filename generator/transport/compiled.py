@@ -5,6 +5,7 @@ from __future__ import annotations
 import functools
 import hashlib
 from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from typing import Any, TypeVar
 
@@ -30,6 +31,26 @@ def jit(function: Function) -> Function:
 def jit_parallel(function: Function) -> Function:
     """Compile a function whose ``prange`` loops run on all threads, if numba is there."""
     return _compile(function, parallel=True)
+
+
+def jit_released(function: Function) -> Function:
+    """Compile a function that `in_parts` may call from several threads.
+
+    For a deep function that is a third of the time that numba takes to compile a parallel loop around it.
+    """
+    return _compile(function, nogil=True)
+
+
+def in_parts(function: Callable[..., None], n: int, *arguments: Any) -> None:
+    """Call ``function(start, stop, *arguments)`` for parts of range(n), on the threads that `limit_threads` gave."""
+    threads = int(numba.get_num_threads()) if COMPILED else 1
+    if threads == 1 or n == 1:
+        function(0, n, *arguments)
+        return
+    step = max(1, n // (8 * threads))
+    with ThreadPoolExecutor(threads) as pool:
+        for part in [pool.submit(function, at, min(at + step, n), *arguments) for at in range(0, n, step)]:
+            part.result()
 
 
 def _compile(function: Function, **options: Any) -> Function:

@@ -197,7 +197,8 @@ class Fields:
             room = (self._room, self._room_tint, hiders, orders, setting.whole, setting.patch)
 
             def cut(owner: Floats, walls: Floats, values: Floats) -> None:
-                silhouettes.hidden_panels(owner, walls, *target, *room, elements.GAUSS, self._digits + 1.0, values)
+                every = (owner, walls, *target, *room, elements.GAUSS, self._digits + 1.0, values)
+                compiled.in_parts(silhouettes.hidden_panels, len(owner), *every)
 
             level = level.copy()
             level[:, :, 1:] *= max(_SLOPES[0], _SLOPES[1] / self._accuracy) ** 2
@@ -220,9 +221,9 @@ class Fields:
         setting = self._setting
 
         def cut(owner: Floats, walls: Floats, values: Floats) -> None:
-            silhouettes.received_panels(
-                *(owner, walls, flat, turns, places, self._room, tint, hiders, orders),
-                *(setting.whole, setting.patch, elements.GAUSS, self._digits + 1.0, values),
+            compiled.in_parts(
+                *(silhouettes.received_panels, len(owner), owner, walls, flat, turns, places, self._room, tint),
+                *(hiders, orders, setting.whole, setting.patch, elements.GAUSS, self._digits + 1.0, values),
             )
 
         return self._cut_out(cut, len(places), tint.shape[1])

@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from generator.transport import elements, integral, kernel
-from generator.transport.compiled import jit, jit_parallel, prange
+from generator.transport.compiled import jit, jit_released
 from generator.transport.polygons import CORNERS, FACET, PIECES, by_way_of, lay, outline, spread, within, without
 from generator.transport.rays import Surfaces
 
@@ -24,6 +24,9 @@ Floats = NDArray[Any]
 _TOUCH = 1e-9
 _ON_LINE = 1e-9
 _STACK = 128
+
+_NONE, _ONE = np.zeros(2, dtype=np.int64), np.ones(2, dtype=np.int64)
+"""Numbers 0 and 1 for calls: numba compiles a function anew for every literal that it is called with."""
 
 Cones = tuple[Floats, Floats]
 """What each occluder hides from a point: half-spaces (occluders, k, 4), n . y + c >= 0, and how many of them
@@ -174,7 +177,7 @@ def _above(facet: Floats, polygon: Floats, lines: Floats, spare: Floats) -> int:
     """Write the corners of the part of a facet that is above the relay wall; return how many."""
     n = outline(facet, polygon)
     lines[0, 0], lines[0, 1], lines[0, 2] = facet[5], facet[8], facet[2]
-    return within(polygon, n, lines, 1, polygon, spare)
+    return within(polygon, n, lines, _ONE[0], polygon, spare)
 
 
 @jit
@@ -208,7 +211,7 @@ def _cleared(
                 break
         if not touched:
             continue
-        made = 0
+        made = _NONE[0]
         for p in range(count):
             made = without(polygons[p], corners[p], lines, k, others, other_corners, made, spare)
         if made < 0:
@@ -251,7 +254,11 @@ def _covered(
         other_corners[0] = within(polygon, n, lines, k, others[0], spare[0])
         if other_corners[0] == 0:
             continue
-        made = 1 if disjoint or part == 0 else _cleared(facet, -1, some, 1, cones, 0, part, left, work)
+        made = (
+            1
+            if disjoint or part == 0
+            else _cleared(facet, -_ONE[0], some, _ONE[0], cones, _NONE[0], part, left, work)
+        )
         if made < 0 or count + made > PIECES:
             return -1
         for p in range(made):
@@ -300,7 +307,7 @@ def _add_light(
 ) -> Floats:
     """Add to ``light[0]`` what a wall point receives by way of a polygon; return ``found``, perhaps grown."""
     whole, patch, gauss, digits = rules
-    found, count = spread(polygon, n, facet, wall, 0.0, patch, gauss, digits, stack, found, 0)
+    found, count = spread(polygon, n, facet, wall, 0.0, patch, gauss, digits, stack, found, _NONE[0])
     light[0] += sign * by_way_of(found, count, facet, wall, node, whole)
     return found
 
@@ -428,7 +435,7 @@ def _add_rates(
                             apothem = sides[sides.shape[0] - 1, 0]
                             _ball_rates(balls[part - first], spaces[part, i], apothem, view, at, point, rates)
                         weight = sign * inside * gauss[1, wanted, g] * length / cuts / steep
-                        weight *= by_way_of(found, 1, facet, wall, node, whole)
+                        weight *= by_way_of(found, _ONE[0], facet, wall, node, whole)
                         for r in range(6):
                             light[1 + r] += weight * rates[r]
 
@@ -480,7 +487,7 @@ def _add_seen(
             made, node = 1, nothing
             if blocked:
                 node = nodes[:, q].copy()
-                made = _cleared(facet, own, some, 1, (spaces[q], counts[q]), first, last, left, work)
+                made = _cleared(facet, own, some, _ONE[0], (spaces[q], counts[q]), first, last, left, work)
             if made < 0:
                 light[:] = np.nan
             for i in range(made):
@@ -541,8 +548,8 @@ def _add_kept(
     view = np.array([node[0], node[1], 0.0])
     held[0][0, :n] = polygon[:n]
     held[1][0] = n
-    count = _cleared(facet, own, held, 1, from_wall, target, last, left, work) if whole else 1
-    made = 0
+    count = _cleared(facet, own, held, _ONE[0], from_wall, target, last, left, work) if whole else _ONE[0]
+    made = _NONE[0]
     for p in range(count):
         made = _covered(facet, held[0][p], held[1][p], from_wall, target, disjoint, pieces, made, work)
     if count < 0 or made < 0:
@@ -605,8 +612,10 @@ def _around(walls: Floats) -> tuple[Floats, float]:
     return centre, radius
 
 
-@jit_parallel
+@jit_released
 def hidden_panels(
+    start: int,
+    stop: int,
     owner: Floats,
     walls: Floats,
     flat: Floats,
@@ -633,6 +642,8 @@ def hidden_panels(
 
     Parameters
     ----------
+    start, stop : int
+        Which panels.
     owner : ndarray of shape (n,), int
         Which pose each panel belongs to.
     walls : ndarray of shape (n, k, 3)
@@ -654,7 +665,7 @@ def hidden_panels(
         position (3) and its rotation about the three axes (3) follow.
     """
     rules = (whole, patch, gauss, digits)
-    for item in prange(owner.shape[0]):
+    for item in range(start, stop):
         pose = owner[item]
         parts, spheres = _placed(flat, balls, turns[pose], places[pose])
         occluders = (np.concatenate((parts, room[: hiders[pose]])), parts.shape[0], spheres, sides)
@@ -685,22 +696,35 @@ def _hidden_panel(
     light = np.zeros(total.shape[1])
 
     # What the nodes' shadows cover, node by node.
-    most = PIECES + 2 * nodes.shape[1] * room.shape[0]
+    most = PIECES + nodes.shape[1] * room.shape[0]
     kept, kept_corners, kept_of = (
         np.empty((most, CORNERS, 2)),
         np.empty(most, np.int64),
         np.empty((most, 2), np.int64),
     )
-    number = 0
+    number = _NONE[0]
     for s in range(room.shape[0]):
         n = _above(room[s], polygon, lines, spare[0])
         for q in range(nodes.shape[1] if n else 0):
             cones = (from_nodes[0][q], from_nodes[1][q])
-            count = _covered(room[s], polygon, n, cones, target, disjoint, pieces, 0, work)
+            count = _covered(room[s], polygon, n, cones, target, disjoint, pieces, _NONE[0], work)
             count = _cleared(room[s], target + s, pieces, count, cones, target, last, left, work)
-            if count < 0 or number + count > most:
+            if count < 0:
                 total[:] = np.nan
                 return
+            if number + count > len(kept):
+                room_for = 2 * (number + count)
+                more, more_corners, more_of = (
+                    np.empty((room_for, CORNERS, 2)),
+                    np.empty(room_for, np.int64),
+                    np.empty((room_for, 2), np.int64),
+                )
+                more[:number], more_corners[:number], more_of[:number] = (
+                    kept[:number],
+                    kept_corners[:number],
+                    kept_of[:number],
+                )
+                kept, kept_corners, kept_of = more, more_corners, more_of
             for p in range(count):
                 n_p = pieces[1][p]
                 kept[number, :n_p] = pieces[0][p, :n_p]
@@ -717,7 +741,7 @@ def _hidden_panel(
         _all_hidden(wall, occluders, from_wall)
         for s in range(room.shape[0]):
             n = _above(room[s], polygon, lines, spare[0])
-            count = _covered(room[s], polygon, n, from_wall, target, disjoint, pieces, 0, work)
+            count = _covered(room[s], polygon, n, from_wall, target, disjoint, pieces, _NONE[0], work)
             count = _cleared(room[s], target + s, pieces, count, from_wall, target, last, left, work)
             light[:] = 0.0 if count >= 0 else np.nan
             found = _add_seen(
@@ -832,7 +856,7 @@ def _add_together(
             continue
         s, q = of[p, 0], of[p, 1]
         facet = room[s]
-        found, n = spread(kept[p], corners[p], facet, centre, radius, patch, gauss, digits, work[4], found, 0)
+        found, n = spread(kept[p], corners[p], facet, centre, radius, patch, gauss, digits, work[4], found, _NONE[0])
         level = facet[9] * nodes[0, q] + facet[10] * nodes[1, q] - facet[12]
         if filled + n > sent.shape[2]:
             grown = np.empty((sent.shape[0], 6, 2 * (filled + n)))
@@ -853,8 +877,10 @@ def _add_together(
         kernel.radiance(a, b, sent[g], filled, total[g, 0])
 
 
-@jit_parallel
+@jit_released
 def received_panels(
+    start: int,
+    stop: int,
     owner: Floats,
     walls: Floats,
     flat: Floats,
@@ -875,7 +901,7 @@ def received_panels(
     Parameters are those of `hidden_panels`; ``tint`` is the cells'.
     """
     rules = (whole, patch, gauss, digits)
-    for item in prange(owner.shape[0]):
+    for item in range(start, stop):
         pose = owner[item]
         parts, none = _placed(flat, np.empty((0, elements.WIDTH)), turns[pose], places[pose])
         every = np.concatenate((parts, room[: hiders[pose]]))
@@ -902,7 +928,8 @@ def _received_panel(
             if facet[34] == 1.0 and facet[9] * wall[0] + facet[10] * wall[1] < facet[12]:
                 continue
             pieces[1][0] = _above(facet, pieces[0][0], lines, spare[0])
-            count = _cleared(facet, s, pieces, 1 if pieces[1][0] else 0, from_wall, 0, last, left, work)
+            count = _ONE[0] if pieces[1][0] else _NONE[0]
+            count = _cleared(facet, s, pieces, count, from_wall, _NONE[0], last, left, work)
             light[:] = 0.0 if count >= 0 else np.nan
             found = _add_seen(
                 light,
@@ -913,7 +940,7 @@ def _received_panel(
                 count,
                 nodes,
                 from_nodes,
-                0,
+                _NONE[0],
                 last,
                 occluders,
                 from_wall,
