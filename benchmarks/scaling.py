@@ -47,7 +47,7 @@ def _divisions(x: np.ndarray, y: np.ndarray, rounds: int, out: np.ndarray) -> No
 @numba.njit(parallel=True)
 def _pairs(a: np.ndarray, b: np.ndarray, elements: np.ndarray, total: np.ndarray) -> None:
     for tile in numba.prange(a.shape[0]):
-        kernel.radiance(a[tile], b[tile], elements, elements.shape[1], total[tile])
+        kernel.radiance(a[tile], b[tile], elements, elements.shape[1], 0.0, total[tile])
 
 
 def best(work: Callable[[], object], times: int = 3) -> float:

@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 import worlds
 from conftest import ROOT
+from scipy.spatial.transform import Rotation
 
 from generator.spec import NlosError, rotation_matrix
 from generator.transport import Mesh, Sphere, Transport, kernel, picture
@@ -148,7 +149,8 @@ def test_level_falls_with_the_fourth_power_of_distance():
 def test_energy_is_not_made():
     """Of the light that leaves the patch, a white sheet sends less than all onto a huge wall."""
     view = worlds.watched(x=(-40.0, 40.0), z=(-40.0, 40.0), resolution=(64, 64), eye=(0.0, 1.4, 0.0))
-    view = replace(view, albedo=np.ones(3), eye=np.array([90.0, 30.0, 0.0, 1.0]))
+    # From behind the wall, so that the sheet is not in the way of so wide a view.
+    view = replace(view, albedo=np.ones(3), eye=np.array([0.0, -30.0, 0.0, 1.0]))
     scene = worlds.world(worlds.sheet(1.0, albedo=1.0), view=view)
     got = Transport(scene, accuracy=1e-3).render((0.8, 0.5, 0.1), (0, 0, 0)).added[..., 0]
     received = np.pi * got.sum() * (80.0 / 64) ** 2
@@ -188,6 +190,27 @@ def test_derivatives_are_finite_differences(pose):
         assert worlds.error(rendered.derivatives[k], expected) < 1e-6, k
 
 
+def test_where_a_sheets_own_plane_meets_the_wall():
+    """A kink of the picture and a jump of its derivatives, along a line through the pixels."""
+    scene = worlds.world(worlds.sheet(), view=worlds.watched(resolution=(8, 8)))
+    transport = Transport(scene, accuracy=1e-7)
+    position, rotation = np.array([0.5, 0.6, 0.15]), np.array([8.0, -12.0, 33.0])
+    got = transport.render(position, rotation, derivatives=True)
+    assert got.report["panels"] < 40
+    expected = worlds.sheet_picture(scene, position, rotation, fine=40)
+    assert worlds.error(got.added[..., 0], expected) < 1e-4
+    for k in range(3):
+        there, back = (transport.render(position + step * np.eye(3)[k], rotation).added for step in (1e-4, -1e-4))
+        assert worlds.error(got.derivatives[k], (there - back) / 2e-4) < 1e-4
+    for k in range(3):
+        turns = (
+            Rotation.from_rotvec(step * np.eye(3)[k]) * Rotation.from_euler("xyz", rotation, degrees=True)
+            for step in (1e-4, -1e-4)
+        )
+        there, back = (transport.render(position, turn.as_euler("xyz", degrees=True)).added for turn in turns)
+        assert worlds.error(got.derivatives[3 + k], (there - back) / 2e-4) < 1e-4
+
+
 def test_one_pixel_is_the_mean_of_many():
     pose = POSES["30 cm, turned"]
     levels = [
@@ -204,6 +227,7 @@ def test_one_pixel_is_the_mean_of_many():
         ((0.75, 0.0, 0.1), (0, 0, 0), "lies in the relay wall"),
         ((0.26, 0.3, 0.4), (0, 0, 0), "stands in the spot's cone"),
         ((-0.4, 0.5, 0.1), (0, 0, 0), "between the camera and the relay wall"),
+        ((-0.5, 0.2, 0.1), (0, 0, 90), "between the camera and the relay wall"),
         ((np.nan, 0.5, 0.1), (0, 0, 0), "not finite"),
     ],
 )
@@ -324,11 +348,11 @@ def test_loops_and_arrays_are_one_kernel():
             elements = rng.uniform(0.2, 1.0, (6, 9)).astype(dtype)
             elements[5] *= -1
             loops, arrays = np.zeros(20, dtype), np.zeros(20, dtype)
-            kernel._radiance_loops(a, b, elements, count, loops)
-            kernel._radiance_arrays(a, b, elements, count, arrays)
+            kernel._radiance_loops(a, b, elements, count, 0.0, loops)
+            kernel._radiance_arrays(a, b, elements, count, 0.0, arrays)
             np.testing.assert_allclose(loops, arrays, rtol=tolerance)
             compiled = np.zeros(20, dtype)
-            kernel.radiance(a, b, elements, count, compiled)
+            kernel.radiance(a, b, elements, count, 0.0, compiled)
             np.testing.assert_allclose(compiled, arrays, rtol=tolerance)
     x, n, nodes = np.array([0.1, 0.2, 0.5]), np.array([0.6, 0.0, -0.8]), rng.uniform(0, 1, (3, 10))
     assert kernel._irradiance_loops(x, n, nodes, 9) == pytest.approx(kernel._irradiance_arrays(x, n, nodes, 9))
@@ -378,12 +402,40 @@ def test_pictures_do_not_depend_on_the_batch_or_the_threads():
 def test_panels_share_all_of_their_light_among_pixels():
     rule = picture.Rule(5)
     rng = np.random.default_rng(1)
-    values = rng.uniform(size=(1, 1, 29))
+    values = rng.uniform(size=(1, 1, len(rule.places)))
     for box in ((0.0, 1.0, 0.0, 1.0), (0.25, 0.5, 0.5, 0.75), (1 / 3, 0.4, 0.1, 0.9)):
         out = np.zeros((1, 1, 7, 9))
-        picture.deposit(out, np.array([0]), np.array([box]), rule.coefficients(values))
+        everywhere = np.array([[0.0, 0.0, 1.0]])
+        picture.deposit(out, np.array([0]), np.array([box]), rule.coefficients(values), everywhere)
         area = (box[1] - box[0]) * (box[3] - box[2])
         assert out.mean() == pytest.approx(area * float(values[0, 0, :25] @ rule.weights), rel=1e-12)
+
+
+def test_a_part_counts_on_one_side_of_its_line_only():
+    rule, fine = picture.Rule(6), 400
+    width, height = 5, 4
+    box, line = np.array([0.1, 0.85, 0.05, 0.9]), np.array([0.7, -0.6, -0.13])
+
+    def light(u, v):
+        return 1.0 + u**3 * v**2 - 2.0 * u * v**4
+
+    places = box[0::2] + rule.places * (box[1::2] - box[0::2])
+    held = rule.coefficients(light(*places.T)[None, None])
+    out = np.zeros((1, 1, height, width))
+    picture.deposit(out, np.array([0]), box[None], held, line[None])
+    u, v = np.meshgrid(
+        (np.arange(width * fine) + 0.5) / (width * fine), (np.arange(height * fine) + 0.5) / (height * fine)
+    )
+    inside = (u > box[0]) & (u < box[1]) & (v > box[2]) & (v < box[3]) & (u * line[0] + v * line[1] + line[2] > 0.0)
+    expected = (light(u, v) * inside).reshape(height, fine, width, fine).mean(axis=(1, 3))
+    np.testing.assert_allclose(out[0, 0], expected, atol=3.0 / fine)
+    # All of it together is known to far more digits: both sides are the whole.
+    both = np.zeros((1, 1, height, width))
+    for side in (line, -line):
+        picture.deposit(both, np.array([0]), box[None], held, side[None])
+    whole = np.zeros((1, 1, height, width))
+    picture.deposit(whole, np.array([0]), box[None], held, np.array([[0.0, 0.0, 1.0]]))
+    np.testing.assert_allclose(both, whole, rtol=1e-12, atol=1e-15)
 
 
 def closed_room(albedo=0.8):

@@ -31,6 +31,10 @@ Shaded = Callable[[Floats, float, int], tuple[Floats, int]]
 _SINGLE = 5e-5
 """Relative accuracy down to which sums are taken in single precision."""
 
+_SPARE = 2.3
+"""Quadrature rules are chosen by the rate at which they converge, which leaves a factor open: 5 at most in
+`benchmarks/error_at_request.py`, of which this is the natural logarithm, and something to spare."""
+
 _LOOSE = 2.0
 """Sums over ray tests jump from point to point by about the accuracy, which no polynomial follows: panels of theirs
 are cut only for what is more than that."""
@@ -90,20 +94,24 @@ class Fields:
         like = np.zeros(0, dtype=np.float32 if single else np.float64)
         n, groups, channels = len(places), setting.tint.shape[1], 7 if moving else 1
         most = np.zeros((n, 2))
+        parts, wanted = setting.faces.parts(turns, places)
 
         def evaluate(owner: Floats, boxes: Floats) -> tuple[Floats, Floats]:
-            values = np.empty((len(owner), groups, channels, rule.m**2 + 4))
+            values = np.empty((len(owner), groups, channels, len(rule.places)))
             reports = np.empty((len(owner), 4))
-            where = (owner, boxes, setting.to_wall, rule.points)
-            target = (setting.flat, setting.balls, setting.tint, turns, places, self._rings)
+            where = (owner, boxes, setting.to_wall, rule.places)
+            shape = (setting.flat, setting.balls, setting.tint, setting.faces.of)
+            target = (*shape, parts.picture, wanted, turns, places, self._rings)
             lit = (setting.patch, setting.whole, setting.chords, elements.GAUSS)
-            arguments: tuple[Any, ...] = (*where, *target, *lit, self._digits, moving, like, values, reports)
+            arguments: tuple[Any, ...] = (*where, *target, *lit, self._digits + _SPARE, moving, like, values, reports)
             integral.panels(*arguments)
-            np.maximum.at(most, owner, reports[:, :2])
+            np.maximum.at(most, parts.picture[owner], reports[:, :2])
             return values.reshape(len(owner), groups * channels, -1), reports[:, 3] / reports[:, 2]
 
         resolution, kin = setting.resolution, self._kin(groups, channels)
-        pixels, panels = picture.draw(evaluate, rule, n, groups * channels, resolution, self._accuracy / 2.0, kin=kin)
+        pixels, panels = picture.draw(
+            evaluate, rule, parts, n, groups * channels, resolution, self._accuracy / 2.0, kin=kin
+        )
         reports = [
             _report(panels, k)
             | {"elements": int(most[k, 0]), "patch_points": int(most[k, 1])}
@@ -248,7 +256,7 @@ class Fields:
         lost = np.zeros(n, dtype=bool)
 
         def on_panels(owner: Floats, boxes: Floats) -> tuple[Floats, Floats]:
-            walls = self._walls(boxes, self._rule.points).reshape(len(owner), -1, 3)
+            walls = self._walls(boxes, self._rule.places).reshape(len(owner), -1, 3)
             values = np.empty((len(owner), groups, channels, walls.shape[1]))
             cut(owner, walls, values)
             broken = np.isnan(values).any(axis=(1, 2, 3))
@@ -259,7 +267,9 @@ class Fields:
         accuracy, resolution = self._accuracy / 2.0, self._setting.resolution
         kin = self._kin(groups, channels)
         pixels, panels = picture.draw(
-            on_panels, self._rule, n, groups * channels, resolution, accuracy, level=level, kin=kin
+            *(on_panels, self._rule, picture.Parts.whole(n), n, groups * channels, resolution, accuracy),
+            level=level,
+            kin=kin,
         )
         return pixels.reshape(n, groups, channels, *pixels.shape[2:]), panels, lost
 
@@ -328,7 +338,7 @@ class Fields:
                 hiders.append(Placed(setting.target, turn, place))
             found, _ = integral.cover(
                 *(flat, balls, turn, place, setting.pole, setting.spread, self._rings, *_around(wall)),
-                *(setting.patch, elements.GAUSS, self._digits, finest),
+                *(setting.patch, elements.GAUSS, self._digits, finest, np.ones(len(flat) + len(balls), np.int64)),
             )
             return shaded.reflected(wall, found, tint, self._light, hiders), len(found)
 
@@ -343,7 +353,7 @@ class Fields:
             seen, lit = (
                 integral.cover(
                     *(setting.flat, setting.balls, turn, place, at, around, self._rings, centre, radius),
-                    *(setting.patch, elements.GAUSS, self._shadow_digits, finest),
+                    *(setting.patch, elements.GAUSS, self._shadow_digits, finest, np.ones_like(setting.faces.of)),
                 )[0]
                 for at, around in ((np.append(centre, 0.0), radius), (setting.pole, setting.spread))
             )
@@ -365,10 +375,10 @@ class Fields:
         """
         finest, most = np.full(n, extent / 8.0), np.zeros(n)
 
-        def on_panels(owner: Floats, boxes: Floats, points: Floats) -> Floats:
+        def on_panels(owner: Floats, boxes: Floats, places: Floats) -> Floats:
             panels = len(owner)
-            walls = self._walls(boxes, points)
-            every = np.repeat(owner, len(points) ** 2 + 4)
+            walls = self._walls(boxes, places)
+            every = np.repeat(owner, len(places))
             values, used = evaluate(every, walls, finest)
             np.maximum.at(most, every, used)
             return np.moveaxis(values.reshape(panels, -1, groups), 2, 1)
@@ -376,12 +386,11 @@ class Fields:
         whole = np.tile([0.0, 1.0, 0.0, 1.0], (n, 1))
         probes = picture.Rule(4)
         rough = np.arange(n)
-        before = on_panels(rough, whole, probes.points)
+        before = on_panels(rough, whole, probes.places)
         for _ in range(_HALVINGS):
             finest[rough] /= 2.0
-            values = on_panels(rough, whole[rough], probes.points)
-            change = probes.mean_square(probes.coefficients(values - before))
-            norm = probes.mean_square(probes.coefficients(values))
+            values = on_panels(rough, whole[rough], probes.places)
+            change, norm = probes.mean_square(values - before), probes.mean_square(values)
             if level is not None:
                 norm = np.maximum(norm, level[rough])
             keep = (change > (care * self._accuracy) ** 2 * norm).any(axis=1)
@@ -389,20 +398,17 @@ class Fields:
             if not len(rough):
                 break
         pixels, used = picture.draw(
-            lambda owner, boxes: (on_panels(owner, boxes, self._rule.points), np.zeros(len(owner))),
-            *(self._rule, n, groups, self._setting.resolution, _LOOSE * self._accuracy),
+            lambda owner, boxes: (on_panels(owner, boxes, self._rule.places), np.zeros(len(owner))),
+            *(self._rule, picture.Parts.whole(n), n, groups, self._setting.resolution, _LOOSE * self._accuracy),
             level=level,
         )
         return pixels, used, most
 
-    def _walls(self, boxes: Floats, points: Floats) -> Floats:
-        """Wall points (panels * (m * m + 4), 3) of panels' points and corners."""
-        low, high = boxes[:, 0::2, None], boxes[:, 1::2, None]
-        u, v = np.moveaxis(low + points * (high - low), 1, 0)
-        m = len(points)
-        lifted = np.ones((len(boxes), m * m + 4, 3))
-        lifted[:, : m * m, 0], lifted[:, : m * m, 1] = np.tile(u, (1, m)), np.repeat(v, m, axis=1)
-        lifted[:, m * m :, 0], lifted[:, m * m :, 1] = boxes[:, [0, 1, 0, 1]], boxes[:, [2, 2, 3, 3]]
+    def _walls(self, boxes: Floats, places: Floats) -> Floats:
+        """Wall points (panels * points, 3) of panels' places."""
+        low, high = boxes[:, None, 0::2], boxes[:, None, 1::2]
+        lifted = np.ones((len(boxes), len(places), 3))
+        lifted[:, :, :2] = low + places * (high - low)
         lifted = lifted.reshape(-1, 3) @ self._setting.to_wall.T
         return np.column_stack([lifted[:, :2] / lifted[:, 2:], np.zeros(len(lifted))])
 

@@ -17,6 +17,9 @@ Floats = NDArray[Any]
 PATCH_ORDERS = 40
 """Most quadrature points along a diameter of the lit patch: enough at a hundredth of its radius."""
 
+FRONT, BACK, ON = 1, 2, 4
+"""Sides of a face, and that its light goes on beyond its horizon (`kernel.BEYOND`)."""
+
 _STACK = 512
 
 
@@ -148,6 +151,7 @@ def cover(
     gauss: Floats,
     digits: float,
     widest: float,
+    wanted: Floats,
 ) -> tuple[Floats, float]:
     """Return quadrature points on the target, as fine as a panel of the wall and the lit patch ask.
 
@@ -168,6 +172,8 @@ def cover(
         As for `panels`.
     widest : float
         No cell is left with half widths above this.
+    wanted : ndarray of shape (flat cells + spheres,), int
+        0 leaves a cell out.
 
     Returns
     -------
@@ -180,11 +186,15 @@ def cover(
     found = np.empty((256, 9))
     count, nearest = 0, np.inf
     for c in range(flat.shape[0]):
+        if wanted[c] == 0:
+            continue
         elements.place(flat[c], turn, at, stack[0])
         found, count, near = _cover_cell(stack, c, centre, radius, patch, gauss, digits, widest, found, count)
         nearest = min(nearest, near)
     ball = np.empty(elements.WIDTH)
     for c in range(balls.shape[0]):
+        if wanted[flat.shape[0] + c] == 0:
+            continue
         elements.place(balls[c], turn, at, ball)
         rim = elements.turn_to(ball, pole, spread)
         for ring in range(rings):
@@ -216,13 +226,16 @@ def _target_panel(
     gauss: Floats,
     digits: float,
     moving: bool,
+    wanted: Floats,
     total: Floats,
     report: Floats,
 ) -> None:
     """Add to ``total`` what one panel's points, ``a`` and ``b`` from its centre, receive from the target."""
     pole = np.array([patch[0], patch[1], 0.0])
     spread = math.sqrt(patch[2] ** 2 + patch[3] ** 2)
-    found, nearest = cover(flat, balls, turn, at, pole, spread, rings, centre, radius, patch, gauss, digits, np.inf)
+    found, nearest = cover(
+        flat, balls, turn, at, pole, spread, rings, centre, radius, patch, gauss, digits, np.inf, wanted
+    )
     groups = albedo.shape[1]
     sent = np.empty((groups, 6, 2 * found.shape[0]), dtype=a.dtype)
     moves = np.empty((10, 2 * found.shape[0] if moving else 0))
@@ -232,6 +245,8 @@ def _target_panel(
     for k in range(found.shape[0]):
         point, area, row = found[k, 0:3], found[k, 6], int(found[k, 7])
         for side in range(1 if found[k, 8] else 2):
+            if wanted[row] & (side + 1) == 0:
+                continue
             for r in range(3):
                 normal[r] = -found[k, 3 + r] if side else found[k, 3 + r]
             u, v = centre[0] - point[0], centre[1] - point[1]
@@ -266,35 +281,36 @@ def _target_panel(
                 for r in range(3):
                     sent[g, 3 + r, count] = normal[r] * strength
             count += 1
+    floor = kernel.BEYOND if (wanted & ON != 0).any() else 0.0
     for g in range(groups):
         if moving:
-            kernel.radiance_gradient(a, b, sent[g], moves, count, total[g])
+            kernel.radiance_gradient(a, b, sent[g], moves, count, floor, total[g])
         else:
-            kernel.radiance(a, b, sent[g], count, total[g, 0])
+            kernel.radiance(a, b, sent[g], count, floor, total[g, 0])
     report[0], report[1], report[2], report[3] = count, most, nearest, radius
 
 
 @jit
-def panel_points(box: Floats, points: Floats, to_wall: Floats, like: Floats) -> tuple[Floats, Floats, Floats, float]:
-    """Return a panel's points and corners from its centre (two arrays), the centre, and the radius around it."""
-    m = points.shape[0]
-    wall = np.empty((2, m * m + 4))
-    for k in range(m * m + 4):
-        if k < m * m:
-            u = box[0] + points[k % m] * (box[1] - box[0])
-            v = box[2] + points[k // m] * (box[3] - box[2])
-        else:
-            u, v = box[(k - m * m) % 2], box[2 + (k - m * m) // 2]
+def panel_points(box: Floats, places: Floats, to_wall: Floats, like: Floats) -> tuple[Floats, Floats, Floats, float]:
+    """Return a panel's points from its centre (two arrays), the centre, and the radius around it.
+
+    The last four of ``places`` are the corners.
+    """
+    n = places.shape[0]
+    wall = np.empty((2, n))
+    for k in range(n):
+        u = box[0] + places[k, 0] * (box[1] - box[0])
+        v = box[2] + places[k, 1] * (box[3] - box[2])
         far = to_wall[2, 0] * u + to_wall[2, 1] * v + to_wall[2, 2]
         wall[0, k] = (to_wall[0, 0] * u + to_wall[0, 1] * v + to_wall[0, 2]) / far
         wall[1, k] = (to_wall[1, 0] * u + to_wall[1, 1] * v + to_wall[1, 2]) / far
     centre = np.empty(2)
-    centre[0], centre[1] = wall[0, m * m :].mean(), wall[1, m * m :].mean()
+    centre[0], centre[1] = wall[0, n - 4 :].mean(), wall[1, n - 4 :].mean()
     radius = 0.0
-    for k in range(m * m, m * m + 4):
+    for k in range(n - 4, n):
         radius = max(radius, math.hypot(wall[0, k] - centre[0], wall[1, k] - centre[1]))
-    a, b = np.empty(m * m + 4, dtype=like.dtype), np.empty(m * m + 4, dtype=like.dtype)
-    for k in range(m * m + 4):
+    a, b = np.empty(n, dtype=like.dtype), np.empty(n, dtype=like.dtype)
+    for k in range(n):
         a[k], b[k] = wall[0, k] - centre[0], wall[1, k] - centre[1]
     return a, b, centre, radius
 
@@ -304,10 +320,13 @@ def panels(
     owner: Floats,
     boxes: Floats,
     to_wall: Floats,
-    points: Floats,
+    places_on: Floats,
     flat: Floats,
     balls: Floats,
     albedo: Floats,
+    faces: Floats,
+    poses: Floats,
+    wanted: Floats,
     turns: Floats,
     places: Floats,
     rings: int,
@@ -328,16 +347,22 @@ def panels(
     Parameters
     ----------
     owner : ndarray of shape (n,), int
-        Which pose each panel belongs to.
+        Which part of a picture each panel belongs to.
     boxes : ndarray of shape (n, 4)
         Each panel's u and v range in its picture.
     to_wall : ndarray of shape (3, 3)
         The projective map from (u, v, 1) to the wall's two axes.
-    points : ndarray of shape (m,)
-        On [0, 1]; a panel has m x m points, those along u fastest, and then its four corners.
+    places_on : ndarray of shape (k, 2)
+        A panel's points, on [0, 1], the last four its corners.
     flat, balls : ndarray of shape (n, WIDTH)
         The target's flat cells and spheres, in its own frame.
     albedo : ndarray of shape (cells + spheres, groups)
+    faces : ndarray of shape (cells + spheres,), int
+        Which of the target's faces each is in.
+    poses : ndarray of shape (parts,), int
+    wanted : ndarray of shape (parts, faces), int
+        Which sides of a face a part is made of: `FRONT`, `BACK`, both, or neither; and with `ON`, whether its light
+        goes on beyond its horizon.
     turns, places : ndarray of shape (poses, 3, 3) and (poses, 3)
         The target's rotation and position.
     rings : int
@@ -350,15 +375,18 @@ def panels(
         With derivatives.
     like : ndarray
         Of the type, float32 or float64, in which to sum.
-    values : ndarray of shape (n, groups, 1 or 7, m * m + 4), written
+    values : ndarray of shape (n, groups, 1 or 7, k), written
     reports : ndarray of shape (n, 4), written
         Quadrature points on the target, most points on the patch, distance from panel to target, panel's radius.
     """
-    m = points.shape[0]
     for item in prange(owner.shape[0]):
-        a, b, centre, radius = panel_points(boxes[item], points, to_wall, like)
-        total = np.zeros((values.shape[1], values.shape[2], m * m + 4), dtype=like.dtype)
-        pose = owner[item]
+        a, b, centre, radius = panel_points(boxes[item], places_on, to_wall, like)
+        total = np.zeros((values.shape[1], values.shape[2], places_on.shape[0]), dtype=like.dtype)
+        part = owner[item]
+        pose = poses[part]
+        sides = np.empty(faces.shape[0], dtype=np.int64)
+        for k in range(faces.shape[0]):
+            sides[k] = wanted[part, faces[k]]
         _target_panel(
             a,
             b,
@@ -376,6 +404,7 @@ def panels(
             gauss,
             digits,
             moving,
+            sides,
             total,
             reports[item],
         )

@@ -18,11 +18,14 @@ from generator.transport.compiled import COMPILED, jit
 
 Floats = NDArray[Any]
 
+BEYOND = -1e30
+"""A floor that nothing reaches, in single precision either."""
 
-def _radiance_loops(a: Floats, b: Floats, elements: Floats, count: int, total: Floats) -> None:
+
+def _radiance_loops(a: Floats, b: Floats, elements: Floats, count: int, floor: float, total: Floats) -> None:
     """Add to ``total`` what the wall points (a, b, 0) receive from surface elements.
 
-        total_k += sum_j  max(0, n_j . d) h_j / |d|^4,    d = w_k - x_j
+        total_k += sum_j  max(floor, n_j . d h_j) / |d|^4,    d = w_k - x_j
 
     which is cos_x cos_w / |d|^2 (Lambert's cosine on both sides) with the element's strength in the length of n_j.
 
@@ -34,9 +37,11 @@ def _radiance_loops(a: Floats, b: Floats, elements: Floats, count: int, total: F
         Rows: position along the two wall axes, height, and the normal's three components times strength.
     count : int
         How many of them are filled.
+    floor : float
+        0; or `BEYOND`, for light that goes on below a face's own horizon, negative, as a function smooth across it.
     total : ndarray of shape (k,), added to
     """
-    zero = a.dtype.type(0)
+    least = a.dtype.type(floor)
     pairs = count // 2
     for pair in range(pairs):
         i, j = 2 * pair, 2 * pair + 1
@@ -50,8 +55,8 @@ def _radiance_loops(a: Floats, b: Floats, elements: Floats, count: int, total: F
             u1, v1 = a[k] - a1, b[k] - b1
             d0 = u0 * u0 + (v0 * v0 + s0)
             d1 = u1 * u1 + (v1 * v1 + s1)
-            n0 = max(zero, p0 * u0 + (q0 * v0 + c0))
-            n1 = max(zero, p1 * u1 + (q1 * v1 + c1))
+            n0 = max(least, p0 * u0 + (q0 * v0 + c0))
+            n1 = max(least, p1 * u1 + (q1 * v1 + c1))
             d0 = d0 * d0
             d1 = d1 * d1
             # One division for two elements: dividing is what this loop waits for.
@@ -62,15 +67,15 @@ def _radiance_loops(a: Floats, b: Floats, elements: Floats, count: int, total: F
         for k in range(a.shape[0]):
             u0, v0 = a[k] - a0, b[k] - b0
             d0 = u0 * u0 + (v0 * v0 + h0 * h0)
-            total[k] += max(zero, p0 * u0 + (q0 * v0 + c0)) / (d0 * d0)
+            total[k] += max(least, p0 * u0 + (q0 * v0 + c0)) / (d0 * d0)
 
 
-def _radiance_arrays(a: Floats, b: Floats, elements: Floats, count: int, total: Floats) -> None:
+def _radiance_arrays(a: Floats, b: Floats, elements: Floats, count: int, floor: float, total: Floats) -> None:
     """NumPy form of `_radiance_loops`."""
     x, y, h, p, q, r = elements[:, :count]
     u, v = a[:, None] - x, b[:, None] - y
     squared = u * u + (v * v + h * h)
-    facing = np.maximum(p * h * u + (q * h * v - r * h * h), 0)
+    facing = np.maximum(p * h * u + (q * h * v - r * h * h), floor)
     total += (facing / (squared * squared)).sum(axis=1)
 
 
@@ -143,7 +148,9 @@ def irradiance_gradient(x: Floats, n: Floats, nodes: Floats, count: int, gradien
 
 
 @jit
-def radiance_gradient(a: Floats, b: Floats, elements: Floats, moves: Floats, count: int, total: Floats) -> None:
+def radiance_gradient(
+    a: Floats, b: Floats, elements: Floats, moves: Floats, count: int, floor: float, total: Floats
+) -> None:
     """Add to ``total`` what `radiance` does, and its derivatives with respect to a rigid motion of the elements.
 
     Parameters
@@ -156,6 +163,8 @@ def radiance_gradient(a: Floats, b: Floats, elements: Floats, moves: Floats, cou
         Rows: strength, its derivatives with respect to three translations and three rotations, and the element's
         position relative to the point it turns about.
     count : int
+    floor : float
+        As for `radiance`.
     total : ndarray of shape (7, k), added to
         The sum, and its derivatives with respect to translation (3) and rotation about the three axes (3).
     """
@@ -167,7 +176,7 @@ def radiance_gradient(a: Floats, b: Floats, elements: Floats, moves: Floats, cou
         for k in range(a.shape[0]):
             d0, d1, d2 = a[k] - x0, b[k] - y0, -h
             facing = n0 * d0 + n1 * d1 + n2 * d2
-            if facing <= 0.0:
+            if facing <= floor:
                 continue
             squared = d0 * d0 + d1 * d1 + d2 * d2
             base = h / (squared * squared)

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from generator.spec import NlosError
-from generator.transport.rays import Placed, Surfaces
+from generator.transport.rays import Surfaces
 
 Floats = NDArray[Any]
 Flags = NDArray[np.bool_]
@@ -18,6 +18,8 @@ _TOUCH = 1e-9
 _SUNK = 1e-6
 """Depth below the wall, in half diagonals of the watched patch, that is rounding."""
 _RIM = 1.0 - 1e-3
+"""Share of the lit and of the watched patch that must be free: a target may touch the edge of what is lit or seen."""
+_OUTLINE = 64
 
 
 class Obstacles:
@@ -50,14 +52,12 @@ class Obstacles:
         turn = np.linspace(0.0, 2.0 * math.pi, 32, endpoint=False)
         rim = patch[:2] + np.outer(np.cos(turn), patch[2:4]) + np.outer(np.sin(turn), patch[4:6])
         self._patch_rim = np.column_stack([rim, np.zeros(32)])
-        inner = patch[:2] + _RIM * (rim - patch[:2])
-        self._cone_feet = np.column_stack([np.concatenate([inner, patch[None, :2]]), np.zeros(33)])
-        self._lamp = np.array([patch[6], patch[7], patch[8]])
+        self._lamp = np.append(patch[6:9], 1.0)
         self._patch_centre, self._patch_radius = np.append(patch[:2], 0.0), math.hypot(patch[2], patch[3])
-        u, v = np.meshgrid(*2 * [np.linspace(1e-3, 1.0 - 1e-3, 9)])
-        seen = np.stack([u.ravel(), v.ravel(), np.ones(81)], axis=1) @ to_wall.T
-        self._view_feet = np.column_stack([seen[:, :2] / seen[:, 2:], np.zeros(81)])
         self._eye = eye
+        self._cone = _pyramid(self._lamp, self._patch_centre + _RIM * (self._patch_rim - self._patch_centre))
+        middle = self._watched.mean(axis=0)
+        self._view = _pyramid(eye, middle + _RIM * (self._watched - middle))
         low, high = target.box
         self._box = np.array([[(low, high)[i >> r & 1][r] for r in range(3)] for i in range(8)])
         self._middle, self._radius = (low + high) / 2.0, float(np.linalg.norm(high - low)) / 2.0
@@ -109,29 +109,42 @@ class Obstacles:
             To name a pose by, metres.
         """
         middles = turns @ self._middle + places
-        axis = self._patch_centre - self._lamp
-        along = np.clip((middles - self._lamp) @ axis / (axis @ axis), 0.0, 1.0)
-        aside = np.linalg.norm(middles - self._lamp - along[:, None] * axis, axis=1)
+        lamp = self._lamp[:3]
+        axis = self._patch_centre - lamp
+        along = np.clip((middles - lamp) @ axis / (axis @ axis), 0.0, 1.0)
+        aside = np.linalg.norm(middles - lamp - along[:, None] * axis, axis=1)
         low = middles[:, 2] < self._radius
         lit, seen = aside < self._radius + self._patch_radius, self._may_be_seen(middles)
         for k in np.flatnonzero(low | lit | seen):
             where = f"pose ({', '.join(f'{v:g}' for v in positions[k])})"
-            placed = Placed(self._target, turns[k], places[k])
             if low[k]:
                 lowest, highest = self._heights(places[k], turns[k])
                 if lowest < -_SUNK:
                     raise NlosError(f"{where}: the target reaches through the relay wall")
                 if highest < _SUNK:
                     raise NlosError(f"{where}: the target lies in the relay wall")
-            lamp = np.broadcast_to(self._lamp, self._cone_feet.shape)
-            if lit[k] and placed.blocked(self._cone_feet, lamp).any():
+            if lit[k] and self._reaches_into(self._cone, self._lamp, places[k], turns[k]):
                 raise NlosError(f"{where}: the target stands in the spot's cone; only --engine path can render it")
-            feet = self._view_feet
-            eyes = np.broadcast_to(self._eye[:3], feet.shape) if self._eye[3] else feet + self._eye[:3]
-            if seen[k] and placed.blocked(feet, eyes).any():
+            if seen[k] and self._reaches_into(self._view, self._eye, places[k], turns[k]):
                 raise NlosError(
                     f"{where}: the target stands between the camera and the relay wall; use --engine patch"
                 )
+
+    def _reaches_into(self, spaces: Floats, eye: Floats, place: Floats, turn: Floats) -> bool:
+        """Whether the target reaches into half-spaces (k, 4) that have an eye as their apex."""
+        target = self._target
+        if len(target.origin):
+            first, second = target.origin + target.first, target.origin + target.second
+            last = np.where(target.triangle[:, None], second, first + target.second)
+            flat = np.stack([target.origin, first, last, second], axis=1) @ turn.T + place
+            if _reaches_into(spaces, flat):
+                return True
+        for x, y, z, radius in target.spheres:
+            centre = turn @ [x, y, z] + place
+            outline = _outline(centre, radius, eye)
+            if outline is None or _reaches_into(spaces, outline[None]):
+                return True
+        return False
 
     def _may_be_seen(self, middles: Floats) -> Flags:
         """Whether a sphere around the target reaches into the camera's view of the watched patch."""
@@ -155,6 +168,66 @@ class Obstacles:
             low = min(low, float((heights - self._target.spheres[:, 3]).min()))
             high = max(high, float((heights + self._target.spheres[:, 3]).max()))
         return low, high
+
+
+def _pyramid(eye: Floats, base: Floats) -> Floats:
+    """Return the half-spaces (k, 4) between an eye (homogeneous) and a convex polygon (k - 1, 3) on the wall."""
+    towards = eye[:3] - eye[3] * base
+    normals = np.cross(np.roll(base, -1, axis=0) - base, towards)
+    normals /= np.linalg.norm(normals, axis=1, keepdims=True)
+    levels = (normals * base).sum(axis=1)
+    middle = base.mean(axis=0)
+    sign = np.sign(normals @ middle - levels)
+    sides = sign[:, None] * np.column_stack([normals, -levels])
+    # Parallel light has no apex: it comes from the plane that the camera stands in.
+    way = (eye[:3] - eye[3] * middle) / np.linalg.norm(eye[:3] - eye[3] * middle)
+    start = eye[:3] if eye[3] else middle + eye[:3]
+    return np.concatenate([sides, [np.append(-way, way @ start)]])
+
+
+def _outline(centre: Floats, radius: float, eye: Floats) -> Floats | None:
+    """Return the polygon around a sphere's outline, as an eye (homogeneous) sees it; none from inside."""
+    axis = centre - eye[:3] if eye[3] else -eye[:3]
+    far = float(np.linalg.norm(axis))
+    axis = axis / far
+    if eye[3]:
+        if far <= radius:
+            return None
+        sine = radius / far
+        centre, radius = centre - sine * radius * axis, radius * math.sqrt(1.0 - sine * sine)
+    across = np.cross(axis, np.eye(3)[np.argmin(np.abs(axis))])
+    across /= np.linalg.norm(across)
+    turn = np.linspace(0.0, 2.0 * math.pi, _OUTLINE, endpoint=False)[:, None]
+    around = np.cos(turn) * across + np.sin(turn) * np.cross(axis, across)
+    made: Floats = centre + radius / math.cos(math.pi / _OUTLINE) * around
+    return made
+
+
+def _reaches_into(spaces: Floats, polygons: Floats) -> bool:
+    """Whether one of convex polygons (n, corners, 3) reaches into all of half-spaces (k, 4)."""
+    inside, near = np.ones(polygons.shape[:2], dtype=bool), np.ones(len(polygons), dtype=bool)
+    for space in spaces:
+        within = polygons @ space[:3] + space[3] > _TOUCH
+        inside &= within
+        near &= within.any(axis=1)
+    return bool(inside.any()) or any(_is_left(polygon, spaces) for polygon in polygons[near])
+
+
+def _is_left(polygon: Floats, spaces: Floats) -> bool:
+    """Whether cutting a polygon (corners, 3) by half-spaces leaves any of it (Sutherland and Hodgman 1974)."""
+    for space in spaces:
+        height = polygon @ space[:3] + space[3] - _TOUCH
+        kept = []
+        for k in range(len(polygon)):
+            if (height[k] > 0.0) != (height[k - 1] > 0.0):
+                share = height[k - 1] / (height[k - 1] - height[k])
+                kept.append(polygon[k - 1] + share * (polygon[k] - polygon[k - 1]))
+            if height[k] > 0.0:
+                kept.append(polygon[k])
+        if not kept:
+            return False
+        polygon = np.array(kept)
+    return True
 
 
 def _clear(surfaces: Surfaces, points: Floats) -> Flags:

@@ -4,6 +4,10 @@ Light that has been reflected by the target falls on the wall as a smooth functi
 held by a few hundred of its values. A panel is a box of the picture with m x m Gauss points; their Legendre
 coefficients say how well they hold the function, and a panel that holds it badly is cut in four. Pixels are exact
 integrals of the polynomials over their boxes, as Cycles' box filter asks.
+
+A flat face stops sending light where its own plane meets the wall: a kink of the picture along a line, and a jump of
+its derivatives, which panels could only approach. Such a face is a part of the picture of its own, smooth beyond the
+line too, and only what is on its bright side is kept.
 """
 
 from __future__ import annotations
@@ -18,11 +22,12 @@ from numpy.polynomial.legendre import leggauss, legvander
 from numpy.typing import NDArray
 
 from generator.transport.compiled import jit, jit_parallel, prange
+from generator.transport.polygons import clip
 
 Floats = NDArray[Any]
 
 Evaluate = Callable[[Floats, Floats], tuple[Floats, Floats]]
-"""Given owners (n,) and boxes (n, 4), return values (n, channels, m * m + 4), the last at the corners, and the ratio
+"""Given owners (n,) and boxes (n, 4), return values (n, channels, points) at a rule's places, and the ratio
 radius / distance (n,)."""
 
 MAX_DEPTH = 24
@@ -48,6 +53,35 @@ class Panels:
     error: Floats
 
 
+@dataclass(frozen=True)
+class Parts:
+    """What pictures are sums of.
+
+    Attributes
+    ----------
+    picture : ndarray of shape (parts,), int
+        Which picture each belongs to.
+    line : ndarray of shape (parts, 3)
+        A part counts where a u + b v + c > 0.
+    """
+
+    picture: Floats
+    line: Floats
+
+    @classmethod
+    def whole(cls, pictures: int) -> Parts:
+        """Return pictures of one part each, which counts everywhere."""
+        return cls(np.arange(pictures), np.tile([0.0, 0.0, 1.0], (pictures, 1)))
+
+    def side(self, owner: Floats, boxes: Floats, places: Floats) -> Floats:
+        """Return a u + b v + c at places (k, 2) of boxes (n, 4), (n, k)."""
+        a, b, c = self.line[owner].T[:, :, None]
+        low, wide = boxes[:, 0::2, None], (boxes[:, 1::2] - boxes[:, 0::2])[:, :, None]
+        u, v = low[:, 0] + wide[:, 0] * places[:, 0], low[:, 1] + wide[:, 1] * places[:, 1]
+        there: Floats = a * u + b * v + c
+        return there
+
+
 class Rule:
     """Gauss points of a panel, and what turns values there into Legendre coefficients.
 
@@ -55,48 +89,64 @@ class Rule:
     ----------
     m : int
         Points along a side.
+
+    Attributes
+    ----------
+    places : ndarray of shape (n, 2)
+        Where a panel is evaluated, on [0, 1]: m x m Gauss points, along u fastest; points between them, which check
+        the polynomial; and the four corners.
     """
 
     def __init__(self, m: int) -> None:
         x, w = leggauss(m)
         self.m = m
-        self.points = (x + 1.0) / 2.0
+        # Between the nodes, one point in each row and column for each of two lattices: a kink passes some of them.
+        i, middles = np.arange(m - 1), (x[:-1] + x[1:]) / 2.0
+        between = np.concatenate([np.stack([middles, middles[slope * i % (m - 1)]], axis=1) for slope in (2, -2)])
+        corners = np.array([[-1.0, -1.0], [1.0, -1.0], [-1.0, 1.0], [1.0, 1.0]])
+        checks = np.concatenate([between, corners])
+        nodes = np.stack([np.tile(x, m), np.repeat(x, m)], axis=1)
+        self.places = (np.concatenate([nodes, checks]) + 1.0) / 2.0
         self.weights = np.outer(w, w).ravel() / 4.0
         n = np.arange(m)
         one = ((2 * n + 1) / 2.0)[:, None] * (legvander(x, m - 1) * w[:, None]).T
         self.transform = np.kron(one, one)
         norms = 1.0 / (2 * n + 1)
-        self._energy = np.outer(norms, norms).ravel()
         high = np.maximum(n[:, None], n[None, :]).ravel() >= m - 2
-        self._tail = np.where(high, self._energy, 0.0)
-        # At a corner every Legendre polynomial is 1 or -1.
-        ends = np.stack([(-1.0) ** n, np.ones(m)])
-        self._corners = np.stack([np.outer(ends[k // 2], ends[k % 2]).ravel() for k in range(4)])
+        self._tail = np.where(high, np.outer(norms, norms).ravel(), 0.0)
+        along, down = legvander(checks[:, 0], m - 1), legvander(checks[:, 1], m - 1)
+        self._checks = (down[:, :, None] * along[:, None, :]).reshape(len(checks), m * m)
 
     def coefficients(self, values: Floats) -> Floats:
-        """Return Legendre coefficients (..., m * m) of values (..., m * m + 4)."""
+        """Return Legendre coefficients (..., m * m) of values (..., points)."""
         made: Floats = values[..., : self.m**2] @ self.transform.T
         return made
 
-    def mean_square(self, coefficients: Floats) -> Floats:
-        """Return the mean square over the panel."""
-        squared: Floats = coefficients**2 @ self._energy
+    def mean_square(self, values: Floats, where: Floats | None = None) -> Floats:
+        """Return the mean square over the panel (...) of values (..., points), where a mask (n, points) has it."""
+        nodes = values[..., : self.m**2] ** 2
+        if where is not None:
+            nodes = nodes * where[:, None, : self.m**2]
+        squared: Floats = nodes @ self.weights
         return squared
 
     def tail_square(self, coefficients: Floats, values: Floats) -> Floats:
         """Return the mean square of what the polynomial may leave out.
 
-        That is the two highest degrees, far more than what is left out if they fall off; and what is wrong at the
-        corners: light that enters there may stay between them and the first points, a share 1 / m^2 of the panel.
+        That is the two highest degrees, far more than what is left out if they fall off; what is wrong between the
+        points, where they do not; and what is wrong at the corners: light that enters there may stay between them and
+        the first points, a share 1 / m^2 of the panel.
         """
-        missed = coefficients @ self._corners.T - values[..., self.m**2 :]
-        squared: Floats = coefficients**2 @ self._tail + (missed**2).max(axis=-1) / self.m**2
+        missed = (coefficients @ self._checks.T - values[..., self.m**2 :]) ** 2
+        squared: Floats = coefficients**2 @ self._tail
+        squared += 2.0 * missed[..., :-4].mean(axis=-1) + missed[..., -4:].max(axis=-1) / self.m**2
         return squared
 
 
 def draw(
     evaluate: Evaluate,
     rule: Rule,
+    parts: Parts,
     pictures: int,
     channels: int,
     resolution: tuple[int, int],
@@ -110,7 +160,9 @@ def draw(
     Parameters
     ----------
     evaluate : callable
+        Owners are parts.
     rule : Rule
+    parts : Parts
     pictures, channels : int
     resolution : (int, int)
         Width and height, pixels.
@@ -129,37 +181,42 @@ def draw(
     """
     width, height = resolution
     out = np.zeros((pictures, channels, height, width))
-    owner, boxes = np.arange(pictures), np.tile([0.0, 1.0, 0.0, 1.0], (pictures, 1))
+    picture = parts.picture
+    owner, boxes = np.arange(len(picture)), np.tile([0.0, 1.0, 0.0, 1.0], (len(picture), 1))
     settled, lost = np.zeros((pictures, channels)), np.zeros((pictures, channels))
     count, depth = np.zeros(pictures, dtype=np.int64), np.zeros(pictures, dtype=np.int64)
+    shared = np.bincount(picture, minlength=pictures)
     # Peaks of the size of the target's distance can hide between points down to this size of a panel.
     smallest = 2.0 * math.sqrt(accuracy) / max(width, height)
     for cut in range(MAX_DEPTH + 1):
+        bright = parts.side(owner, boxes, rule.places) > 0.0
+        some = bright.any(axis=1)
+        owner, boxes, bright = owner[some], boxes[some], bright[some]
+        if not len(owner):
+            break
         values, nearness = evaluate(owner, boxes)
         coefficients = rule.coefficients(values)
+        own = picture[owner]
         size = 0.5**cut
         area = size * size
-        square, tail = area * rule.mean_square(coefficients), area * rule.tail_square(coefficients, values)
+        square, tail = area * rule.mean_square(values, bright), area * rule.tail_square(coefficients, values)
         norm = settled.copy()
-        np.add.at(norm, owner, square)
+        np.add.at(norm, own, square)
         if level is not None:
             norm = np.maximum(norm, level)
         if kin is not None:
             norm = kin(norm)
         # Small panels may err more: those along a line are few for their size.
-        allowed = (0.7 * accuracy) ** 2 * norm[owner] * area * 2.0**cut
+        allowed = (0.7 * accuracy) ** 2 * norm[own] * area * 2.0**cut / shared[own, None]
         good = (tail <= allowed).all(axis=1) & ((nearness <= _TOO_NEAR) | (size < smallest))
         if cut == MAX_DEPTH:
             good[:] = True
-        deposit(out, owner[good], boxes[good], coefficients[good])
-        np.add.at(settled, owner[good], square[good])
-        np.add.at(lost, owner[good], tail[good])
-        np.add.at(count, owner[good], 1)
-        depth[owner] = cut
-        rest = ~good
-        if not rest.any():
-            break
-        owner, boxes = np.repeat(owner[rest], 4), _quarters(boxes[rest])
+        deposit(out, own[good], boxes[good], coefficients[good], parts.line[owner[good]])
+        np.add.at(settled, own[good], square[good])
+        np.add.at(lost, own[good], tail[good])
+        np.add.at(count, own[good], 1)
+        depth[own] = cut
+        owner, boxes = np.repeat(owner[~good], 4), _quarters(boxes[~good])
     with np.errstate(invalid="ignore", divide="ignore"):
         error = np.where(settled > 0.0, np.sqrt(lost / settled), 0.0).max(axis=1, initial=0.0)
     return out, Panels(count, depth, error)
@@ -172,21 +229,26 @@ def _quarters(boxes: Floats) -> Floats:
     return np.stack([np.stack(p, axis=-1) for p in parts], axis=1).reshape(-1, 4)
 
 
-def deposit(out: Floats, owner: Floats, boxes: Floats, coefficients: Floats) -> None:
+def deposit(out: Floats, owner: Floats, boxes: Floats, coefficients: Floats, lines: Floats) -> None:
     """Add the integrals of panels' polynomials over pixels to the pictures.
 
     Parameters
     ----------
     out : ndarray of shape (pictures, channels, height, width), added to
     owner : ndarray of shape (n,), int
+        Pictures.
     boxes : ndarray of shape (n, 4)
     coefficients : ndarray of shape (n, channels, m * m)
         Along u fastest.
+    lines : ndarray of shape (n, 3)
+        As `Parts` has them.
     """
     if len(owner):
         order = np.argsort(owner, kind="stable")
         starts = np.flatnonzero(np.diff(owner[order], prepend=-1))
-        _deposit(out, owner, order, np.append(starts, len(owner)), boxes, coefficients)
+        nodes, weights = leggauss(math.isqrt(coefficients.shape[2]))
+        edge = np.stack([(nodes + 1.0) / 2.0, weights / 2.0])
+        _deposit(out, owner, order, np.append(starts, len(owner)), boxes, coefficients, lines, edge)
 
 
 @jit
@@ -222,18 +284,97 @@ def _shares(low: float, high: float, pixels: int, m: int) -> tuple[int, Floats]:
     return first, shares
 
 
+@jit
+def _keep_side(
+    block: Floats, first: Floats, box: Floats, pixels: Floats, held: Floats, line: Floats, edge: Floats
+) -> None:
+    """Cut from a panel's shares of pixels (channels, rows, columns) what lies beyond a line.
+
+    A pixel that the line crosses is a polygon, and the integral over it one along its edges (Green's theorem): of the
+    polynomial's antiderivative along u, which m Gauss points an edge integrate exactly.
+    """
+    m = held.shape[1]
+    wide, high = (box[1] - box[0]) / 2.0, (box[3] - box[2]) / 2.0
+    # The line, and below the pixel's sides, in the panel's own coordinates on [-1, 1].
+    a, b = line[0] * wide, line[1] * high
+    c = line[0] * (box[0] + wide) + line[1] * (box[2] + high) + line[2]
+    corners, polygon = np.empty((4, 2)), np.empty((8, 2))
+    along, down = np.empty(m + 1), np.empty(m + 1)
+    for row in range(block.shape[1]):
+        y0 = max(-1.0, ((first[1] + row) / pixels[1] - box[2]) / high - 1.0)
+        y1 = min(1.0, ((first[1] + row + 1) / pixels[1] - box[2]) / high - 1.0)
+        for column in range(block.shape[2]):
+            x0 = max(-1.0, ((first[0] + column) / pixels[0] - box[0]) / wide - 1.0)
+            x1 = min(1.0, ((first[0] + column + 1) / pixels[0] - box[0]) / wide - 1.0)
+            corners[0, 0], corners[0, 1], corners[1, 0], corners[1, 1] = x0, y0, x1, y0
+            corners[2, 0], corners[2, 1], corners[3, 0], corners[3, 1] = x1, y1, x0, y1
+            bright = 0
+            for k in range(4):
+                if a * corners[k, 0] + b * corners[k, 1] + c >= 0.0:
+                    bright += 1
+            if bright == 4:
+                continue
+            block[:, row, column] = 0.0
+            if bright == 0 or x1 <= x0 or y1 <= y0:
+                continue
+            n = clip(corners, 4, a, b, c, polygon)
+            for k in range(n):
+                after = (k + 1) % n
+                rise = polygon[after, 1] - polygon[k, 1]
+                if rise == 0.0:
+                    continue
+                for q in range(edge.shape[1]):
+                    x = polygon[k, 0] + edge[0, q] * (polygon[after, 0] - polygon[k, 0])
+                    y = polygon[k, 1] + edge[0, q] * rise
+                    along[0], along[1], down[0], down[1] = 1.0, x, 1.0, y
+                    for i in range(1, m):
+                        along[i + 1] = ((2 * i + 1) * x * along[i] - i * along[i - 1]) / (i + 1)
+                        down[i + 1] = ((2 * i + 1) * y * down[i] - i * down[i - 1]) / (i + 1)
+                    # (2 i + 1) P_i = d/dx (P_(i+1) - P_(i-1))
+                    before = 1.0
+                    along[0] = x
+                    for i in range(1, m):
+                        here = along[i]
+                        along[i] = (along[i + 1] - before) / (2 * i + 1)
+                        before = here
+                    share = edge[1, q] * rise * wide * high * pixels[0] * pixels[1]
+                    for channel in range(block.shape[0]):
+                        total = 0.0
+                        for j in range(m):
+                            inner = 0.0
+                            for i in range(m):
+                                inner += held[channel, j, i] * along[i]
+                            total += inner * down[j]
+                        block[channel, row, column] += share * total
+
+
 @jit_parallel
-def _deposit(out: Floats, owner: Floats, order: Floats, starts: Floats, boxes: Floats, coefficients: Floats) -> None:
-    height, width = out.shape[2], out.shape[3]
-    m = int(math.sqrt(coefficients.shape[2]) + 0.5)
+def _deposit(
+    out: Floats,
+    owner: Floats,
+    order: Floats,
+    starts: Floats,
+    boxes: Floats,
+    coefficients: Floats,
+    lines: Floats,
+    edge: Floats,
+) -> None:
+    channels, height, width = out.shape[1], out.shape[2], out.shape[3]
+    m = edge.shape[1]
+    pixels = np.array([width, height])
     for run in prange(starts.shape[0] - 1):
         for k in range(starts[run], starts[run + 1]):
             item = order[k]
-            first_column, across = _shares(boxes[item, 0], boxes[item, 1], width, m)
-            first_row, down = _shares(boxes[item, 2], boxes[item, 3], height, m)
+            box, line = boxes[item], lines[item]
+            first_column, across = _shares(box[0], box[1], width, m)
+            first_row, down = _shares(box[2], box[3], height, m)
             across_t = np.ascontiguousarray(across.T)
-            for c in range(out.shape[1]):
-                block = np.dot(down, np.dot(np.ascontiguousarray(coefficients[item, c]).reshape(m, m), across_t))
-                rows, columns = block.shape
-                into = out[owner[item], c]
-                into[first_row : first_row + rows, first_column : first_column + columns] += block
+            held = np.ascontiguousarray(coefficients[item]).reshape(channels, m, m)
+            block = np.empty((channels, down.shape[0], across.shape[0]))
+            for c in range(channels):
+                block[c] = np.dot(down, np.dot(held[c], across_t))
+            least = line[2] + min(line[0] * box[0], line[0] * box[1]) + min(line[1] * box[2], line[1] * box[3])
+            if least < 0.0:
+                _keep_side(block, np.array([first_column, first_row]), box, pixels, held, line, edge)
+            into = out[owner[item]]
+            into[:, first_row : first_row + down.shape[0], first_column : first_column + across.shape[0]] += block

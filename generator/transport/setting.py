@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from generator.spec import Array, NlosError
 from generator.transport import elements, integral
+from generator.transport.faces import Faces
 from generator.transport.obstacles import Obstacles
 from generator.transport.rays import Surfaces
 from generator.transport.world import Mesh, Sphere, Watched, World
@@ -67,6 +68,7 @@ class Setting:
         The target's cells, in its own frame.
     tint : ndarray of shape (cells, groups)
         Their albedo.
+    faces : Faces
     target : Surfaces
         What rays meet of it, in its own frame.
     convex : bool
@@ -112,6 +114,7 @@ class Setting:
         self.channel = [0, 0, 0] if (every == every[:, :1]).all() else [0, 1, 2]
         kept = sorted(set(self.channel))
         self.tint = np.ascontiguousarray(tint[:, kept])
+        self.faces = Faces(self.flat, len(self.balls), self.to_wall, self.patch)
         self.room = Surfaces(room.triangles, room.albedo[:, kept])
         self.room_cells = elements.cells((room,))[0]
         # A room is seen from inside, however it is closed.

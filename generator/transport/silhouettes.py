@@ -874,7 +874,7 @@ def _add_together(
             filled += 1
     a, b = np.ascontiguousarray(walls[:, 0]), np.ascontiguousarray(walls[:, 1])
     for g in range(tint.shape[1]):
-        kernel.radiance(a, b, sent[g], filled, total[g, 0])
+        kernel.radiance(a, b, sent[g], filled, 0.0, total[g, 0])
 
 
 @jit_released

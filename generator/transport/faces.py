@@ -1,0 +1,103 @@
+"""A target's flat faces, which stop sending light where their own planes meet the wall."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from generator.transport.integral import BACK, FRONT, ON
+from generator.transport.picture import Parts
+
+Floats = NDArray[Any]
+
+_MOST = 12
+"""Faces of a target: of more, each is too little of the picture to be drawn apart."""
+_COPLANAR = 1e-9
+_CORNERS = np.array([[0.0, 0.0, 1.0], [1.0, 0.0, 1.0], [0.0, 1.0, 1.0], [1.0, 1.0, 1.0]])
+
+
+class Faces:
+    """Cells in one plane, asked where their planes cross the picture.
+
+    Parameters
+    ----------
+    flat : ndarray of shape (n, WIDTH)
+        Flat cells, in the target's frame.
+    balls : int
+        Spheres; with any, and with too many planes, everything is one face that is never drawn apart.
+    to_wall : ndarray of shape (3, 3)
+    patch : ndarray of shape (14,)
+
+    Attributes
+    ----------
+    of : ndarray of shape (n + balls,), int
+        Which face each cell is in.
+    """
+
+    def __init__(self, flat: Floats, balls: int, to_wall: Floats, patch: Floats) -> None:
+        self._to_wall = to_wall * np.sign(to_wall[2] @ [0.5, 0.5, 1.0])
+        self._patch = patch
+        self.of = np.zeros(len(flat) + balls, dtype=np.int64)
+        planes = [] if balls else _planes(flat, self.of)
+        self._normals, self._levels = np.array([p[:3] for p in planes]), np.array([p[3] for p in planes])
+        self._one_sided = [bool(p[4]) for p in planes]
+
+    def parts(self, turns: Floats, places: Floats) -> tuple[Parts, Floats]:
+        """Return what pictures of poses are sums of.
+
+        A side of a face whose plane crosses the picture is a part of its own, if light falls on it; everything else
+        is one.
+
+        Parameters
+        ----------
+        turns, places : ndarray of shape (n, 3, 3) and (n, 3)
+
+        Returns
+        -------
+        parts : Parts
+        wanted : ndarray of shape (parts, faces), int
+            As `integral.panels` takes it.
+        """
+        faces = max(1, len(self._levels))
+        rest = np.full((len(places), faces), FRONT | BACK)
+        made = [(k, np.array([0.0, 0.0, 1.0]), rest[k]) for k in range(len(places))]
+        centre, major, minor = self._patch[0:2], self._patch[2:4], self._patch[4:6]
+        for f in range(len(self._levels)):
+            normal = turns @ self._normals[f]
+            level = self._levels[f] + (normal * places).sum(axis=1)
+            # Height above the plane, times something positive: linear in u and v.
+            line = np.column_stack([normal[:, :2], -level]) @ self._to_wall
+            corners = line @ _CORNERS.T
+            lit, reach = normal[:, :2] @ centre - level, np.hypot(normal[:, :2] @ major, normal[:, :2] @ minor)
+            for k in np.flatnonzero((corners.min(axis=1) < 0.0) & (corners.max(axis=1) > 0.0)):
+                rest[k, f] = 0
+                for side, sign in ((FRONT, 1.0), (BACK, -1.0))[: 1 if self._one_sided[f] else 2]:
+                    if sign * lit[k] > -reach[k]:
+                        alone = np.zeros(faces, dtype=np.int64)
+                        alone[f] = side | ON
+                        made.append((int(k), sign * line[k], alone))
+        made = [part for part in made if part[2].any()]
+        picture = np.array([part[0] for part in made], dtype=np.int64)
+        lines = np.array([part[1] for part in made]).reshape(-1, 3)
+        return Parts(picture, lines), np.array([part[2] for part in made], dtype=np.int64).reshape(-1, faces)
+
+
+def _planes(flat: Floats, of: Floats) -> list[Floats]:
+    """Return planes (normal (3), level, one-sided), and write into ``of`` which one each cell is in; none if many."""
+    normal = np.cross(flat[:, 5:8], flat[:, 8:11])
+    normal /= np.linalg.norm(normal, axis=1, keepdims=True)
+    rows = np.column_stack([normal, (normal * flat[:, 2:5]).sum(axis=1), flat[:, 1]])
+    size = np.abs(flat[:, 2:11]).max()
+    slack = _COPLANAR * np.array([1.0, 1.0, 1.0, size, 1.0])
+    planes: list[Floats] = []
+    for k, row in enumerate(rows):
+        same = [f for f, plane in enumerate(planes) if (np.abs(row - plane) <= slack).all()]
+        if not same and len(planes) == _MOST:
+            of[:] = 0
+            return []
+        of[k] = same[0] if same else len(planes)
+        if not same:
+            planes.append(row)
+    return planes
