@@ -4,10 +4,16 @@ from __future__ import annotations
 
 import functools
 import hashlib
+import os
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from typing import Any, TypeVar
+
+import numpy as np
+
+NONE, ONE = np.zeros(2, dtype=np.int64), np.ones(2, dtype=np.int64)
+"""Numbers 0 and 1 for calls: numba compiles a function anew for every literal that it is called with."""
 
 Function = TypeVar("Function", bound=Callable[..., Any])
 
@@ -48,9 +54,19 @@ def in_parts(function: Callable[..., None], n: int, *arguments: Any) -> None:
         function(0, n, *arguments)
         return
     step = max(1, n // (8 * threads))
-    with ThreadPoolExecutor(threads) as pool:
-        for part in [pool.submit(function, at, min(at + step, n), *arguments) for at in range(0, n, step)]:
-            part.result()
+    parts = [_pool(threads).submit(function, at, min(at + step, n), *arguments) for at in range(0, n, step)]
+    for part in parts:
+        part.result()
+
+
+@functools.cache
+def _pool(threads: int) -> ThreadPoolExecutor:
+    return ThreadPoolExecutor(threads, thread_name_prefix="transport")
+
+
+if hasattr(os, "register_at_fork"):
+    # A forked process has none of its parent's threads.
+    os.register_at_fork(after_in_child=_pool.cache_clear)
 
 
 def _compile(function: Function, **options: Any) -> Function:

@@ -104,7 +104,7 @@ class Fields:
             target = (*shape, parts.picture, wanted, turns, places, self._rings)
             lit = (setting.patch, setting.whole, setting.chords, elements.GAUSS)
             arguments: tuple[Any, ...] = (*where, *target, *lit, self._digits + _SPARE, moving, like, values, reports)
-            integral.panels(*arguments)
+            compiled.in_parts(integral.panels, len(owner), *arguments)
             np.maximum.at(most, parts.picture[owner], reports[:, :2])
             return values.reshape(len(owner), groups * channels, -1), reports[:, 3] / reports[:, 2]
 

@@ -10,7 +10,7 @@ from numpy.polynomial.legendre import leggauss
 from numpy.typing import NDArray
 
 from generator.transport import elements, kernel
-from generator.transport.compiled import jit, jit_parallel, prange
+from generator.transport.compiled import NONE, jit, jit_parallel, jit_released, prange
 
 Floats = NDArray[Any]
 
@@ -184,7 +184,7 @@ def cover(
     """
     stack = np.empty((_STACK, elements.WIDTH))
     found = np.empty((256, 9))
-    count, nearest = 0, np.inf
+    count, nearest = NONE[0], np.inf
     for c in range(flat.shape[0]):
         if wanted[c] == 0:
             continue
@@ -315,8 +315,10 @@ def panel_points(box: Floats, places: Floats, to_wall: Floats, like: Floats) -> 
     return a, b, centre, radius
 
 
-@jit_parallel
+@jit_released
 def panels(
+    start: int,
+    stop: int,
     owner: Floats,
     boxes: Floats,
     to_wall: Floats,
@@ -346,6 +348,8 @@ def panels(
 
     Parameters
     ----------
+    start, stop : int
+        Which of them.
     owner : ndarray of shape (n,), int
         Which part of a picture each panel belongs to.
     boxes : ndarray of shape (n, 4)
@@ -379,7 +383,7 @@ def panels(
     reports : ndarray of shape (n, 4), written
         Quadrature points on the target, most points on the patch, distance from panel to target, panel's radius.
     """
-    for item in prange(owner.shape[0]):
+    for item in range(start, stop):
         a, b, centre, radius = panel_points(boxes[item], places_on, to_wall, like)
         total = np.zeros((values.shape[1], values.shape[2], places_on.shape[0]), dtype=like.dtype)
         part = owner[item]

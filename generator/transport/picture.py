@@ -21,7 +21,7 @@ import numpy as np
 from numpy.polynomial.legendre import leggauss, legvander
 from numpy.typing import NDArray
 
-from generator.transport.compiled import jit, jit_parallel, prange
+from generator.transport.compiled import in_parts, jit, jit_released
 from generator.transport.polygons import clip
 
 Floats = NDArray[Any]
@@ -248,7 +248,8 @@ def deposit(out: Floats, owner: Floats, boxes: Floats, coefficients: Floats, lin
         starts = np.flatnonzero(np.diff(owner[order], prepend=-1))
         nodes, weights = leggauss(math.isqrt(coefficients.shape[2]))
         edge = np.stack([(nodes + 1.0) / 2.0, weights / 2.0])
-        _deposit(out, owner, order, np.append(starts, len(owner)), boxes, coefficients, lines, edge)
+        ends = np.append(starts, len(owner))
+        in_parts(_deposit, len(starts), out, owner, order, ends, boxes, coefficients, lines, edge)
 
 
 @jit
@@ -317,7 +318,7 @@ def _keep_side(
             block[:, row, column] = 0.0
             if bright == 0 or x1 <= x0 or y1 <= y0:
                 continue
-            n = clip(corners, 4, a, b, c, polygon)
+            n = clip(corners, corners.shape[0], a, b, c, polygon)
             for k in range(n):
                 after = (k + 1) % n
                 rise = polygon[after, 1] - polygon[k, 1]
@@ -348,12 +349,14 @@ def _keep_side(
                         block[channel, row, column] += share * total
 
 
-@jit_parallel
+@jit_released
 def _deposit(
+    start: int,
+    stop: int,
     out: Floats,
     owner: Floats,
     order: Floats,
-    starts: Floats,
+    ends: Floats,
     boxes: Floats,
     coefficients: Floats,
     lines: Floats,
@@ -362,8 +365,8 @@ def _deposit(
     channels, height, width = out.shape[1], out.shape[2], out.shape[3]
     m = edge.shape[1]
     pixels = np.array([width, height])
-    for run in prange(starts.shape[0] - 1):
-        for k in range(starts[run], starts[run + 1]):
+    for run in range(start, stop):  # of one picture: no two threads write the same
+        for k in range(ends[run], ends[run + 1]):
             item = order[k]
             box, line = boxes[item], lines[item]
             first_column, across = _shares(box[0], box[1], width, m)

@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from generator.transport import elements, integral, kernel
-from generator.transport.compiled import jit, jit_released
+from generator.transport.compiled import NONE, ONE, jit, jit_released
 from generator.transport.polygons import CORNERS, FACET, PIECES, by_way_of, lay, outline, spread, within, without
 from generator.transport.rays import Surfaces
 
@@ -24,9 +24,6 @@ Floats = NDArray[Any]
 _TOUCH = 1e-9
 _ON_LINE = 1e-9
 _STACK = 128
-
-_NONE, _ONE = np.zeros(2, dtype=np.int64), np.ones(2, dtype=np.int64)
-"""Numbers 0 and 1 for calls: numba compiles a function anew for every literal that it is called with."""
 
 Cones = tuple[Floats, Floats]
 """What each occluder hides from a point: half-spaces (occluders, k, 4), n . y + c >= 0, and how many of them
@@ -177,7 +174,7 @@ def _above(facet: Floats, polygon: Floats, lines: Floats, spare: Floats) -> int:
     """Write the corners of the part of a facet that is above the relay wall; return how many."""
     n = outline(facet, polygon)
     lines[0, 0], lines[0, 1], lines[0, 2] = facet[5], facet[8], facet[2]
-    return within(polygon, n, lines, _ONE[0], polygon, spare)
+    return within(polygon, n, lines, ONE[0], polygon, spare)
 
 
 @jit
@@ -211,7 +208,7 @@ def _cleared(
                 break
         if not touched:
             continue
-        made = _NONE[0]
+        made = NONE[0]
         for p in range(count):
             made = without(polygons[p], corners[p], lines, k, others, other_corners, made, spare)
         if made < 0:
@@ -255,9 +252,7 @@ def _covered(
         if other_corners[0] == 0:
             continue
         made = (
-            1
-            if disjoint or part == 0
-            else _cleared(facet, -_ONE[0], some, _ONE[0], cones, _NONE[0], part, left, work)
+            1 if disjoint or part == 0 else _cleared(facet, -ONE[0], some, ONE[0], cones, NONE[0], part, left, work)
         )
         if made < 0 or count + made > PIECES:
             return -1
@@ -307,7 +302,7 @@ def _add_light(
 ) -> Floats:
     """Add to ``light[0]`` what a wall point receives by way of a polygon; return ``found``, perhaps grown."""
     whole, patch, gauss, digits = rules
-    found, count = spread(polygon, n, facet, wall, 0.0, patch, gauss, digits, stack, found, _NONE[0])
+    found, count = spread(polygon, n, facet, wall, 0.0, patch, gauss, digits, stack, found, NONE[0])
     light[0] += sign * by_way_of(found, count, facet, wall, node, whole)
     return found
 
@@ -435,7 +430,7 @@ def _add_rates(
                             apothem = sides[sides.shape[0] - 1, 0]
                             _ball_rates(balls[part - first], spaces[part, i], apothem, view, at, point, rates)
                         weight = sign * inside * gauss[1, wanted, g] * length / cuts / steep
-                        weight *= by_way_of(found, _ONE[0], facet, wall, node, whole)
+                        weight *= by_way_of(found, ONE[0], facet, wall, node, whole)
                         for r in range(6):
                             light[1 + r] += weight * rates[r]
 
@@ -487,7 +482,7 @@ def _add_seen(
             made, node = 1, nothing
             if blocked:
                 node = nodes[:, q].copy()
-                made = _cleared(facet, own, some, _ONE[0], (spaces[q], counts[q]), first, last, left, work)
+                made = _cleared(facet, own, some, ONE[0], (spaces[q], counts[q]), first, last, left, work)
             if made < 0:
                 light[:] = np.nan
             for i in range(made):
@@ -548,8 +543,8 @@ def _add_kept(
     view = np.array([node[0], node[1], 0.0])
     held[0][0, :n] = polygon[:n]
     held[1][0] = n
-    count = _cleared(facet, own, held, _ONE[0], from_wall, target, last, left, work) if whole else _ONE[0]
-    made = _NONE[0]
+    count = _cleared(facet, own, held, ONE[0], from_wall, target, last, left, work) if whole else ONE[0]
+    made = NONE[0]
     for p in range(count):
         made = _covered(facet, held[0][p], held[1][p], from_wall, target, disjoint, pieces, made, work)
     if count < 0 or made < 0:
@@ -702,12 +697,12 @@ def _hidden_panel(
         np.empty(most, np.int64),
         np.empty((most, 2), np.int64),
     )
-    number = _NONE[0]
+    number = NONE[0]
     for s in range(room.shape[0]):
         n = _above(room[s], polygon, lines, spare[0])
         for q in range(nodes.shape[1] if n else 0):
             cones = (from_nodes[0][q], from_nodes[1][q])
-            count = _covered(room[s], polygon, n, cones, target, disjoint, pieces, _NONE[0], work)
+            count = _covered(room[s], polygon, n, cones, target, disjoint, pieces, NONE[0], work)
             count = _cleared(room[s], target + s, pieces, count, cones, target, last, left, work)
             if count < 0:
                 total[:] = np.nan
@@ -741,7 +736,7 @@ def _hidden_panel(
         _all_hidden(wall, occluders, from_wall)
         for s in range(room.shape[0]):
             n = _above(room[s], polygon, lines, spare[0])
-            count = _covered(room[s], polygon, n, from_wall, target, disjoint, pieces, _NONE[0], work)
+            count = _covered(room[s], polygon, n, from_wall, target, disjoint, pieces, NONE[0], work)
             count = _cleared(room[s], target + s, pieces, count, from_wall, target, last, left, work)
             light[:] = 0.0 if count >= 0 else np.nan
             found = _add_seen(
@@ -856,7 +851,7 @@ def _add_together(
             continue
         s, q = of[p, 0], of[p, 1]
         facet = room[s]
-        found, n = spread(kept[p], corners[p], facet, centre, radius, patch, gauss, digits, work[4], found, _NONE[0])
+        found, n = spread(kept[p], corners[p], facet, centre, radius, patch, gauss, digits, work[4], found, NONE[0])
         level = facet[9] * nodes[0, q] + facet[10] * nodes[1, q] - facet[12]
         if filled + n > sent.shape[2]:
             grown = np.empty((sent.shape[0], 6, 2 * (filled + n)))
@@ -928,8 +923,8 @@ def _received_panel(
             if facet[34] == 1.0 and facet[9] * wall[0] + facet[10] * wall[1] < facet[12]:
                 continue
             pieces[1][0] = _above(facet, pieces[0][0], lines, spare[0])
-            count = _ONE[0] if pieces[1][0] else _NONE[0]
-            count = _cleared(facet, s, pieces, count, from_wall, _NONE[0], last, left, work)
+            count = ONE[0] if pieces[1][0] else NONE[0]
+            count = _cleared(facet, s, pieces, count, from_wall, NONE[0], last, left, work)
             light[:] = 0.0 if count >= 0 else np.nan
             found = _add_seen(
                 light,
@@ -940,7 +935,7 @@ def _received_panel(
                 count,
                 nodes,
                 from_nodes,
-                _NONE[0],
+                NONE[0],
                 last,
                 occluders,
                 from_wall,
