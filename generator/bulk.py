@@ -45,7 +45,7 @@ from generator import dataset
 from generator.dataset import BACKGROUND, SCENE, Picture, atomic, fingerprint, read_picture, write_picture, write_text
 from generator.poses import Pose
 from generator.spec import Array, NlosError, Sweep, Vector, VoxelGrid, dump_toml, from_dict, read_toml, to_dict
-from generator.sweep import Crew, Progress, Worker, check_same
+from generator.sweep import Crew, Progress, Worker, check_same, compiling_words
 from generator.transport.store import load_world, save_world, world_hash
 from generator.transport.world import Mesh, World
 
@@ -177,6 +177,7 @@ def run(
     workers: int = 0,
     shard: tuple[int, int] = (0, 1),
     progress: Progress = lambda done, total: None,
+    tell: Callable[[str], None] = lambda words: None,
 ) -> Outcome:
     """Make a bulk set, or what is missing of it.
 
@@ -195,12 +196,16 @@ def run(
         ``(i, n)``: make the i-th of n shares of the parts only, i from 0.
     progress : callable
         Is told how many pictures of this run are done, and how many there are to do.
+    tell : callable
+        Is told that the engine is being compiled.
 
     Raises
     ------
     NlosError
         The input is bad, the engine cannot honour the scene, or the set at that path was made with other settings.
     """
+    if words := compiling_words("surfel"):
+        tell(words)
     if not Bulk.exists(path):
         _plan(scene, path, chosen)
     bulk = Bulk.open(path)

@@ -320,7 +320,7 @@ def _bulk(options: argparse.Namespace) -> int:
 
     chosen = chosen_settings(options, bulk.Settings, pictures=1)
     with _progress() as progress:
-        outcome = bulk.run(options.scene, options.output, chosen, progress=progress, **_farm(options))
+        outcome = bulk.run(options.scene, options.output, chosen, progress=progress, tell=print, **_farm(options))
     return _report(outcome.bulk, outcome.rendered, outcome.remaining, outcome.failed)
 
 

@@ -86,13 +86,16 @@ def run(
         ``(i, n)``: render the i-th of n parts only, i from 0.
     progress : callable
     tell : callable
-        Is told which engine ``auto`` took, and why.
+        Is told which engine ``auto`` took, and why; and that an engine is being compiled.
 
     Raises
     ------
     NlosError
         The input is bad, or the data set at that path was made with other settings.
     """
+    known = Dataset.open(path).settings["engine"] if Dataset.exists(path) else chosen.get("engine")
+    if words := compiling_words(known):
+        tell(words)
     dataset = prepare(scene, path, chosen)
     if chosen.get("engine") == "auto":
         tell(engine_words(dataset))
@@ -115,6 +118,17 @@ def run(
     if outcome.rendered and not outcome.remaining:
         dataset.tidy()
     return outcome
+
+
+def compiling_words(engine: str | None) -> str:
+    """Return what to say before an engine's first run, which compiles it; nothing if there is nothing to wait for."""
+    folder = Path(__file__).resolve().parent / "transport"
+    newest = max(source.stat().st_mtime for source in folder.glob("*.py"))
+    compiled = any(index.stat().st_mtime > newest for index in folder.glob("__pycache__/numba-*/*/*.nbi"))
+    if compiled or engine not in ("surfel", "auto"):
+        return ""
+    when = "engine surfel" if engine == "surfel" else "engine auto: surfel, if the scene allows it,"
+    return f"{when} is compiled for this machine first, once; that takes a minute or so"
 
 
 def engine_words(dataset: Dataset) -> str:
