@@ -37,7 +37,7 @@ STAGES = {
     START: [],
     "Blender: open, read, save the scene": [
         *("generator.stage:open_file", "generator.stage:save_file", "generator.stage:read", "generator.stage:hull"),
-        *("generator.worker:_clearance", "generator.engines:_linear_output", "generator.engines:_plain_cycles"),
+        *("generator.clearance:clearance", "generator.engines:_linear_output", "generator.engines:_plain_cycles"),
     ],
     "extract the world": ["generator.extract:surfel_world", "generator.extract:world"],
     "compile, or load what is compiled": ["numba.core.dispatcher:Dispatcher.compile"],

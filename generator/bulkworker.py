@@ -18,6 +18,7 @@ import numpy as np
 
 from generator import bulk, extract, poses, spec, stage, worker
 from generator.bulk import Bulk, Settings
+from generator.clearance import clearance
 from generator.dataset import SCENE, scene_hash
 from generator.spec import NlosError
 from generator.transport import Transport
@@ -50,7 +51,7 @@ def plan(scene: bpy.types.Scene, source: Path, path: Path, chosen: Mapping[str, 
             f"{source}: a bulk set is made by the engine 'surfel', which cannot honour that "
             f"{', nor that '.join(reasons)}; use nlos-generate sweep"
         )
-    sampler = _sampler(scene, described.grid, settings)
+    sampler = _sampler(scene, settings)
     for voxel in range(min(described.grid.n_voxels, settings.pictures)):
         sampler.draw(voxel, 0)  # refuses now a target that fits nowhere
     background = Transport(world, accuracy=settings.accuracy).background().astype(np.float32)
@@ -68,15 +69,17 @@ def plan(scene: bpy.types.Scene, source: Path, path: Path, chosen: Mapping[str, 
     return Bulk.create(path, settings, meta, world, background, scene_hash(source))
 
 
-def _sampler(scene: bpy.types.Scene, grid: spec.VoxelGrid, settings: Settings) -> poses.Sampler:
-    return poses.Sampler(grid, settings.sweep, stage.hull(scene), worker._clearance(scene))
+def _sampler(scene: bpy.types.Scene, settings: Settings) -> poses.Sampler:
+    described = stage.read(scene)
+    is_free = clearance(scene, described, engine="surfel")
+    return poses.Sampler(described.grid, settings.sweep, stage.hull(scene), is_free)
 
 
 def render(found: Bulk, parts: Iterable[int], *, threads: int = 0) -> None:
     """Make parts of a set, telling of each."""
     worker.check_blender(found)
     scene = stage.open_file(found.path / SCENE)
-    draw = _sampler(scene, found.grid, found.plan).draw
+    draw = _sampler(scene, found.plan).draw
     renderer = Transport(found.world(), accuracy=found.plan.accuracy, threads=threads)
     for number in parts:
         found.write_part(number, draw, renderer)

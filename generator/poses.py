@@ -149,7 +149,8 @@ class Sampler:
             raise NlosError(
                 f"voxel {self._grid.labels[voxel]}: found no place for the target ({extent[0]:.3g} x {extent[1]:.3g} "
                 f"x {extent[2]:.3g} m) in {size[0]:.3g} x {size[1]:.3g} x {size[2]:.3g} m clear of all "
-                "surfaces; use a smaller target, larger voxels, or keep only its centre inside (--inside centre)"
+                "surfaces and hidden from lamp and camera; use a smaller target, larger voxels, or keep only its "
+                "centre inside (--inside centre)"
             )
         return pose
 

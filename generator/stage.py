@@ -717,27 +717,39 @@ def vector(values: Any) -> spec.Vector:
     return (short(values[0]), short(values[1]), short(values[2]))
 
 
-def _read_camera(scene: bpy.types.Scene, camera: bpy.types.Object) -> spec.Camera:
+def view(scene: bpy.types.Scene, camera: bpy.types.Object) -> tuple[Array, Array]:
+    """Return where the rays through a picture's corners start and where they meet the wall, (4, 3) each.
+
+    Raises
+    ------
+    NlosError
+        It is no plain camera, or does not look at the wall.
+    """
     if camera.type != "CAMERA" or camera.data.type not in ("PERSP", "ORTHO"):
         raise NlosError(f"{_file()}: the camera {camera.name!r} must be a perspective or orthographic camera")
     matrix = camera.matrix_world
-    orthographic = camera.data.type == "ORTHO"
-    corners = []
+    starts, corners = [], []
     for corner in camera.data.view_frame(scene=scene):
-        start = matrix @ Vector((corner.x, corner.y, 0.0)) if orthographic else matrix.translation
+        parallel = camera.data.type == "ORTHO"
+        start = matrix @ Vector((corner.x, corner.y, 0.0)) if parallel else matrix.translation
         ray = matrix @ corner - start
         if ray.y >= 0.0 or start.y <= 0.0:
             raise NlosError(
                 f"{_file()}: the camera {camera.name!r} does not look at the relay wall (the plane y = 0)"
             )
+        starts.append(start)
         corners.append(start - ray * (start.y / ray.y))
-    points = np.array(corners)
+    return np.array(starts), np.array(corners)
+
+
+def _read_camera(scene: bpy.types.Scene, camera: bpy.types.Object) -> spec.Camera:
+    _, points = view(scene, camera)
     low, high = points.min(axis=0), points.max(axis=0)
     return spec.Camera(
-        location=vector(matrix.translation),
+        location=vector(camera.matrix_world.translation),
         x=_range(low, high, 0),
         z=_range(low, high, 2),
-        projection="orthographic" if orthographic else "perspective",
+        projection="orthographic" if camera.data.type == "ORTHO" else "perspective",
     )
 
 

@@ -19,10 +19,9 @@ from typing import TYPE_CHECKING, Any
 
 import bpy
 import numpy as np
-from mathutils import Matrix, Vector
-from mathutils.bvhtree import BVHTree
 
 from generator import engines, poses, spec, stage
+from generator.clearance import clearance
 from generator.dataset import BACKGROUND_AMBIENT, SCENE, Dataset, Picture, PoseRecord, check_free, scene_hash
 from generator.spec import NlosError, Sweep
 from generator.sweep import ANSWER
@@ -72,7 +71,8 @@ def plan(scene: bpy.types.Scene, source: Path, path: Path, chosen: Mapping[str, 
         raise NlosError(f"{name}: means nothing to the engine {sweep.engine!r}; leave it out")
     with engines.opened(scene, sweep.engine, resolution=sweep.resolution, accuracy=sweep.accuracy) as renderer:
         pass  # refuses now what it could not honour later
-    records = poses.plan(described.grid, sweep, stage.hull(scene), _clearance(scene))
+    is_free = clearance(scene, described, engine=sweep.engine)
+    records = poses.plan(described.grid, sweep, stage.hull(scene), is_free)
     stage.save_file(path / SCENE)
     meta = {
         "sweep": {
@@ -106,41 +106,6 @@ def version(package: str = "nlos-lab") -> str:
         return metadata.version(package)
     except metadata.PackageNotFoundError:  # run from a checkout, inside Blender
         return "unknown"
-
-
-def _clearance(scene: bpy.types.Scene) -> Callable[[spec.Vector, spec.Vector], bool]:
-    """Return the test whether the target at a pose cuts none of the scene's other surfaces."""
-    target = stage.find(scene, "target")
-    parts = stage.target_parts(scene)
-    depsgraph = bpy.context.evaluated_depsgraph_get()
-    surfaces = []
-    for obj in scene.objects:
-        if obj.type == "MESH" and obj not in parts and not obj.hide_render:
-            vertices, faces = _polygons(obj, depsgraph)
-            placed = [obj.matrix_world @ v for v in vertices]
-            surfaces.append(BVHTree.FromPolygons(placed, faces))
-    vertices, faces = _polygons(target, depsgraph)
-    scale = Matrix.LocRotScale(None, None, target.matrix_world.to_scale())
-    vertices = [scale @ v for v in vertices]
-    radius = max((v.length for v in vertices), default=0.0)
-
-    def is_free(position: spec.Vector, rotation: spec.Vector) -> bool:
-        near = [tree for tree in surfaces if tree.find_nearest(Vector(position), radius)[0] is not None]
-        if not near:
-            return True
-        turn = Matrix(spec.rotation_matrix(rotation).tolist())
-        placed = BVHTree.FromPolygons([turn @ v + Vector(position) for v in vertices], faces)
-        return not any(placed.overlap(tree) for tree in near)
-
-    return is_free
-
-
-def _polygons(obj: bpy.types.Object, depsgraph: Any) -> tuple[list[Vector], list[tuple[int, ...]]]:
-    mesh = obj.evaluated_get(depsgraph).to_mesh()
-    vertices = [v.co.copy() for v in mesh.vertices]
-    faces = [tuple(p.vertices) for p in mesh.polygons]
-    obj.evaluated_get(depsgraph).to_mesh_clear()
-    return vertices, faces
 
 
 def check_blender(dataset: Dataset | Bulk) -> None:

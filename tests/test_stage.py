@@ -9,7 +9,8 @@ import numpy as np
 import pytest
 import radiometry
 
-from generator import engines, spec, stage, worker
+from generator import engines, spec, stage
+from generator.clearance import clearance
 from generator.spec import NlosError, Scene, preset
 
 PRESETS = ["room", "tabletop", "corridor"]
@@ -172,13 +173,39 @@ def test_ambient_light_adds_the_world():
 
 
 def test_clutter_inside_a_voxel_is_kept_clear_of():
-    blender = built(preset("room", "sphere"))
+    described = preset("room", "sphere")
+    blender = built(described)
     bpy.ops.mesh.primitive_cube_add(size=0.6, location=(1.05, 0.65, 1.9))
     bpy.context.view_layer.update()
-    is_free = worker._clearance(blender)
+    is_free = clearance(blender, described, engine="surfel")
     assert is_free((1.05, 0.65, 1.0), (0.0, 0.0, 0.0))
     assert not is_free((1.05, 0.65, 1.5), (0.0, 0.0, 0.0))
     assert not is_free((1.05, 0.05, 1.0), (0.0, 0.0, 0.0)), "the relay wall is a surface too"
+
+
+@pytest.mark.parametrize("projection", ["perspective", "orthographic"])
+def test_poses_are_hidden_from_lamp_and_camera_as_the_engine_has_it(projection):
+    scene = replace(preset("room"), room=None, partition=None, target=spec.Target(kind="sheet", size=0.3))
+    scene = replace(scene, camera=replace(scene.camera, projection=projection))
+    blender = built(scene)
+    free = clearance(blender, scene, engine="surfel")
+    any_place = clearance(blender, scene, engine="path")
+    rng = np.random.default_rng(1)
+    lamp, aim = np.array(scene.spot.location), np.array(scene.spot.aim)
+    eye = np.array(scene.camera.location)
+    seen = np.array([np.mean(scene.camera.x), 0.0, np.mean(scene.camera.z)])
+    refused = 0
+    with engines.opened(blender, "surfel", resolution=(4, 4), accuracy=0.1) as renderer:
+        for number in range(200):
+            start, end = ((lamp, aim), (eye, seen))[number % 2]
+            place = start + rng.uniform(0.2, 0.6) * (end - start) + rng.uniform(-0.5, 0.5, 3)
+            turn = rng.uniform(-180.0, 180.0, 3)
+            assert any_place(tuple(place), tuple(turn))
+            if free(tuple(place), tuple(turn)):
+                renderer.at(place, turn)
+            else:
+                refused += 1
+    assert 20 < refused < 180
 
 
 def second_target(blender):

@@ -1,0 +1,113 @@
+"""Where a target may stand: clear of all other surfaces, and hidden from the lamp and from the camera."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from typing import Any
+
+import bpy
+import numpy as np
+from mathutils import Matrix, Vector
+from mathutils.bvhtree import BVHTree
+
+from generator import spec, stage
+from generator.spec import Array
+
+_RIM = 32
+"""Corners of the polygon around what the lamp lights."""
+
+
+def clearance(
+    scene: bpy.types.Scene, described: spec.Scene, *, engine: str
+) -> Callable[[spec.Vector, spec.Vector], bool]:
+    """Return the test whether the target at a pose cuts no other surface and is hidden from lamp and camera.
+
+    The engine `path` renders a target in the lamp's cone or in the camera's view too, so it may stand there.
+    """
+    target = stage.find(scene, "target")
+    parts = stage.target_parts(scene)
+    depsgraph = bpy.context.evaluated_depsgraph_get()
+    surfaces = []
+    for obj in scene.objects:
+        if obj.type == "MESH" and obj not in parts and not obj.hide_render:
+            vertices, faces = _polygons(obj, depsgraph)
+            placed = [obj.matrix_world @ v for v in vertices]
+            surfaces.append(BVHTree.FromPolygons(placed, faces))
+    vertices, faces = _polygons(target, depsgraph)
+    scale = Matrix.LocRotScale(None, None, target.matrix_world.to_scale())
+    vertices = [scale @ v for v in vertices]
+    shape = np.array(vertices).reshape(-1, 3)
+    radius = max((v.length for v in vertices), default=0.0)
+    sights = [] if engine == "path" else _sights(scene, described.spot)
+
+    def is_free(position: spec.Vector, rotation: spec.Vector) -> bool:
+        near = [tree for tree in surfaces if tree.find_nearest(Vector(position), radius)[0] is not None]
+        sighted = [sight for sight in sights if sight.may_hold(position, radius)]
+        if not near and not sighted:
+            return True
+        turn = spec.rotation_matrix(rotation)
+        corners = shape @ turn.T + position
+        if any(sight.holds(corners) for sight in sighted):
+            return False
+        placed = BVHTree.FromPolygons(corners.tolist(), faces)
+        return not any(placed.overlap(tree) for tree in [*near, *(sight.sides for sight in sighted)])
+
+    return is_free
+
+
+def _sights(scene: bpy.types.Scene, spot: spec.Spot) -> list[_Sight]:
+    """Return what the lamp lights and what the camera sees on its way to the wall, the plane y = 0."""
+    lamp, aim = np.array(spot.location), np.array(spot.aim)
+    axis = (aim - lamp) / np.linalg.norm(aim - lamp)
+    across = np.cross(axis, (0.0, 0.0, 1.0) if abs(axis[2]) < 0.9 else (1.0, 0.0, 0.0))
+    across /= np.linalg.norm(across)
+    turn = np.linspace(0.0, 2.0 * math.pi, _RIM, endpoint=False)[:, None]
+    around = np.cos(turn) * across + np.sin(turn) * np.cross(axis, across)
+    ways = axis + math.tan(math.radians(spot.half_angle)) / math.cos(math.pi / _RIM) * around
+    # A cone so wide that some of it misses the wall ends far away.
+    falls = np.maximum(-ways[:, 1:2], 1e-3)
+    lit = lamp + ways * (lamp[1] / falls)
+
+    return [_Sight(np.tile(lamp, (_RIM, 1)), lit), _Sight(*stage.view(scene, stage.find(scene, "camera")))]
+
+
+class _Sight:
+    """What a lamp lights or a camera sees on its way to the wall: a convex solid.
+
+    Parameters
+    ----------
+    near, far : ndarray of shape (k, 3)
+        Corners of its two ends, one as the other; those of the near one may be the same point.
+    """
+
+    def __init__(self, near: Array, far: Array) -> None:
+        k = len(far)
+        quads = [(i, (i + 1) % k, k + (i + 1) % k, k + i) for i in range(k)]
+        ends = [tuple(range(k)), tuple(range(k, 2 * k))]
+        corners = np.concatenate([near, far])
+        self.sides = BVHTree.FromPolygons(corners.tolist(), [*quads, *ends])
+        after = np.roll(far, -1, axis=0)
+        normals = np.concatenate(
+            [np.cross(after - far, near - far), np.cross(far[1:2] - far[:1], far[2:3] - far[:1])]
+        )
+        on = np.concatenate([far, far[:1]])
+        normals /= np.linalg.norm(normals, axis=1, keepdims=True)
+        inward = np.sign(((corners.mean(axis=0) - on) * normals).sum(axis=1))
+        self._normals, self._levels = inward[:, None] * normals, inward * (on * normals).sum(axis=1)
+
+    def may_hold(self, centre: spec.Vector, radius: float) -> bool:
+        """Whether part of a sphere may be inside; a no is sure."""
+        return bool((self._normals @ centre - self._levels > -radius).all())
+
+    def holds(self, points: Array) -> bool:
+        """Whether one of points (n, 3) is inside."""
+        return bool((points @ self._normals.T > self._levels).all(axis=1).any())
+
+
+def _polygons(obj: bpy.types.Object, depsgraph: Any) -> tuple[list[Vector], list[tuple[int, ...]]]:
+    mesh = obj.evaluated_get(depsgraph).to_mesh()
+    vertices = [v.co.copy() for v in mesh.vertices]
+    faces = [tuple(p.vertices) for p in mesh.polygons]
+    obj.evaluated_get(depsgraph).to_mesh_clear()
+    return vertices, faces
