@@ -494,16 +494,15 @@ def test_shadows_to_the_accuracy_that_is_asked(name):
 def test_derivatives_of_shadows_are_finite_differences(name):
     """On a piece of wall so small that nothing on it has to be drawn; a ball's outline is a polygon that turns."""
     view = worlds.watched(x=(-0.4, -0.4 + 1e-3), z=(0.1, 0.1 + 1e-3), resolution=(1, 1))
-    transport = Transport(
-        worlds.world(TARGETS[name], room=closed_room(), view=view), accuracy=1e-6 if name == "sheet" else 1e-5
-    )
+    scene, accuracy = worlds.world(TARGETS[name], room=closed_room(), view=view), 1e-6 if name == "sheet" else 1e-5
+    transport, finer = Transport(scene, accuracy=accuracy), Transport(scene, accuracy=accuracy / 4.0)
     position, rotation = np.array(IN_THE_ROOM[0]), np.array(IN_THE_ROOM[1])
     got = transport.render(position, rotation, derivatives=True)
 
     def hidden(k, step):
         if k < 3:
-            return transport.render(position + step * np.eye(3)[k], rotation).pixels.mean()
-        return transport.render(position, rotation + np.degrees(step) * np.eye(3)[2]).pixels.mean()
+            return finer.render(position + step * np.eye(3)[k], rotation).pixels.mean()
+        return finer.render(position, rotation + np.degrees(step) * np.eye(3)[2]).pixels.mean()
 
     for k in (0, 1, 2, 5):
         a, b = ((hidden(k, step) - hidden(k, -step)) / (2.0 * step) for step in (2e-3, 1e-3))

@@ -61,9 +61,13 @@ class Fields:
         self._setting = setting
         self._accuracy = accuracy
         self._digits = math.log(1.0 / accuracy)
-        # A sphere's own horizon, seen from the wall, is a kink that no rule follows: it takes finer cells.
-        self._rings = max(3, math.ceil(0.3 * accuracy**-0.4))
+        # A sphere's own horizon, seen from the wall, is a kink that no rule follows, and a jump of derivatives: it
+        # takes finer cells.
+        finer = accuracy**-0.4
+        self._rings = {False: max(2, math.ceil(0.2 * finer)), True: max(3, math.ceil(0.3 * finer))}
         self._rule = picture.Rule(6 if accuracy > 3e-3 else 8 if accuracy > 3e-5 else 12)
+        # Where nothing is in the way a point on the wall costs little, and more panels cost their elements again.
+        self._free_rule = picture.Rule(8 if accuracy > 3e-3 else 10 if accuracy > 3e-5 else 12)
         self._light = shaded.Light(setting.patch, setting.whole, self._digits)
         self._few = compiled.COMPILED and max(len(setting.room.origin), len(setting.target.origin)) <= FEW
         first = np.argsort(~setting.obstacles.is_blocker, kind="stable")
@@ -89,7 +93,7 @@ class Fields:
         pixels : ndarray of shape (n, groups, 1 or 7, height, width)
         reports : list of dict
         """
-        setting, rule = self._setting, self._rule
+        setting, rule = self._setting, self._free_rule
         single = self._accuracy > _SINGLE and not moving
         like = np.zeros(0, dtype=np.float32 if single else np.float64)
         n, groups, channels = len(places), setting.tint.shape[1], 7 if moving else 1
@@ -101,7 +105,7 @@ class Fields:
             reports = np.empty((len(owner), 4))
             where = (owner, boxes, setting.to_wall, rule.places)
             shape = (setting.flat, setting.balls, setting.tint, setting.faces.of)
-            target = (*shape, parts.picture, wanted, turns, places, self._rings)
+            target = (*shape, parts.picture, wanted, turns, places, self._rings[moving])
             lit = (setting.patch, setting.whole, setting.chords, elements.GAUSS)
             arguments: tuple[Any, ...] = (*where, *target, *lit, self._digits + _SPARE, moving, like, values, reports)
             compiled.in_parts(integral.panels, len(owner), *arguments)
@@ -316,7 +320,7 @@ class Fields:
         def evaluate(owner: Floats, walls: Floats, finest: Floats) -> tuple[Floats, Floats]:
             values, used = np.empty((len(owner), shape[2].shape[1])), np.empty(len(owner))
             traced.reflected_points(
-                *(owner, walls, *shape, turns, places, hiders, setting.convex, self._rings, room),
+                *(owner, walls, *shape, turns, places, hiders, setting.convex, self._rings[False], room),
                 *(target, setting.target.spheres, setting.whole, setting.patch, elements.GAUSS),
                 *(self._digits, finest, widest, values, used),
             )
@@ -337,7 +341,7 @@ class Fields:
             if not itself and not setting.convex:
                 hiders.append(Placed(setting.target, turn, place))
             found, _ = integral.cover(
-                *(flat, balls, turn, place, setting.pole, setting.spread, self._rings, *_around(wall)),
+                *(flat, balls, turn, place, setting.pole, setting.spread, self._rings[False], *_around(wall)),
                 *(setting.patch, elements.GAUSS, self._digits, finest, np.ones(len(flat) + len(balls), np.int64)),
             )
             return shaded.reflected(wall, found, tint, self._light, hiders), len(found)
@@ -352,7 +356,7 @@ class Fields:
             centre, radius = _around(wall)
             seen, lit = (
                 integral.cover(
-                    *(setting.flat, setting.balls, turn, place, at, around, self._rings, centre, radius),
+                    *(setting.flat, setting.balls, turn, place, at, around, self._rings[False], centre, radius),
                     *(setting.patch, elements.GAUSS, self._shadow_digits, finest, np.ones_like(setting.faces.of)),
                 )[0]
                 for at, around in ((np.append(centre, 0.0), radius), (setting.pole, setting.spread))

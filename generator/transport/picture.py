@@ -21,7 +21,7 @@ import numpy as np
 from numpy.polynomial.legendre import leggauss, legvander
 from numpy.typing import NDArray
 
-from generator.transport.compiled import in_parts, jit, jit_released
+from generator.transport.compiled import COMPILED, in_parts, jit, jit_released
 from generator.transport.polygons import clip
 
 Floats = NDArray[Any]
@@ -381,3 +381,53 @@ def _deposit(
                 _keep_side(block, np.array([first_column, first_row]), box, pixels, held, line, edge)
             into = out[owner[item]]
             into[:, first_row : first_row + down.shape[0], first_column : first_column + across.shape[0]] += block
+
+
+def _colour_loops(
+    start: int,
+    stop: int,
+    made: Floats,
+    background: Floats,
+    added: Floats,
+    hidden: Floats,
+    channel: Floats,
+    factor: Floats,
+) -> None:
+    """Write pictures in colour: ``background + (added - hidden) * factor``, each channel from its group.
+
+    Parameters
+    ----------
+    start, stop : int
+        Which of them.
+    made : ndarray of shape (n, height, width, 3), written
+    background : ndarray of shape (height, width, 3)
+    added, hidden : ndarray of shape (n, groups, height, width)
+    channel : ndarray of shape (3,), int
+        Each channel's group.
+    factor : ndarray of shape (3,)
+    """
+    for item in range(start, stop):
+        for row in range(made.shape[1]):
+            for column in range(made.shape[2]):
+                for c in range(3):
+                    change = added[item, channel[c], row, column] - hidden[item, channel[c], row, column]
+                    made[item, row, column, c] = background[row, column, c] + change * factor[c]
+
+
+def _colour_arrays(
+    start: int,
+    stop: int,
+    made: Floats,
+    background: Floats,
+    added: Floats,
+    hidden: Floats,
+    channel: Floats,
+    factor: Floats,
+) -> None:
+    """NumPy form of `_colour_loops`."""
+    change = added[start:stop] - hidden[start:stop]
+    for c in range(3):
+        made[start:stop, :, :, c] = background[:, :, c] + change[:, channel[c]] * factor[c]
+
+
+colour = jit_released(_colour_loops) if COMPILED else _colour_arrays

@@ -8,8 +8,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from generator.spec import Array, NlosError, rotation_matrix
-from generator.transport import compiled, integral
+from generator.spec import Array, NlosError, rotation_rows
+from generator.transport import compiled, integral, picture
 from generator.transport.fields import Fields
 from generator.transport.setting import Setting
 from generator.transport.world import World
@@ -20,7 +20,8 @@ Picture = NDArray[np.float32]
 FINEST, COARSEST = 1e-8, 0.3
 """What accuracy can be asked for."""
 
-_BATCH = 512
+_BATCH = 128
+"""Pictures drawn together: of more, memory is not used again but fetched anew, page by page."""
 
 
 @dataclass(frozen=True)
@@ -152,14 +153,14 @@ class Transport:
         places, turns = np.asarray(positions, float).reshape(-1, 3), np.asarray(rotations, float).reshape(-1, 3)
         width, height = self.world.watched.resolution
         made = np.empty((len(places), height, width, 3), dtype=np.float32)
-        background = self.background()
+        background, factor = self.background(), self._setting.factor
+        channel = np.array(self._setting.channel, dtype=np.int64)
         for at in range(0, len(places), _BATCH):
             added, hidden, _ = self._render(places[at : at + _BATCH], turns[at : at + _BATCH], False)
-            change = added[:, :, 0] - hidden[:, :, 0]
-            for channel, group in enumerate(self._setting.channel):
-                made[at : at + _BATCH, ..., channel] = (
-                    background[..., channel] + change[:, group] * self._setting.factor[channel]
-                )
+            some = made[at : at + _BATCH]
+            compiled.in_parts(
+                picture.colour, len(some), some, background, added[:, :, 0], hidden[:, :, 0], channel, factor
+            )
         return made
 
     def _colour(self, groups: Floats) -> Array:
@@ -184,7 +185,7 @@ class Transport:
         if self.world.order < 3:
             return added, hidden, reports
         compiled.limit_threads(self._threads)
-        turns = np.array([setting.frame.axes @ rotation_matrix((r[0], r[1], r[2])) for r in rotations])
+        turns = setting.frame.axes @ np.moveaxis(np.array(rotation_rows(np.radians(rotations.T))), 2, 0)
         places = setting.frame.points(positions)
         setting.obstacles.refuse(places, turns, positions)
         tested = np.array(
@@ -192,7 +193,11 @@ class Transport:
         )
         clear, behind = np.flatnonzero(~tested), np.flatnonzero(tested)
         if len(clear):
-            added[clear], kept = fields.plain(turns[clear], places[clear], moving)
+            free, kept = fields.plain(turns[clear], places[clear], moving)
+            if len(behind):
+                added[clear] = free
+            else:
+                added = free
             for k, report in zip(clear, kept, strict=True):
                 reports[k] = report
         if len(behind):
