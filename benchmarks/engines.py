@@ -4,7 +4,8 @@
 
 What is measured is the light that the hidden target makes: picture with it minus picture without it, both from the
 same noise. "time": error (root mean square over pixels, relative to the signal's) of a new pose, at a ladder of
-samples, against `surfel` at an accuracy of 1e-6 (in the room 1e-5). "agreement": the picture's mean, engine against
+samples, against `surfel` at an accuracy of 1e-6 (in the room 1e-5); `surfel` also renders batches of poses, as a
+sweep does, and its seconds are then those of one. "agreement": the picture's mean, engine against
 engine, with 95 % intervals over independent renders, from 1 m down to 5 cm from the relay wall; that table, not the
 first, is what shows that the engines are right, since Mitsuba shares nothing with them: it gets worlds made by hand
 (`scenes.py`), and `surfel` those that `generator.extract` reads from the Blender scene.
@@ -34,6 +35,7 @@ from scipy.stats import t as student
 
 from generator import spec
 from generator.spec import rotation_matrix
+from generator.transport.compiled import COMPILED
 from generator.transport.world import Body, Sphere, World
 
 ROTATION = (15.0, -10.0, -35.0)
@@ -237,6 +239,17 @@ class Surfel:
             seconds.append(time.perf_counter() - start)
         return float(np.median(seconds)), picture
 
+    def timed_batch(self, case: Case, poses: int) -> tuple[float, np.ndarray]:
+        """Return the seconds a picture of a batch of new poses takes, and that of the case."""
+        places = np.array(case.position) + np.random.default_rng(0).uniform(-0.1, 0.1, (poses, 3))
+        places[:, 1] = np.maximum(places[:, 1], case.position[1])
+        turns = np.tile(ROTATION, (poses, 1))
+        self._transport.pictures(places + np.array([0.0, 0.1, 0.0]), turns)
+        places[0] = case.position
+        start = time.perf_counter()
+        pictures = self._transport.pictures(places, turns)
+        return (time.perf_counter() - start) / poses, pictures[0, ..., 0].astype(float) - self.background
+
 
 class Processes:
     """Cycles and Mitsuba, each in a fresh interpreter that lives as long as this does."""
@@ -275,7 +288,10 @@ class Processes:
 Sampler = Callable[[Case, int, list[int]], Shots]
 
 PATH, PATCH, DENOISED = "path", "patch", "patch, OIDN"
-MITSUBA_PATCH, MITSUBA_SPOT, SURFEL = "Mitsuba, patch", "Mitsuba, spot", "surfel"
+MITSUBA_PATCH, MITSUBA_SPOT = "Mitsuba, patch", "Mitsuba, spot"
+SURFEL, BATCH = "surfel", "surfel, batches"
+POSES = {False: 1024, True: 64}
+"""In a batch, before the bare wall and in the room."""
 
 
 def samplers(processes: Processes) -> dict[str, Sampler]:
@@ -339,6 +355,7 @@ def measure(processes: Processes, case: Case, *, budget: float, rounds: int) -> 
     for turn in range(rounds):
         for accuracy, transport in ladders.items():
             taken[SURFEL][accuracy].append(transport.timed(case))
+            taken[BATCH][accuracy].append(transport.timed_batch(case, POSES[case.room]))
         climbing = samplers(processes)
         samples = 16
         while climbing:
@@ -406,22 +423,27 @@ def time_to(rungs: list[Rung], goal: float, rounds: slice = slice(None)) -> tupl
 def print_times(case: Case, found: dict[str, list[Rung]]) -> None:
     """Print one scene's table."""
     rounds = len(found[SURFEL][0].seconds)
-    base = time_to(found[SURFEL], GOAL)[0]
-    print(f"\n{case.name}: {case.resolution} x {case.resolution} pixels, {rounds} rounds")
-    print(f"{'method':<16} {'time to 1 %':>12}  {'known':<13} {'x surfel':>9} {'[rounds]':>20}   last rung")
+    bases = {name: time_to(found[name], GOAL)[0] for name in (SURFEL, BATCH)}
+    print(
+        f"\n{case.name}: {case.resolution} x {case.resolution} pixels, {rounds} rounds; surfel's batches are of "
+        f"{POSES[case.room]} new poses, all others render one"
+    )
+    columns = f"{'time to 1 %':>12}  {'known':<13} {'x surfel':>9} {'x batches':>9} {'[rounds]':>20}"
+    print(f"{'method':<16} {columns}   last rung")
     for name, rungs in sorted(found.items(), key=lambda item: time_to(item[1], GOAL)[0]):
         seconds, how = time_to(rungs, GOAL)
         ratios = [
-            time_to(rungs, GOAL, slice(i, i + 1))[0] / time_to(found[SURFEL], GOAL, slice(i, i + 1))[0]
+            time_to(rungs, GOAL, slice(i, i + 1))[0] / time_to(found[BATCH], GOAL, slice(i, i + 1))[0]
             for i in range(rounds)
         ]
+        spread = f"[{_short(min(ratios))} .. {_short(max(ratios))}]"
         last = rungs[-1]
         bias = f"{last.bias:.2%}" if last.bias > last.least_bias else f"< {last.least_bias:.2%}"
         setting = f"accuracy {last.setting:g}" if last.setting < 1.0 else f"{last.setting:g} samples"
         print(
-            f"{name:<16} {_short(seconds) + ' s':>12}  {how:<13} {_short(seconds / base):>9} "
-            f"{'[' + _short(min(ratios)) + ' .. ' + _short(max(ratios)) + ']':>20}   {setting}, "
-            f"{_short(float(np.median(last.seconds)))} s: error {last.error:.2%}, bias {bias}"
+            f"{name:<16} {_short(seconds) + ' s':>12}  {how:<13} {_short(seconds / bases[SURFEL]):>9} "
+            f"{_short(seconds / bases[BATCH]):>9} {spread:>20}"
+            f"   {setting}, {_short(float(np.median(last.seconds)))} s: error {last.error:.2%}, bias {bias}"
         )
 
 
@@ -436,8 +458,10 @@ def plot(found: dict[Case, dict[str, list[Rung]]], file: Path) -> None:
     matplotlib.use("Agg")
     from matplotlib import pyplot as plt
 
-    names = [SURFEL, PATCH, DENOISED, MITSUBA_PATCH, MITSUBA_SPOT, PATH]
-    colours = dict(zip(names, ("#0072b2", "#d55e00", "#e69f00", "#009e73", "#56b4e9", "#444444"), strict=True))
+    names = [BATCH, SURFEL, PATCH, DENOISED, MITSUBA_PATCH, MITSUBA_SPOT, PATH]
+    colours = dict(
+        zip(names, ("#cc79a7", "#0072b2", "#d55e00", "#e69f00", "#009e73", "#56b4e9", "#444444"), strict=True)
+    )
     figure, axes = plt.subplots(1, len(found), figsize=(5.0 * len(found), 4.6), sharey=True, squeeze=False)
     for ax, (case, methods) in zip(axes[0], found.items(), strict=True):
         for name in (n for n in names if n in methods):
@@ -599,6 +623,8 @@ def main() -> None:
         "--seconds", type=float, default=25.0, help="agreement: for every scene and Monte Carlo method (default 25)"
     )
     options = parser.parse_args()
+    if not COMPILED:
+        parser.error("numba is missing, without which surfel runs as plain Python: pip install numba")
     options.output.mkdir(parents=True, exist_ok=True)
     figures: dict[str, Any] = {}
     with Processes() as processes:
