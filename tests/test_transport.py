@@ -70,6 +70,35 @@ def test_sphere_equals_its_own_cells_refined():
             assert worlds.error(Transport(ball, accuracy=accuracy).render(place, (10, 20, 30)).added, fine) < accuracy
 
 
+@pytest.mark.parametrize("soft", [0.0, 0.6])
+@pytest.mark.parametrize("resolution", [(1, 1), (8, 5), (40, 40)])
+@pytest.mark.parametrize("accuracy", [1e-2, 1e-4])
+def test_the_patch_in_view_is_all_the_light_of_the_lamps_cone(resolution, soft, accuracy):
+    """Lit from straight above: flux is intensity times solid angle, however large the pixels."""
+    patch = worlds.lit_patch(lamp=(0.4, 3.0, 0.1))
+    patch = replace(patch, cos_width=soft * (1.0 - patch.cos_outer))
+    view = worlds.watched(x=(0.1, 0.8), z=(-0.3, 0.5), resolution=resolution)
+    got = Transport(worlds.world(worlds.sheet(), patch=patch, view=view), accuracy=accuracy).background()
+    # Smoothstep is one half, on the mean.
+    angle = 2.0 * np.pi * (1.0 - patch.cos_outer - patch.cos_width / 2.0)
+    flux = worlds.WALL / np.pi * patch.intensity[0] * angle
+    assert got.mean() * 0.7 * 0.8 == pytest.approx(flux, rel=accuracy / 5.0)
+
+
+def test_the_patch_in_a_slanted_view():
+    """Against polar quadrature of the patch, each point by the share of the picture that it takes."""
+    keystone = np.array([[1.0, 0.1, 0.0], [0.05, 0.9, 0.0], [0.4, 0.25, 0.8]])
+    view = worlds.watched(x=(0.1, 0.8), z=(-0.3, 0.5), resolution=(9, 7))
+    slanted = replace(view, to_wall=view.to_wall @ np.linalg.inv(keystone / keystone.sum(axis=1).max()))
+    patch = worlds.lit_patch()
+    got = Transport(worlds.world(worlds.sheet(), patch=patch, view=slanted), accuracy=1e-5).background()
+    points, light = worlds.patch_points(patch)
+    plane = slanted.to_wall[[0, 2, 3]]
+    far = 1.0 / (np.linalg.inv(plane) @ np.stack([points[:, 0], points[:, 2], np.ones(len(points))]))[2]
+    share = np.abs(far) ** 3 / abs(np.linalg.det(plane))
+    assert got.mean() == pytest.approx((light * share).sum(), rel=1e-5)
+
+
 @pytest.mark.parametrize("scale", [1e-3, 1e3])
 def test_scale_changes_the_picture_by_an_exact_power(scale):
     scene = worlds.world(worlds.sheet())

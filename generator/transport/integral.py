@@ -10,7 +10,7 @@ from numpy.polynomial.legendre import leggauss
 from numpy.typing import NDArray
 
 from generator.transport import elements, kernel
-from generator.transport.compiled import NONE, jit, jit_parallel, jit_released, prange
+from generator.transport.compiled import NONE, jit, jit_released
 
 Floats = NDArray[Any]
 
@@ -76,6 +76,8 @@ def see_patch(
     steep = math.sqrt((n[0] * patch[2] + n[1] * patch[3]) ** 2 + (n[0] * patch[4] + n[1] * patch[5]) ** 2)
     if level >= steep:
         return whole[order], order * order
+    if level <= -steep:
+        return nodes, 0
     order = chord_order(order, math.acos(max(-1.0, min(1.0, -level / steep))), digits)
     return nodes, elements.clip_patch(x, n, patch, chords[order], order, nodes)
 
@@ -430,63 +432,3 @@ def panels(
             reports[item],
         )
         values[item] = total
-
-
-@jit_parallel
-def direct(to_wall: Floats, patch: Floats, width: int, height: int, fine: int) -> Floats:
-    """Return a picture (height, width) of the lit patch itself, of radiance 1 under the lamp.
-
-    Parameters
-    ----------
-    to_wall, patch
-        As for `panels`.
-    width, height : int
-    fine : int
-        Pixels that the patch's edge crosses are means over (4 fine)^2 points, others over 16.
-    """
-    made = np.zeros((height, width))
-    major, minor = patch[2:4], patch[4:6]
-    area = major[0] * minor[1] - major[1] * minor[0]
-    for row in prange(height):
-        for column in range(width):
-            inside, total = 0, 0.0
-            for pass_ in range(2):
-                points = 4 if pass_ == 0 else 4 * fine
-                inside, total = 0, 0.0
-                for i in range(points):
-                    for j in range(points):
-                        u, v = (column + (j + 0.5) / points) / width, (row + (i + 0.5) / points) / height
-                        far = to_wall[2, 0] * u + to_wall[2, 1] * v + to_wall[2, 2]
-                        p = (to_wall[0, 0] * u + to_wall[0, 1] * v + to_wall[0, 2]) / far
-                        q = (to_wall[1, 0] * u + to_wall[1, 1] * v + to_wall[1, 2]) / far
-                        x, y = p - patch[0], q - patch[1]
-                        s, t = (x * minor[1] - y * minor[0]) / area, (y * major[0] - x * major[1]) / area
-                        if s * s + t * t <= 1.0:
-                            inside += 1
-                            total += elements.patch_radiance(p, q, patch)
-                total /= points * points
-                if inside == points * points or (
-                    inside == 0 and not _near_patch(row, column, width, height, to_wall, patch)
-                ):
-                    break
-            made[row, column] = total
-    return made
-
-
-@jit
-def _near_patch(row: int, column: int, width: int, height: int, to_wall: Floats, patch: Floats) -> bool:
-    """Whether a pixel may touch the box around the patch."""
-    low0, high0, low1, high1 = np.inf, -np.inf, np.inf, -np.inf
-    for corner in range(4):
-        u, v = (column + corner % 2) / width, (row + corner // 2) / height
-        far = to_wall[2, 0] * u + to_wall[2, 1] * v + to_wall[2, 2]
-        p = (to_wall[0, 0] * u + to_wall[0, 1] * v + to_wall[0, 2]) / far
-        q = (to_wall[1, 0] * u + to_wall[1, 1] * v + to_wall[1, 2]) / far
-        low0, high0, low1, high1 = min(low0, p), max(high0, p), min(low1, q), max(high1, q)
-    reach0, reach1 = math.hypot(patch[2], patch[4]), math.hypot(patch[3], patch[5])
-    return (
-        low0 <= patch[0] + reach0
-        and high0 >= patch[0] - reach0
-        and low1 <= patch[1] + reach1
-        and high1 >= patch[1] - reach1
-    )

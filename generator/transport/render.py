@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from generator.spec import Array, NlosError, rotation_rows
-from generator.transport import compiled, integral, picture
+from generator.transport import compiled, direct, picture
 from generator.transport.fields import Fields
 from generator.transport.setting import Setting
 from generator.transport.world import World
@@ -219,7 +219,6 @@ class Transport:
     def _directly_lit(self) -> Array:
         """The lit patch itself, where the camera sees it: one reflection."""
         setting = self._setting
-        fine = 16 if self.accuracy > 3e-3 else 64
-        relative = integral.direct(setting.to_wall, setting.patch, *setting.resolution, fine)
+        relative = direct.draw(setting.to_wall, setting.patch, setting.resolution, self.accuracy)
         lit: Array = relative[..., None] * setting.wall_radiance
         return lit
