@@ -99,8 +99,13 @@ class NLOS_OT_render_wall(_Task, bpy.types.Operator):
 
     def work(self, scene: Any) -> tuple[str, str]:
         """Render; return what to report."""
-        settings = scene.nlos
-        with engines.opened(scene, settings.engine, resolution=tuple(settings.resolution)) as renderer:
+        settings, chosen = scene.nlos, ""
+        engine = settings.engine
+        if engine == engines.AUTO:
+            engine, reasons = engines.choose(scene)
+            chosen = f" (engine {engine}{', since ' + reasons[0] if reasons else ''})"
+        size = tuple(settings.resolution)
+        with engines.opened(scene, engine, resolution=size, accuracy=settings.accuracy) as renderer:
             wall = renderer.render(samples=settings.samples, seed=settings.seed)
             shown, share = wall, ""
             images.store(images.WALL, wall)
@@ -111,7 +116,7 @@ class NLOS_OT_render_wall(_Task, bpy.types.Operator):
                 if wall.any():
                     share = f", of which the object adds {shown.mean() / wall.mean():.2%}"
         images.show(images.preview(shown))
-        return "INFO", f"Mean radiance {wall.mean():.4g} W/m²/sr{share}; shown brightened"
+        return "INFO", f"Mean radiance {wall.mean():.4g} W/m²/sr{share}; shown brightened{chosen}"
 
 
 _CLASSES = (NLOS_OT_build_scene, NLOS_OT_apply, NLOS_OT_read_scene, NLOS_OT_render_wall)

@@ -124,8 +124,11 @@ class NLOS_PT_rendering(_Tab, bpy.types.Panel):
         layout.use_property_decorate = False
         layout.prop(settings, "engine")
         layout.prop(settings, "reflection_order")
-        layout.prop(settings, "samples")
-        layout.prop(settings, "seed")
+        if settings.engine != "surfel":
+            layout.prop(settings, "samples")
+            layout.prop(settings, "seed")
+        if settings.engine in ("surfel", "auto"):
+            layout.prop(settings, "accuracy")
         column = layout.column(align=True)
         column.prop(settings, "resolution", index=0, text="Resolution X")
         column.prop(settings, "resolution", index=1, text="Y")

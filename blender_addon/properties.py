@@ -48,6 +48,13 @@ _ENGINES = (
         "Full Path",
         "Follow all light from the lamp itself. Honours any material, but finds the small lit patch by chance only",
     ),
+    (
+        "surfel",
+        "Integral",
+        "Sum the three reflections themselves, without noise. Plain diffuse scenes; the first picture of a furnished "
+        "room may take a minute",
+    ),
+    ("auto", "Automatic", "The cheapest of the three that the scene allows; says what asked for a dearer one"),
 )
 
 
@@ -180,6 +187,15 @@ class NlosSettings(bpy.types.PropertyGroup):
         min=1,
         max=2**24,
         soft_max=8192,
+    )
+    accuracy: FloatProperty(
+        name="Accuracy",
+        description="Error of the integral's picture, relative to the hidden object's light",
+        default=1e-2,
+        min=1e-8,
+        max=0.3,
+        soft_min=1e-4,
+        precision=4,
     )
     resolution: IntVectorProperty(
         name="Resolution",

@@ -70,8 +70,8 @@ def plan(scene: bpy.types.Scene, source: Path, path: Path, chosen: Mapping[str, 
         name = next(name for name in idle if name in chosen)
         raise NlosError(f"{name}: means nothing to the engine {sweep.engine!r}; leave it out")
     with engines.opened(scene, sweep.engine, resolution=sweep.resolution, accuracy=sweep.accuracy) as renderer:
-        pass  # refuses now what it could not honour later
-    is_free = clearance(scene, described, engine=sweep.engine)
+        # Refuses now what it could not honour later. The camera's view depends on the resolution.
+        is_free = clearance(scene, described, engine=sweep.engine)
     records = poses.plan(described.grid, sweep, stage.hull(scene), is_free)
     stage.save_file(path / SCENE)
     meta = {

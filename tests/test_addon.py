@@ -58,12 +58,16 @@ def package(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return build.build(tmp_path_factory.mktemp("dist"))
 
 
-def blender(package: Path, folder: Path, script: str) -> str:
-    """Run a script in a fresh bpy whose user folder is clean and from which the repository cannot be imported."""
+def blender(package: Path, folder: Path, script: str, *, without: str = "_") -> str:
+    """Run a script in a fresh bpy whose user folder is clean and from which the repository cannot be imported.
+
+    ``without`` names a package that cannot be either.
+    """
+    before = f"import sys\nsys.modules[{without!r}] = None\n"
     environment = {k: v for k, v in os.environ.items() if k != "PYTHONPATH"}
     environment |= {"BLENDER_USER_RESOURCES": str(folder / "user"), "HOME": str(folder)}
     done = subprocess.run(
-        [sys.executable, "-c", INSTALL + textwrap.dedent(script), str(package)],
+        [sys.executable, "-c", before + INSTALL + textwrap.dedent(script), str(package)],
         capture_output=True,
         text=True,
         cwd=folder,
@@ -223,6 +227,30 @@ def test_render_fills_the_images(package: Path, tmp_path: Path) -> None:
         assert np.array_equal(pixels("NLOS wall"), wall)
         assert bpy.context.scene.nlos.samples == 8
         """,
+    )
+
+
+def test_render_by_the_integral_without_numba_as_blender_has_none(package: Path, tmp_path: Path) -> None:
+    blender(
+        package,
+        tmp_path,
+        """
+        settings.preset = "tabletop"
+        bpy.ops.nlos.build_scene()
+        settings.samples, settings.resolution = 256, (8, 8)
+        bpy.ops.nlos.render_wall()
+        patch = pixels("NLOS difference")
+        settings.engine = "auto"
+        assert bpy.ops.nlos.render_wall() == {"FINISHED"}
+        auto = pixels("NLOS difference")
+        settings.engine, settings.accuracy = "surfel", 1e-3
+        bpy.ops.nlos.render_wall()
+        integral = pixels("NLOS difference")
+        assert abs(patch.mean() / integral.mean() - 1.0) < 0.05
+        level = np.sqrt((integral**2).mean())
+        assert 0.0 < np.sqrt(((auto - integral) ** 2).mean()) < 0.011 * level
+        """,
+        without="numba",
     )
 
 
