@@ -237,7 +237,7 @@ def test_render_by_the_integral_without_numba_as_blender_has_none(package: Path,
         """
         settings.preset = "tabletop"
         bpy.ops.nlos.build_scene()
-        settings.samples, settings.resolution = 256, (8, 8)
+        settings.samples, settings.resolution = 1024, (16, 16)
         bpy.ops.nlos.render_wall()
         patch = pixels("NLOS difference")
         settings.engine = "auto"
