@@ -33,6 +33,8 @@ LOGS, STARTED = "NLOS_STAGES_LOGS", "NLOS_STAGES_STARTED"
 
 START, WAIT, REST = "start the process and import", "talk and wait for work", "rest of Python"
 OTHERS, IDLE = "(wait for other threads)", "(nothing)"
+THREADED = ("render poses", "background")
+"""Stages that wait for threads of their own."""
 STAGES = {
     START: [],
     "Blender: open, read, save the scene": [
@@ -113,6 +115,8 @@ class Clock:
         """Return the function, its time counted for a stage."""
 
         def timed(*arguments: Any, **options: Any) -> Any:
+            if name == OTHERS and self._thread.stack[-1] in THREADED:
+                return function(*arguments, **options)
             with self.stage(name):
                 return function(*arguments, **options)
 
