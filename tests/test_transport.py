@@ -498,7 +498,7 @@ IN_THE_ROOM = ((0.9, 0.7, 0.1), (8.0, -5.0, 20.0))
 def test_polygons_and_rays_are_one_shadow(name):
     scene = worlds.world(TARGETS[name], room=closed_room(), view=worlds.watched(resolution=(8, 8)))
     cut, traced = Transport(scene, accuracy=1e-3), Transport(scene, accuracy=1e-2)
-    traced._fields._few = False
+    traced._fields.few = False
     one, two = cut.render(*IN_THE_ROOM), traced.render(*IN_THE_ROOM)
     assert worlds.error(traced.background(), cut.background()) < 1e-2
     assert 0.1 * one.added.mean() < one.hidden.mean()

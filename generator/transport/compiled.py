@@ -5,6 +5,7 @@ from __future__ import annotations
 import functools
 import hashlib
 import os
+import threading
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
@@ -17,7 +18,6 @@ NONE, ONE = np.zeros(2, dtype=np.int64), np.ones(2, dtype=np.int64)
 
 Function = TypeVar("Function", bound=Callable[..., Any])
 
-prange: Any = range
 COMPILED = False
 try:
     import numba
@@ -25,18 +25,12 @@ except ImportError:
     pass
 else:
     COMPILED = True
-    prange = numba.prange
     _config: Any = numba.config
 
 
 def jit(function: Function) -> Function:
     """Compile a function if numba is there."""
     return _compile(function)
-
-
-def jit_parallel(function: Function) -> Function:
-    """Compile a function whose ``prange`` loops run on all threads, if numba is there."""
-    return _compile(function, parallel=True)
 
 
 def jit_released(function: Function) -> Function:
@@ -48,8 +42,11 @@ def jit_released(function: Function) -> Function:
 
 
 def in_parts(function: Callable[..., None], n: int, *arguments: Any) -> None:
-    """Call ``function(start, stop, *arguments)`` for parts of range(n), on the threads that `limit_threads` gave."""
-    threads = int(numba.get_num_threads()) if COMPILED else 1
+    """Call ``function(start, stop, *arguments)`` for parts of range(n), on the threads that `limit_threads` gave.
+
+    What is already a part of something runs where it is.
+    """
+    threads = int(numba.get_num_threads()) if COMPILED and not _is_part.here else 1
     if threads == 1 or n == 1:
         function(0, n, *arguments)
         return
@@ -59,9 +56,22 @@ def in_parts(function: Callable[..., None], n: int, *arguments: Any) -> None:
         part.result()
 
 
+class _IsPart(threading.local):
+    """Whether this thread is one of a pool."""
+
+    here = False
+
+    def enter(self) -> None:
+        """Make it one."""
+        self.here = True
+
+
+_is_part = _IsPart()
+
+
 @functools.cache
 def _pool(threads: int) -> ThreadPoolExecutor:
-    return ThreadPoolExecutor(threads, thread_name_prefix="transport")
+    return ThreadPoolExecutor(threads, thread_name_prefix="transport", initializer=_is_part.enter)
 
 
 if hasattr(os, "register_at_fork"):

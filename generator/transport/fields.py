@@ -55,6 +55,11 @@ class Fields:
     setting : Setting
     accuracy : float
         Relative, as `render.Transport` has it.
+
+    Attributes
+    ----------
+    few : bool
+        Whether flat surfaces are so few that shadows are cut out.
     """
 
     def __init__(self, setting: Setting, accuracy: float) -> None:
@@ -69,7 +74,7 @@ class Fields:
         # Where nothing is in the way a point on the wall costs little, and more panels cost their elements again.
         self._free_rule = picture.Rule(8 if accuracy > 3e-3 else 10 if accuracy > 3e-5 else 12)
         self._light = shaded.Light(setting.patch, setting.whole, self._digits)
-        self._few = compiled.COMPILED and max(len(setting.room.origin), len(setting.target.origin)) <= FEW
+        self.few = compiled.COMPILED and max(len(setting.room.origin), len(setting.target.origin)) <= FEW
         first = np.argsort(~setting.obstacles.is_blocker, kind="stable")
         self._room, self._room_tint = silhouettes.facets(setting.room)[first], setting.room.tint[first]
         # A sphere's outline is a polygon of its area, which errs with the fourth power of the angle.
@@ -138,7 +143,7 @@ class Fields:
         """
         setting, n = self._setting, len(places)
         orders, hiders = self._orders(places), self._hiders(turns, places)
-        cut = self._few and not len(setting.balls)
+        cut = self.few and not len(setting.balls)
         if cut:
             pixels, panels, lost = self._received(setting.flat, setting.tint, turns, places, hiders, orders)
             pixels = pixels[:, :, 0]
@@ -149,7 +154,7 @@ class Fields:
         again = np.flatnonzero(lost)
         if len(again):
             shape = (setting.flat, setting.balls, setting.tint)
-            evaluate = self._reflected_loops if self._few else self._reflected_arrays
+            evaluate = self._reflected_loops if self.few else self._reflected_arrays
             some = evaluate(shape, turns[again], places[again], hiders[again])
             pixels[again], panels, most = self._refined(
                 some, len(again), setting.tint.shape[1], setting.target.extent
@@ -168,7 +173,7 @@ class Fields:
         here, there, nothing = np.eye(3)[None], np.zeros((1, 3)), np.zeros(1, dtype=np.int64)
         cells, tint = setting.room_cells, setting.room.tint
         lost = np.ones(1, dtype=bool)
-        if self._few:
+        if self.few:
             orders = np.array([self._light.order(setting.room.samples())], dtype=np.int64)
             pixels, _, lost = self._received(cells, tint, here, there, nothing, orders)
             pixels = pixels[:, :, 0]
@@ -203,7 +208,7 @@ class Fields:
         setting, (n, groups, channels) = self._setting, level.shape
         pixels, panels = np.empty((n, groups, channels, *setting.resolution[::-1])), np.zeros(n, dtype=np.int64)
         lost = np.ones(n, dtype=bool)
-        if self._few:
+        if self.few:
             hiders, orders = self._hiders(turns, places), self._orders(places)
             target = (setting.flat, setting.balls, turns, places, setting.convex, self._ring)
             room = (self._room, self._room_tint, hiders, orders, setting.whole, setting.patch)
@@ -319,8 +324,20 @@ class Fields:
 
         def evaluate(owner: Floats, walls: Floats, finest: Floats) -> tuple[Floats, Floats]:
             values, used = np.empty((len(owner), shape[2].shape[1])), np.empty(len(owner))
-            traced.reflected_points(
-                *(owner, walls, *shape, turns, places, hiders, setting.convex, self._rings[False], room),
+            compiled.in_parts(
+                *(
+                    traced.reflected_points,
+                    len(owner),
+                    owner,
+                    walls,
+                    *shape,
+                    turns,
+                    places,
+                    hiders,
+                    setting.convex,
+                    self._rings[False],
+                    room,
+                ),
                 *(target, setting.target.spheres, setting.whole, setting.patch, elements.GAUSS),
                 *(self._digits, finest, widest, values, used),
             )

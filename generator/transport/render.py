@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from typing import Any
 
@@ -153,15 +154,31 @@ class Transport:
         places, turns = np.asarray(positions, float).reshape(-1, 3), np.asarray(rotations, float).reshape(-1, 3)
         width, height = self.world.watched.resolution
         made = np.empty((len(places), height, width, 3), dtype=np.float32)
-        background, factor = self.background(), self._setting.factor
-        channel = np.array(self._setting.channel, dtype=np.int64)
-        for at in range(0, len(places), _BATCH):
-            added, hidden, _ = self._render(places[at : at + _BATCH], turns[at : at + _BATCH], False)
-            some = made[at : at + _BATCH]
-            compiled.in_parts(
-                picture.colour, len(some), some, background, added[:, :, 0], hidden[:, :, 0], channel, factor
-            )
+        self.background()  # before there are threads
+        threads, n = compiled.limit_threads(self._threads), len(places)
+        # Many poses are shared out whole, so that threads seldom meet; of a few, what each is made of. So are those
+        # whose rays a library tests, which has threads of its own.
+        shared = threads > 1 and n >= 32 * threads and self._fields.few
+        size = min(_BATCH, math.ceil(n / (4 * threads))) if shared else _BATCH
+        starts = list(range(0, n, size))
+
+        def some(first: int, last: int) -> None:
+            for at in starts[first:last]:
+                self._coloured(made[at : at + size], places[at : at + size], turns[at : at + size])
+
+        if shared:
+            compiled.in_parts(some, len(starts))
+        else:
+            some(0, len(starts))
         return made
+
+    def _coloured(self, made: Picture, positions: Floats, rotations: Floats) -> None:
+        """Write the pictures of some poses."""
+        setting = self._setting
+        added, hidden, _ = self._render(positions, rotations, False)
+        channel, light, shade = np.array(setting.channel, dtype=np.int64), added[:, :, 0], hidden[:, :, 0]
+        every = (made, self._background, light, shade, channel, setting.factor)
+        compiled.in_parts(picture.colour, len(made), *every)
 
     def _colour(self, groups: Floats) -> Array:
         """Radiance (height, width, 3) of relative pictures (groups, height, width)."""

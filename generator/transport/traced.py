@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from generator.transport import elements, integral
-from generator.transport.compiled import jit, jit_parallel, prange
+from generator.transport.compiled import jit, jit_released
 from generator.transport.rays import Surfaces
 
 Floats = NDArray[Any]
@@ -206,8 +206,10 @@ def _facing(element: Floats, start: Floats, way: Floats) -> float:
     return facing * way[2] / (squared * squared) * element[6]
 
 
-@jit_parallel
+@jit_released
 def reflected_points(
+    start: int,
+    stop: int,
     owner: Floats,
     walls: Floats,
     flat: Floats,
@@ -234,6 +236,8 @@ def reflected_points(
 
     Parameters
     ----------
+    start, stop : int
+        Which of them.
     owner : ndarray of shape (n,), int
         Which pose each point belongs to.
     walls : ndarray of shape (n, 3)
@@ -255,7 +259,7 @@ def reflected_points(
     used : ndarray of shape (n,), written
         Elements.
     """
-    for item in prange(owner.shape[0]):
+    for item in range(start, stop):
         pose, wall = owner[item], walls[item]
         scene = (room, hiders[pose], target, spheres, turns[pose], places[pose], convex)
         rule = (gauss, digits, finest[pose], max(widest, finest[pose]), patch)
