@@ -620,6 +620,9 @@ def main() -> None:
         help="agreement: sphere, sheet, box or sphere+sheet; may be given again (default all)",
     )
     parser.add_argument(
+        "--gap", action="append", type=float, help="agreement: metres from the wall; may be given again (default all)"
+    )
+    parser.add_argument(
         "--seconds", type=float, default=25.0, help="agreement: for every scene and Monte Carlo method (default 25)"
     )
     options = parser.parse_args()
@@ -634,6 +637,8 @@ def main() -> None:
             fewer: dict[str, Any] = {"targets": ("sphere", "box"), "gaps": (1.0, 0.05)} if options.quick else {}
             if options.target:
                 fewer["targets"] = tuple(options.target)
+            if options.gap:
+                fewer["gaps"] = tuple(options.gap)
             if options.room:
                 fewer["rooms"] = (True,)
             figures["agreement"] = agreement(processes, budget=options.seconds, **fewer)

@@ -72,7 +72,7 @@ def pair_rate() -> tuple[float, float]:
     elements = rng.uniform(0.5, 1.0, (6, 2048)).astype(np.float32)
     total = np.zeros_like(a)
     pairs, divisions = [], []
-    for _ in range(5):
+    for _ in range(15):
         divisions.append(cores * 512 * rounds / best(lambda: _divisions(x, y, rounds, out), 1))
         pairs.append(a.size * elements.shape[1] / best(lambda: _pairs(a, b, elements, total), 1))
     return max(pairs), max(divisions)
@@ -117,15 +117,12 @@ def main() -> None:
     )
 
     world = bare_world(64)
-    series: dict[str, list[tuple[float, float]]] = {"pixels": [], "triangles": [], "poses": []}
-    for pixels in (16, 32, 64, 128, 256, 512, 1024):
-        watched = replace(world.watched, resolution=(pixels, pixels))
-        transport = Transport(replace(world, watched=watched), accuracy=options.accuracy)
-        series["pixels"].append((pixels**2, best(lambda t=transport: t.render(*POSE))))
-    for triangles in (10, 100, 1_000, 10_000, 100_000):
-        mesh = ball(triangles)
-        transport = Transport(replace(world, target=(mesh,)), accuracy=options.accuracy)
-        series["triangles"].append((len(mesh.triangles), best(lambda t=transport: t.render(*POSE))))
+    series: dict[str, list[tuple[float, float, float]]] = {"poses": [], "pixels": [], "triangles": []}
+
+    def record(name: str, work: float, seconds: float) -> None:
+        series[name].append((work, seconds, _memory()))
+
+    # The memory is the most so far: poses come first, which should take none, and what takes most last.
     transport = Transport(world, accuracy=options.accuracy)
     rng = np.random.default_rng(1)
     for poses in (1, 10, 100, 1_000, 10_000, 100_000, *([1_000_000] if options.long else [])):
@@ -136,20 +133,30 @@ def main() -> None:
             for at in range(0, len(places), 2048):
                 transport.pictures(places[at : at + 2048], turns[at : at + 2048])
 
-        series["poses"].append((poses, best(sweep, 3 if poses <= 10_000 else 1)))
-        print(f"{poses} poses: {_memory():.0f} MiB at most so far")
+        record("poses", poses, best(sweep, 3 if poses <= 10_000 else 1))
+    for pixels in (16, 32, 64, 128, 256, 512, 1024):
+        watched = replace(world.watched, resolution=(pixels, pixels))
+        transport = Transport(replace(world, watched=watched), accuracy=options.accuracy)
+        record("pixels", pixels**2, best(lambda t=transport: t.render(*POSE)))
+    for triangles in (10, 100, 1_000, 10_000, 100_000):
+        mesh = ball(triangles)
+        transport = Transport(replace(world, target=(mesh,)), accuracy=options.accuracy)
+        record("triangles", len(mesh.triangles), best(lambda t=transport: t.render(*POSE)))
 
-    figure, axes = plt.subplots(1, 3, figsize=(12, 3.6), constrained_layout=True)
+    figure, axes = plt.subplots(1, 3, figsize=(13, 3.6), constrained_layout=True)
     for axis, (name, rows) in zip(axes, series.items(), strict=True):
-        work, seconds = np.array(rows).T
-        print(f"\n{name:>10s} {'seconds':>10s} {'us each':>10s}")
-        for n, t in rows:
-            print(f"{n:10.0f} {t:10.5f} {1e6 * t / n:10.3f}")
+        print(f"\n{name:>10s} {'seconds':>10s} {'us each':>10s} {'MiB so far':>11s}")
+        for n, t, memory in rows:
+            print(f"{n:10.0f} {t:10.5f} {1e6 * t / n:10.3f} {memory:11.0f}")
+        work, seconds, most = np.array(rows).T
         axis.loglog(work, seconds, "o-")
         axis.loglog(work, seconds[-1] * work / work[-1], "k:", label="linear")
-        axis.set_xlabel(name)
-        axis.set_ylabel("seconds")
-        axis.legend()
+        axis.set(xlabel=name, ylabel="seconds")
+        axis.legend(loc="upper left")
+        other = axis.twinx()
+        other.plot(work, most, "s-", color="0.6", markersize=3)
+        other.set_ylim(0.0, 1.1 * max(row[2] for each in series.values() for row in each))
+        other.set_ylabel("MiB at most so far", color="0.4")
     figure.savefig(options.output / "scaling.png", dpi=120)
     print(f"\n{options.output / 'scaling.png'}")
 
