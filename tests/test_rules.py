@@ -10,7 +10,7 @@ import pytest
 from conftest import ROOT
 
 SOURCES = sorted(p for package in ("generator", "classify") for p in (ROOT / package).rglob("*.py"))
-NEEDS_BLENDER = {"batch", "bulkworker", "engines", "extract", "stage", "worker"}
+NEEDS_BLENDER = {"batch", "bulkworker", "clearance", "engines", "extract", "stage", "worker"}
 
 
 def calls(tree):
