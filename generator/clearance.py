@@ -10,6 +10,7 @@ import bpy
 import numpy as np
 from mathutils import Matrix, Vector
 from mathutils.bvhtree import BVHTree
+from numpy.typing import NDArray
 
 from generator import spec, stage
 from generator.spec import Array
@@ -26,24 +27,18 @@ def clearance(
     The engine `path` renders a target in the lamp's cone or in the camera's view too, so it may stand there.
     """
     target = stage.find(scene, "target")
-    parts = stage.target_parts(scene)
+    surfaces = obstacles(scene)
     depsgraph = bpy.context.evaluated_depsgraph_get()
-    surfaces = []
-    for obj in scene.objects:
-        if obj.type == "MESH" and obj not in parts and not obj.hide_render:
-            vertices, faces = _polygons(obj, depsgraph)
-            placed = [obj.matrix_world @ v for v in vertices]
-            surfaces.append(BVHTree.FromPolygons(placed, faces))
     vertices, faces = _polygons(target, depsgraph)
     scale = Matrix.LocRotScale(None, None, target.matrix_world.to_scale())
     vertices = [scale @ v for v in vertices]
     shape = np.array(vertices).reshape(-1, 3)
     radius = max((v.length for v in vertices), default=0.0)
-    sights = [] if engine == "path" else _sights(scene, described.spot)
+    hidden_from = [] if engine == "path" else sights(scene, described.spot)
 
     def is_free(position: spec.Vector, rotation: spec.Vector) -> bool:
         near = [tree for tree in surfaces if tree.find_nearest(Vector(position), radius)[0] is not None]
-        sighted = [sight for sight in sights if sight.may_hold(position, radius)]
+        sighted = [sight for sight in hidden_from if sight.may_hold(position, radius)]
         if not near and not sighted:
             return True
         turn = spec.rotation_matrix(rotation)
@@ -56,7 +51,19 @@ def clearance(
     return is_free
 
 
-def _sights(scene: bpy.types.Scene, spot: spec.Spot) -> list[_Sight]:
+def obstacles(scene: bpy.types.Scene) -> list[BVHTree]:
+    """Return every rendered mesh but the target's, as a tree each."""
+    parts = stage.target_parts(scene)
+    depsgraph = bpy.context.evaluated_depsgraph_get()
+    trees = []
+    for obj in scene.objects:
+        if obj.type == "MESH" and obj not in parts and not obj.hide_render:
+            vertices, faces = _polygons(obj, depsgraph)
+            trees.append(BVHTree.FromPolygons([obj.matrix_world @ v for v in vertices], faces))
+    return trees
+
+
+def sights(scene: bpy.types.Scene, spot: spec.Spot) -> list[Sight]:
     """Return what the lamp lights and what the camera sees on its way to the wall, the plane y = 0."""
     lamp, aim = np.array(spot.location), np.array(spot.aim)
     axis = (aim - lamp) / np.linalg.norm(aim - lamp)
@@ -69,10 +76,10 @@ def _sights(scene: bpy.types.Scene, spot: spec.Spot) -> list[_Sight]:
     falls = np.maximum(-ways[:, 1:2], 1e-3)
     lit = lamp + ways * (lamp[1] / falls)
 
-    return [_Sight(np.tile(lamp, (_RIM, 1)), lit), _Sight(*stage.view(scene, stage.find(scene, "camera")))]
+    return [Sight(np.tile(lamp, (_RIM, 1)), lit), Sight(*stage.view(scene, stage.find(scene, "camera")))]
 
 
-class _Sight:
+class Sight:
     """What a lamp lights or a camera sees on its way to the wall: a convex solid.
 
     Parameters
@@ -88,10 +95,13 @@ class _Sight:
         corners = np.concatenate([near, far])
         self.sides = BVHTree.FromPolygons(corners.tolist(), [*quads, *ends])
         after = np.roll(far, -1, axis=0)
-        normals = np.concatenate(
-            [np.cross(after - far, near - far), np.cross(far[1:2] - far[:1], far[2:3] - far[:1])]
-        )
-        on = np.concatenate([far, far[:1]])
+        sides, on = [np.cross(after - far, near - far)], [far]
+        for end in (near, far):
+            cap = np.cross(end[1:2] - end[:1], end[2:3] - end[:1])
+            if cap.any():  # the near end of a cone has none
+                sides.append(cap)
+                on.append(end[:1])
+        normals, on = np.concatenate(sides), np.concatenate(on)
         normals /= np.linalg.norm(normals, axis=1, keepdims=True)
         inward = np.sign(((corners.mean(axis=0) - on) * normals).sum(axis=1))
         self._normals, self._levels = inward[:, None] * normals, inward * (on * normals).sum(axis=1)
@@ -102,7 +112,12 @@ class _Sight:
 
     def holds(self, points: Array) -> bool:
         """Whether one of points (n, 3) is inside."""
-        return bool((points @ self._normals.T > self._levels).all(axis=1).any())
+        return bool(self.inside(points).any())
+
+    def inside(self, points: Array) -> NDArray[np.bool_]:
+        """Return which of points (n, 3) are inside."""
+        within: NDArray[np.bool_] = (points @ self._normals.T > self._levels).all(axis=1)
+        return within
 
 
 def _polygons(obj: bpy.types.Object, depsgraph: Any) -> tuple[list[Vector], list[tuple[int, ...]]]:

@@ -183,6 +183,18 @@ def test_clutter_inside_a_voxel_is_kept_clear_of():
     assert not is_free((1.05, 0.05, 1.0), (0.0, 0.0, 0.0)), "the relay wall is a surface too"
 
 
+@pytest.mark.parametrize("name", PRESETS)
+@pytest.mark.parametrize("target", ["sheet", "sphere"])
+def test_every_voxel_of_a_preset_has_room(name, target):
+    described = preset(name, target)
+    blender = built(described)
+    for engine in ("path", "patch", "surfel"):
+        is_free = clearance(blender, described, engine=engine)
+        for voxel in range(described.grid.n_voxels):
+            middle = tuple(np.mean(described.grid.bounds(voxel), axis=0))
+            assert is_free(middle, (0.0, 0.0, 0.0)), (engine, voxel)
+
+
 @pytest.mark.parametrize("projection", ["perspective", "orthographic"])
 def test_poses_are_hidden_from_lamp_and_camera_as_the_engine_has_it(projection):
     scene = replace(preset("room"), room=None, partition=None, target=spec.Target(kind="sheet", size=0.3))
