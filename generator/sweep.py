@@ -58,6 +58,14 @@ class Outcome:
 Progress = Callable[[int, int], None]
 """Is told how many pictures of this run are done, and how many there are to do."""
 
+Launch = Callable[[Sequence[str]], list[str]]
+"""Turns a worker's module and arguments into the command line of a process of its own."""
+
+
+def python(arguments: Sequence[str]) -> list[str]:
+    """Return the command line that runs a worker by this Python, which has bpy."""
+    return [sys.executable, "-m", *arguments]
+
 
 def run(
     scene: Path,
@@ -68,6 +76,8 @@ def run(
     shard: tuple[int, int] = (0, 1),
     progress: Progress = lambda done, total: None,
     tell: Callable[[str], None] = lambda words: None,
+    launch: Launch = python,
+    stop: threading.Event | None = None,
 ) -> Outcome:
     """Render a data set, or what is missing of it.
 
@@ -87,6 +97,10 @@ def run(
     progress : callable
     tell : callable
         Is told which engine ``auto`` took, and why; and that an engine is being compiled.
+    launch : callable
+        How workers are started.
+    stop : threading.Event, optional
+        Set by another thread, it ends the run early; what is done stays.
 
     Raises
     ------
@@ -96,7 +110,7 @@ def run(
     known = Dataset.open(path).settings["engine"] if Dataset.exists(path) else chosen.get("engine")
     if words := compiling_words(known):
         tell(words)
-    dataset = prepare(scene, path, chosen)
+    dataset = prepare(scene, path, chosen, launch)
     if chosen.get("engine") == "auto":
         tell(engine_words(dataset))
     pending = pending_positions(dataset, shard)
@@ -106,6 +120,8 @@ def run(
             lambda threads: ["generator.worker", "render", str(path), str(threads)],
             lambda position: dataset.poses[position].file,
             progress,
+            launch=launch,
+            stop=stop,
         )
         try:
             first = "" if _has_backgrounds(dataset) else "the background"
@@ -137,13 +153,13 @@ def engine_words(dataset: Dataset) -> str:
     return f"engine: {dataset.settings['engine']}" + (f", because {'; '.join(reasons)}" if reasons else "")
 
 
-def prepare(scene: Path, path: Path, chosen: Mapping[str, Any]) -> Dataset:
+def prepare(scene: Path, path: Path, chosen: Mapping[str, Any], launch: Launch = python) -> Dataset:
     """Return the data set at a path, planned now if there is none, after comparing the settings if there is one."""
     if not Dataset.exists(path):
         if not scene.is_file():
             raise NlosError(f"{scene}: no such scene file")
         check_free(path)
-        _run_plan(scene, path, chosen)
+        _run_plan(scene, path, chosen, launch)
         return Dataset.open(path)
     dataset = Dataset.open(path)
     check_same(dataset, scene, chosen)
@@ -208,8 +224,9 @@ def _has_backgrounds(dataset: Dataset) -> bool:
     return all(dataset.has_background(name) for name in dataset.background_names)
 
 
-def _run_plan(scene: Path, path: Path, chosen: Mapping[str, Any]) -> None:
-    with Worker(["generator.worker", "plan", str(scene), str(path), json.dumps(dict(chosen))]) as worker:
+def _run_plan(scene: Path, path: Path, chosen: Mapping[str, Any], launch: Launch) -> None:
+    arguments = ["generator.worker", "plan", str(scene), str(path), json.dumps(dict(chosen))]
+    with Worker(arguments, launch) as worker:
         if worker.answer() is None:
             raise NlosError(f"{scene}: Blender could not plan the sweep: {worker.last_words()}")
 
@@ -221,12 +238,14 @@ class Worker:
     ----------
     arguments : sequence of str
         Its module and what follows on the command line.
+    launch : callable
+        How it is started.
     """
 
-    def __init__(self, arguments: Sequence[str]) -> None:
+    def __init__(self, arguments: Sequence[str], launch: Launch = python) -> None:
         self._log = tempfile.TemporaryFile("w+", encoding="utf-8", errors="replace")  # noqa: SIM115 (closed in stop)
         self._process = subprocess.Popen(
-            [sys.executable, "-m", *arguments],
+            launch(arguments),
             stdin=subprocess.PIPE,
             stdout=subprocess.PIPE,
             stderr=self._log,
@@ -243,10 +262,14 @@ class Worker:
     def __exit__(self, kind: object, *_: object) -> None:
         self.stop()
 
-    def stop(self) -> None:
-        """End the process, at once: a picture that is not in place by then was never begun."""
+    def kill(self) -> None:
+        """End the process at once: a picture that is not in place by then was never begun."""
         if self._process.poll() is None:
             self._process.kill()
+
+    def stop(self) -> None:
+        """End the process, and the talk with it."""
+        self.kill()
         self._process.wait()
         for stream in (self._process.stdin, self._process.stdout, self._log):
             if stream:
@@ -292,6 +315,10 @@ class Crew:
         Is told how much is done, and of how much.
     size : callable
         How much a unit adds to that.
+    launch : callable
+        How workers are started.
+    stop : threading.Event, optional
+        Set by another thread, it ends the work early.
 
     Attributes
     ----------
@@ -305,16 +332,20 @@ class Crew:
         name: Callable[[int], str],
         progress: Progress,
         size: Callable[[int], int] = lambda unit: 1,
+        *,
+        launch: Launch = python,
+        stop: threading.Event | None = None,
     ) -> None:
         self.failed: list[str] = []
         self._command = command
         self._name = name
         self._progress = progress
         self._size = size
+        self._launch = launch
         self._todo: queue.SimpleQueue[tuple[Sequence[int], int]] = queue.SimpleQueue()
         self._lock = threading.Lock()
         self._workers: set[Worker] = set()
-        self._stopped = threading.Event()
+        self._stopped = stop or threading.Event()
         self._error: NlosError | None = None
         self._done = 0
         self._total = 0
@@ -345,10 +376,11 @@ class Crew:
         batch = max(1, min(batch, len(units) // (4 * crew)))  # a few for each worker, lest they end far apart
         for some in in_batches(units, batch):
             self._todo.put((some, 1))
+        threading.Thread(target=self._kill_when_stopped, daemon=True).start()
         try:
             if first:
                 with self._start(cores) as worker:
-                    if worker.answer() is None:
+                    if worker.answer() is None and not self._stopped.is_set():
                         raise NlosError(f"{first} could not be rendered: {worker.last_words()}")
             threads = max(1, cores // crew)
             feeders = [threading.Thread(target=self._feed, args=(threads,), daemon=True) for _ in range(crew)]
@@ -364,10 +396,19 @@ class Crew:
         if self._error:
             raise self._error
 
+    def _kill_when_stopped(self) -> None:
+        """End the workers at once, so that nobody waits for what they were about to answer."""
+        self._stopped.wait()
+        with self._lock:
+            for worker in self._workers:
+                worker.kill()
+
     def _start(self, threads: int) -> Worker:
         with self._lock:
-            worker = Worker(self._command(threads))
+            worker = Worker(self._command(threads), self._launch)
             self._workers.add(worker)
+            if self._stopped.is_set():
+                worker.kill()
         return worker
 
     def _feed(self, threads: int) -> None:

@@ -7,6 +7,7 @@ import shutil
 import signal
 import subprocess
 import sys
+import threading
 import time
 
 import numpy as np
@@ -234,11 +235,31 @@ def test_a_worker_that_dies_is_replaced_and_a_hopeless_pose_is_listed(tmp_path, 
     assert len(started) == sweep.TRIES + (1 if len(started) > sweep.TRIES else 0)
 
 
+def test_a_run_can_be_stopped_and_gone_on_with(tmp_path, scene_file):
+    from generator import sweep
+
+    stop, path = threading.Event(), tmp_path / "set"
+    chosen = {"poses": 20, "samples": 1, "resolution": [4, 4]}
+
+    def progress(done, total):
+        if done == 2:
+            stop.set()
+
+    outcome = sweep.run(scene_file, path, chosen, workers=1, progress=progress, stop=stop)
+    assert 2 <= outcome.rendered < 100
+    assert outcome.remaining == 180 - outcome.rendered
+    assert not outcome.failed
+    assert all("not rendered yet" in fault for fault in Dataset.open(path).verify())
+    again = sweep.run(path / "scene.blend", path, {}, workers=2)
+    assert again.rendered == outcome.remaining
+    assert not again.dataset.verify()
+
+
 def test_one_hopeless_unit_fails_alone_of_its_batch(monkeypatch):
     from generator import sweep
 
     class Mortal:
-        def __init__(self, arguments):
+        def __init__(self, arguments, launch):
             self.batch = ()
 
         def send(self, batch):
@@ -249,6 +270,9 @@ def test_one_hopeless_unit_fails_alone_of_its_batch(monkeypatch):
 
         def last_words(self):
             return "out of memory"
+
+        def kill(self):
+            pass
 
         def stop(self):
             pass
