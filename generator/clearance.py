@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from typing import Any
 
 import bpy
@@ -92,19 +92,28 @@ class Sight:
         k = len(far)
         quads = [(i, (i + 1) % k, k + (i + 1) % k, k + i) for i in range(k)]
         ends = [tuple(range(k)), tuple(range(k, 2 * k))]
+        self._near, self._far = near, far
         corners = np.concatenate([near, far])
         self.sides = BVHTree.FromPolygons(corners.tolist(), [*quads, *ends])
         after = np.roll(far, -1, axis=0)
-        sides, on = [np.cross(after - far, near - far)], [far]
+        across, through = [np.cross(after - far, near - far)], [far]
         for end in (near, far):
             cap = np.cross(end[1:2] - end[:1], end[2:3] - end[:1])
             if cap.any():  # the near end of a cone has none
-                sides.append(cap)
-                on.append(end[:1])
-        normals, on = np.concatenate(sides), np.concatenate(on)
+                across.append(cap)
+                through.append(end[:1])
+        normals, on = np.concatenate(across), np.concatenate(through)
         normals /= np.linalg.norm(normals, axis=1, keepdims=True)
         inward = np.sign(((corners.mean(axis=0) - on) * normals).sum(axis=1))
         self._normals, self._levels = inward[:, None] * normals, inward * (on * normals).sum(axis=1)
+
+    def rays(self, rings: Sequence[float]) -> tuple[Array, Array]:
+        """Return where rays through it start and end, (n, 3) each: along its edges, and in rings inside them."""
+        made = [
+            np.concatenate([e.mean(axis=0) + r * (e - e.mean(axis=0)) for r in rings])
+            for e in (self._near, self._far)
+        ]
+        return made[0], made[1]
 
     def may_hold(self, centre: spec.Vector, radius: float) -> bool:
         """Whether part of a sphere may be inside; a no is sure."""

@@ -123,6 +123,20 @@ def _parser() -> argparse.ArgumentParser:
     bulk.add_argument("--workers", type=int, default=0, metavar="W", help="processes (default: one per core)")
     bulk.set_defaults(run=_bulk)
 
+    checked = commands.add_parser(
+        "check",
+        help="say what would spoil a sweep of a scene, and what it will cost",
+        description="Look for lines of sight that must not be, voxels that see no light and all else that makes a "
+        "sweep worthless, and measure signal, noise, time and disk by a few quick renders. Exit code 1 if "
+        "an error is found.",
+        epilog="example:\n  nlos-generate check room.blend --engine patch --samples 192",
+        formatter_class=argparse.RawDescriptionHelpFormatter,
+    )
+    checked.add_argument("scene", type=Path, help="the .blend file")
+    _add_engine_options(checked)
+    _add_pose_options(checked, "of all poses and all noise")
+    checked.set_defaults(run=_check)
+
     verify = commands.add_parser(
         "verify",
         help="re-read a whole data set and list what is wrong",
@@ -134,8 +148,14 @@ def _parser() -> argparse.ArgumentParser:
 
 
 def _add_sweep_options(parser: argparse.ArgumentParser) -> None:
-    default = Sweep()
     parser.add_argument("-o", "--output", type=Path, required=True, metavar="DATASET", help="folder of the data set")
+    _add_engine_options(parser)
+    _add_pose_options(parser, "of all poses and all noise")
+    parser.add_argument("--shard", default="0/1", metavar="i/n", help="render the i-th of n parts only (from 0)")
+
+
+def _add_engine_options(parser: argparse.ArgumentParser) -> None:
+    default = Sweep()
     parser.add_argument("--poses", type=int, metavar="N", help=f"per voxel (default: {default.poses})")
     parser.add_argument(
         "--engine",
@@ -160,8 +180,6 @@ def _add_sweep_options(parser: argparse.ArgumentParser) -> None:
         help="render each pose's background with the pose's own noise, which then cancels; twice the time, "
         "far less noise in the difference (default: on)",
     )
-    _add_pose_options(parser, "of all poses and all noise")
-    parser.add_argument("--shard", default="0/1", metavar="i/n", help="render the i-th of n parts only (from 0)")
 
 
 def _add_pose_options(parser: argparse.ArgumentParser, seed: str) -> None:
@@ -322,6 +340,16 @@ def _bulk(options: argparse.Namespace) -> int:
     with _progress() as progress:
         outcome = bulk.run(options.scene, options.output, chosen, progress=progress, tell=print, **_farm(options))
     return _report(outcome.bulk, outcome.rendered, outcome.remaining, outcome.failed)
+
+
+def _check(options: argparse.Namespace) -> int:
+    from generator import check, stage, worker
+
+    chosen = chosen_settings(options)
+    found = worker.check_scene(stage.open_file(options.scene), chosen)
+    for finding in found:
+        print(f"{finding.level}: {finding.text}")
+    return 1 if check.hopeless(found) else 0
 
 
 def _farm(options: argparse.Namespace) -> dict[str, Any]:

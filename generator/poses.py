@@ -207,6 +207,43 @@ class Sampler:
         return pose if self._is_free(*pose) else None
 
 
+def experiment(number: int, centre: Vector, *, step: float, turn: float = 15.0, steps: int = 2) -> list[list[Pose]]:
+    """Return the poses of one of the paper's experiments (section 5.1): a row for each axis, the middle one at rest.
+
+    Parameters
+    ----------
+    number : {1, 2, 3}
+        1 and 2 move the object (a sphere, a sheet) along x, y and z; 3 turns it about them.
+    centre : (float, float, float)
+        Where it rests, metres.
+    step : float
+        Metres from one place to the next.
+    turn : float
+        Degrees from one rotation to the next.
+    steps : int
+        To each side.
+
+    Raises
+    ------
+    NlosError
+        There is no such experiment.
+    """
+    if number not in (1, 2, 3):
+        raise NlosError(f"experiment {number}: there is none; choose 1, 2 or 3")
+    rows: list[list[Pose]] = []
+    for axis in range(3):
+        row: list[Pose] = []
+        for k in range(-steps, steps + 1):
+            place, rotation = list(centre), [0.0, 0.0, 0.0]
+            if number == 3:
+                rotation[axis] = k * turn
+            else:
+                place[axis] += k * step
+            row.append(((place[0], place[1], place[2]), (rotation[0], rotation[1], rotation[2])))
+        rows.append(row)
+    return rows
+
+
 def _box(points: Array) -> tuple[Array, Array]:
     """Lowest and highest corner of the box around points (n, 3)."""
     axes = np.ascontiguousarray(points.T)

@@ -257,7 +257,7 @@ def read(scene: bpy.types.Scene) -> spec.Scene:
         partition=_read_partition(screens) if screens else None,
         spot=_read_spot(lamp),
         camera=_read_camera(scene, camera),
-        grid=_read_grid(scene),
+        grid=read_grid(scene),
         target=spec.Target(
             kind=target.get(KIND, "mesh"),
             size=short(max(np.ptp(hull(scene), axis=0))),
@@ -753,7 +753,7 @@ def _read_camera(scene: bpy.types.Scene, camera: bpy.types.Object) -> spec.Camer
     )
 
 
-def _read_grid(scene: bpy.types.Scene) -> spec.VoxelGrid:
+def read_grid(scene: bpy.types.Scene) -> spec.VoxelGrid:
     missing = [key for key in (GRID_LO, GRID_HI, GRID_SHAPE) if key not in scene]
     if missing:
         raise NlosError(f"{_file()}: lacks the voxel grid (custom property {missing[0]} of the scene)")

@@ -13,6 +13,7 @@ import sys
 import time
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
+from dataclasses import asdict
 from importlib import metadata
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -20,9 +21,18 @@ from typing import TYPE_CHECKING, Any
 import bpy
 import numpy as np
 
-from generator import engines, poses, spec, stage
+from generator import check, engines, poses, spec, stage
 from generator.clearance import clearance
-from generator.dataset import BACKGROUND_AMBIENT, SCENE, Dataset, Picture, PoseRecord, check_free, scene_hash
+from generator.dataset import (
+    BACKGROUND_AMBIENT,
+    SCENE,
+    Dataset,
+    Picture,
+    PoseRecord,
+    check_free,
+    scene_hash,
+    write_picture,
+)
 from generator.spec import NlosError, Sweep
 from generator.sweep import ANSWER
 
@@ -59,14 +69,9 @@ def plan(scene: bpy.types.Scene, source: Path, path: Path, chosen: Mapping[str, 
     """
     check_free(path)
     described = stage.read(scene)
-    settings = with_defaults(described, chosen)
-    reasons: list[str] = []
-    automatic = settings.get("engine") == engines.AUTO
-    if automatic:
-        settings["engine"], reasons = engines.choose(scene)
-    sweep: Sweep = spec.from_dict(Sweep, settings, "")
+    sweep, reasons = settled(scene, described, chosen)
     idle = Sweep.idle(sweep.engine)
-    if not automatic and any(name in chosen for name in idle):
+    if chosen.get("engine") != engines.AUTO and any(name in chosen for name in idle):
         name = next(name for name in idle if name in chosen)
         raise NlosError(f"{name}: means nothing to the engine {sweep.engine!r}; leave it out")
     with engines.opened(scene, sweep.engine, resolution=sweep.resolution, accuracy=sweep.accuracy) as renderer:
@@ -89,6 +94,16 @@ def plan(scene: bpy.types.Scene, source: Path, path: Path, chosen: Mapping[str, 
     if isinstance(renderer, engines.SurfelRenderer):
         _background(renderer, dataset, sweep)  # needs no scene, and far less time than a process of its own to start
     return dataset
+
+
+def settled(scene: bpy.types.Scene, described: spec.Scene, chosen: Mapping[str, Any]) -> tuple[Sweep, list[str]]:
+    """Return the sweep that the user's settings mean in a scene, and why `auto` took no cheaper engine."""
+    settings = with_defaults(described, chosen)
+    reasons: list[str] = []
+    if settings.get("engine") == engines.AUTO:
+        settings["engine"], reasons = engines.choose(scene)
+    sweep: Sweep = spec.from_dict(Sweep, settings, "")
+    return sweep, reasons
 
 
 def with_defaults(described: spec.Scene, chosen: Mapping[str, Any]) -> dict[str, Any]:
@@ -185,6 +200,26 @@ def _background(renderer: engines.Renderer | engines.SurfelRenderer, dataset: Da
     return dataset.background()
 
 
+def check_scene(scene: bpy.types.Scene, chosen: Mapping[str, Any]) -> list[check.Finding]:
+    """Return what is to be said of a scene before a sweep with the settings that the user chose."""
+    found = check.findings(scene, engine=chosen.get("engine", Sweep().engine))
+    for look in (check.places, check.measured):
+        if check.hopeless(found):
+            break
+        found += look(scene, settled(scene, stage.read(scene), chosen)[0])
+    return found
+
+
+def picture(scene: bpy.types.Scene, folder: Path, chosen: Mapping[str, Any], *, denoise: bool) -> None:
+    """Render the scene as it stands, with and without the target, and write both pictures into a folder."""
+    sweep, _ = settled(scene, stage.read(scene), chosen)
+    size, accuracy = sweep.resolution, sweep.accuracy
+    with engines.opened(scene, sweep.engine, resolution=size, accuracy=accuracy, denoise=denoise) as renderer:
+        for name, target in (("wall", True), ("background", False)):
+            pixels = renderer.render(samples=sweep.samples, seed=sweep.seed, target=target)
+            write_picture(folder / f"{name}.exr", pixels, {})
+
+
 def answer(**fields: Any) -> None:
     """Tell the coordinator something."""
     print(ANSWER + json.dumps(fields), flush=True)
@@ -198,12 +233,23 @@ def commands() -> Iterable[list[int]]:
 
 
 def main(argv: list[str]) -> int:
-    """Plan (``plan SCENE DATASET SETTINGS``) or render (``render DATASET THREADS``, positions on standard input)."""
+    """Do one of four things.
+
+    ``plan SCENE DATASET SETTINGS``; ``render DATASET THREADS``, positions on standard input;
+    ``check SCENE SETTINGS``, which answers what it found; ``picture SCENE FOLDER SETTINGS denoise|plain``, which
+    leaves ``wall.exr`` and ``background.exr`` in the folder.
+    """
     try:
         if argv[0] == "plan":
             source = Path(argv[1])
             plan(stage.open_file(source), source, Path(argv[2]), json.loads(argv[3]))
             answer(planned=True)
+        elif argv[0] == "check":
+            scene = stage.open_file(Path(argv[1]))
+            answer(findings=[asdict(found) for found in check_scene(scene, json.loads(argv[2]))])
+        elif argv[0] == "picture":
+            picture(stage.open_file(Path(argv[1])), Path(argv[2]), json.loads(argv[3]), denoise=argv[4] == "denoise")
+            answer(rendered=True)
         else:
             dataset = Dataset.open(Path(argv[1]))
             check_blender(dataset)

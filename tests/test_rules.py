@@ -10,7 +10,9 @@ import pytest
 from conftest import ROOT
 
 SOURCES = sorted(p for package in ("generator", "classify") for p in (ROOT / package).rglob("*.py"))
-NEEDS_BLENDER = {"batch", "bulkworker", "clearance", "engines", "extract", "stage", "worker"}
+NEEDS_BLENDER = {
+    *("adopt", "batch", "bulkworker", "check", "clearance", "engines", "extract", "outlines", "stage", "worker")
+}
 
 
 def calls(tree):
