@@ -3,20 +3,36 @@
 `bpy` is imported on registration only, so that `build` runs without it.
 """
 
+from typing import Any
+
+
+def _modules() -> tuple[Any, ...]:
+    from . import (
+        answer,
+        background,
+        caption,
+        dataset,
+        files,
+        looking,
+        menus,
+        operators,
+        overlay,
+        panels,
+        properties,
+        translations,
+    )
+
+    rest = (background, operators, dataset, answer, menus, panels, overlay, looking, caption, files, translations)
+    return (properties, *rest)
+
 
 def register() -> None:
     """Add the settings, operators and panels to Blender."""
-    from . import operators, panels, properties
-
-    properties.register()
-    operators.register()
-    panels.register()
+    for module in _modules():
+        module.register()
 
 
 def unregister() -> None:
     """Take them out again."""
-    from . import operators, panels, properties
-
-    panels.unregister()
-    operators.unregister()
-    properties.unregister()
+    for module in reversed(_modules()):
+        module.unregister()

@@ -64,7 +64,8 @@ def assemble(folder: Path) -> None:
     if (_ROOT / "LICENSE").is_file():
         shutil.copy(_ROOT / "LICENSE", folder)
     modules = [source for source in sorted(_ADDON.glob("*.py")) if source != Path(__file__).resolve()]
-    needed = {"__init__"}.union(*(_copy(source, folder / source.name, ".generator") for source in modules))
+    # `worker` is run by name, in a Blender of its own.
+    needed = {"__init__", "worker"}.union(*(_copy(source, folder / source.name, ".generator") for source in modules))
     done: set[str] = set()
     while needed - done:
         name = min(needed - done)
@@ -88,8 +89,11 @@ def _copy(source: Path, copy: Path, generator: str) -> set[str]:
     """
     text = source.read_text(encoding="utf-8")
     needed = set()
-    for node in ast.walk(ast.parse(text)):
-        if isinstance(node, ast.ImportFrom) and not node.level and node.module:
+    tree = ast.parse(text)
+    typing = [node for node in ast.walk(tree) if isinstance(node, ast.If) and ast.unparse(node.test) == "TYPE_CHECKING"]
+    idle = {inner for node in typing for inner in ast.walk(node)}  # for the type checker's eyes only
+    for node in ast.walk(tree):
+        if isinstance(node, ast.ImportFrom) and not node.level and node.module and node not in idle:
             top, _, inner = node.module.partition(".")
             if top == "generator":
                 needed |= {inner.partition(".")[0]} if inner else {alias.name for alias in node.names}

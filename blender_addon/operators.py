@@ -2,13 +2,29 @@
 
 # mypy: disable-error-code="misc"
 
+import json
+from dataclasses import replace
 from typing import Any
 
 import bpy
+import numpy as np
+from bpy.props import EnumProperty, IntProperty, StringProperty
 
-from generator import engines, spec, stage
+from generator import adopt, check, extract, poses, spec, stage
+from generator.dataset import read_picture
+from generator.transport import Mesh, Sphere, Transport
 
-from . import images, properties
+from . import background, images, looking, properties, state
+
+_ROLE_WORDS = {
+    "relay_wall": ("Relay Wall", "What lamp and camera look at"),
+    "target": ("Target", "What hides; its children move with it"),
+    "spot": ("Spot", "The lamp"),
+    "camera": ("Camera", "Which of the cameras watches the wall"),
+    "room": ("Room", "A surface that reflects. Only a name: whatever is rendered reflects"),
+    "partition": ("Partition", "What hides the target. Only a name: whatever is rendered hides what is behind it"),
+    "": ("No Role", "Take the role away"),
+}
 
 
 class _Task:
@@ -30,6 +46,7 @@ class _Task:
             self.report({"ERROR"}, str(error))
             return {"CANCELLED"}
         self.report({kind}, message)
+        looking.changed()
         return {"FINISHED"}
 
 
@@ -91,34 +108,260 @@ class NLOS_OT_read_scene(_Task, bpy.types.Operator):
         return "INFO", "Read the scene"
 
 
+class NLOS_OT_adopt(_Task, bpy.types.Operator):
+    """Give the selected objects a part in the experiment: your own wall, target, lamp or camera"""
+
+    bl_idname = "nlos.adopt"
+    bl_label = "Use Selected As"
+
+    role: EnumProperty(  # type: ignore[valid-type]
+        name="Role", items=[(role or "none", *words) for role, words in _ROLE_WORDS.items()], default="target"
+    )
+
+    @classmethod
+    def description(cls, context: Any, properties: Any) -> str:
+        """Return the tooltip of one role."""
+        return _ROLE_WORDS["" if properties.role == "none" else properties.role][1]
+
+    def work(self, scene: Any) -> tuple[str, str]:
+        """Assign; return what to report."""
+        role = "" if self.role == "none" else self.role
+        chosen = bpy.context.selected_objects
+        active = bpy.context.active_object
+        if role in stage.SINGLE_ROLES and active in chosen:
+            chosen = [active]  # as everywhere in Blender, the active one of many is the one that is meant
+        adopt.assign(scene, role, chosen)
+        done = f"{', '.join(o.name for o in chosen)}: {_ROLE_WORDS[role][0].lower()}"
+        complete = all(stage.players(scene, each) for each in stage.SINGLE_ROLES)
+        if complete and stage.GRID_SHAPE not in scene:
+            grid = adopt.fit_grid(scene)
+            done += f". Voxels {grid.labels[0]} to {grid.labels[-1]} were laid around the target"
+        return "INFO", done
+
+
+class NLOS_OT_check(_Task, bpy.types.Operator):
+    """Look for what would spoil a sweep, and measure signal, noise, time and disk by a few quick renders beside"""
+
+    bl_idname = "nlos.check"
+    bl_label = "Check Scene"
+
+    def work(self, scene: Any) -> tuple[str, str]:
+        """Find; return what to report."""
+        state.findings[:] = check.findings(scene, engine=scene.nlos.engine)
+        worst = [f for f in state.findings if f.level == check.ERROR]
+        if worst:
+            return "WARNING", worst[0].text
+        state.checking = True
+        arguments = [str(background.snapshot("check.blend")), json.dumps(properties.sweep_of(scene.nlos))]
+        task = background.ask(["generator.worker", "check", *arguments], _checked)
+        if bpy.app.background:
+            task.wait()
+        return "INFO", "Nothing stands in the way of a sweep; signal and noise are being measured"
+
+
+def _checked(task: background.Task) -> None:
+    state.checking = False
+    if task.error:
+        state.findings.insert(0, check.Finding(check.ERROR, task.error))
+    else:
+        state.findings[:] = [check.Finding(**fields) for fields in task.result["findings"]]
+
+
+class NLOS_OT_fix(_Task, bpy.types.Operator):
+    """Mend what the check has found"""
+
+    bl_idname = "nlos.fix"
+    bl_label = "Fix"
+
+    fix: StringProperty(options={"SKIP_SAVE"})  # type: ignore[valid-type]
+
+    def work(self, scene: Any) -> tuple[str, str]:
+        """Mend, and look again."""
+        check.mend(scene, self.fix)
+        state.findings[:] = check.findings(scene, engine=scene.nlos.engine)
+        return "INFO", f"{check.FIXES[self.fix]}: done"
+
+
+class NLOS_OT_select(_Task, bpy.types.Operator):
+    """Select the object that is meant, and make it the active one"""
+
+    bl_idname = "nlos.select"
+    bl_label = "Select"
+
+    name: StringProperty(options={"SKIP_SAVE"})  # type: ignore[valid-type]
+
+    def work(self, scene: Any) -> tuple[str, str]:
+        """Select."""
+        obj = scene.objects.get(self.name)
+        layer = bpy.context.view_layer
+        if obj is None or obj.name not in layer.objects:
+            raise spec.NlosError(f"there is no object {self.name!r} in this view layer; check again")
+        for other in bpy.context.selected_objects:
+            other.select_set(False)
+        obj.hide_set(False)
+        obj.select_set(True)
+        layer.objects.active = obj
+        return "INFO", f"{self.name} is selected"
+
+
 class NLOS_OT_render_wall(_Task, bpy.types.Operator):
-    """Render what the camera sees on the relay wall, as float radiance, into the image 'NLOS wall'"""
+    """Render what the camera sees on the relay wall, as float radiance, into the image 'NLOS wall'. Another Blender does it, without a window"""  # noqa: E501
 
     bl_idname = "nlos.render_wall"
     bl_label = "Render Wall"
 
     def work(self, scene: Any) -> tuple[str, str]:
-        """Render; return what to report."""
-        settings, chosen = scene.nlos, ""
-        engine = settings.engine
-        if engine == engines.AUTO:
-            engine, reasons = engines.choose(scene)
-            chosen = f" (engine {engine}{', since ' + reasons[0] if reasons else ''})"
-        size = tuple(settings.resolution)
-        with engines.opened(scene, engine, resolution=size, accuracy=settings.accuracy) as renderer:
-            wall = renderer.render(samples=settings.samples, seed=settings.seed)
-            shown, share = wall, ""
+        """Start; return what to report."""
+        settings = scene.nlos
+        described = stage.read(scene)  # what is wrong is said now, not by the other Blender later
+        for part in stage.target_parts(scene)[:1]:
+            if part.hide_render:
+                raise spec.NlosError(f"the target {part.name!r} is hidden from renders; show it")
+        chosen = {
+            name: value for name, value in properties.sweep_of(settings).items() if name not in ("poses", "inside")
+        }
+        difference, reference = settings.difference, described.reference_radiance
+        width = described.camera.x[1] - described.camera.x[0]
+        folder = background.folder()
+        arguments = [
+            str(background.snapshot("picture.blend")),
+            str(folder),
+            json.dumps(chosen),
+            "denoise" if settings.denoise else "plain",
+        ]
+
+        def then(task: background.Task) -> None:
+            state.rendering = ""
+            if task.error:
+                state.rendering = task.error
+                return
+            wall, without = (read_picture(folder / f"{name}.exr")[0] for name in ("wall", "background"))
+            state.shown = state.Shown(wall, without)
             images.store(images.WALL, wall)
-            if settings.difference:
-                # The same noise in both, so that it cancels wherever the object changes nothing.
-                shown = wall - renderer.render(samples=settings.samples, seed=settings.seed, target=False)
-                images.store(images.DIFFERENCE, shown)
-                if wall.any():
-                    share = f", of which the object adds {shown.mean() / wall.mean():.2%}"
-        images.show(images.preview(shown))
-        return "INFO", f"Mean radiance {wall.mean():.4g} W/m²/sr{share}; shown brightened{chosen}"
+            state.rendering = f"Mean radiance {wall.mean():.4g} W/m²/sr"
+            if not difference:
+                images.show(images.preview(wall))
+                return
+            shown = wall - without
+            images.store(images.DIFFERENCE, shown)
+            images.show(images.coloured(images.PREVIEW, shown, reference, width))
+            if wall.any():
+                state.rendering += f", of which the object adds {shown.mean() / wall.mean():.2%}"
+
+        state.rendering = "Rendering ..."
+        task = background.ask(["generator.worker", "picture", *arguments], then)
+        if bpy.app.background:
+            task.wait()
+            if task.error:
+                raise spec.NlosError(task.error)
+            return "INFO", state.rendering
+        return "INFO", "The wall is being rendered"
 
 
-_CLASSES = (NLOS_OT_build_scene, NLOS_OT_apply, NLOS_OT_read_scene, NLOS_OT_render_wall)
+class NLOS_OT_experiment(_Task, bpy.types.Operator):
+    """Difference pictures of the paper's experiment, from the object's place: what a movement along each axis, or a turn about it, changes"""  # noqa: E501
+
+    bl_idname = "nlos.experiment"
+    bl_label = "Experiment"
+
+    number: IntProperty(name="Number", min=1, max=3, default=1)  # type: ignore[valid-type]
+
+    @classmethod
+    def description(cls, context: Any, properties: Any) -> str:
+        """Return the tooltip of one experiment."""
+        done = ("A sphere is moved along x, y and z", "A square sheet is moved along x, y and z")
+        turned = "The sheet is turned about x, y and z"
+        return f"{(*done, turned)[properties.number - 1]}: a row of difference pictures for each axis, live engine"
+
+    def work(self, scene: Any) -> tuple[str, str]:
+        """Draw the sheet of pictures; return what to report."""
+        described = stage.read(scene)
+        world, reasons = extract.world(scene, resolution=(_EXPERIMENT_PIXELS, _EXPERIMENT_PIXELS))
+        if world is None:
+            raise spec.NlosError(
+                f"experiments are drawn by the engine 'surfel', which cannot honour that {reasons[0]}"
+            )
+        size = min(described.grid.size) / 2.0
+        body = _sheet(size) if self.number > 1 else Sphere(np.zeros(3), size / 2.0, np.ones(3))
+        transport = Transport(replace(world, target=(body,)), accuracy=looking.ACCURACY)
+        at = stage.find(scene, "target").matrix_world.translation
+        rows = poses.experiment(self.number, tuple(at), step=size / 4.0)
+        rest = transport.difference(*rows[0][len(rows[0]) // 2])
+        sheet = np.concatenate(
+            [np.concatenate([transport.difference(*pose) - rest for pose in row], axis=1) for row in rows]
+        )
+        name = images.EXPERIMENT.format(self.number)
+        image = images.coloured(name, sheet, described.reference_radiance, 0.0)
+        images.show(image)
+        moved = "turned" if self.number == 3 else "moved"
+        top = images.captions[name].top
+        return "INFO", f"{name}: {moved} along x, y, z (rows); the brightest colour is {top:.0e} W/m²/sr"
+
+
+_EXPERIMENT_PIXELS = 64
+
+
+def _sheet(size: float) -> Mesh:
+    h = size / 2.0
+    a, b, c, d = (-h, 0.0, -h), (h, 0.0, -h), (h, 0.0, h), (-h, 0.0, h)
+    return Mesh(np.array([[a, b, c], [a, c, d]]), np.full((2, 3), 0.9))
+
+
+class NLOS_OT_open_image_editor(bpy.types.Operator):
+    """Cut an Image Editor off the 3D view, for the pictures"""
+
+    bl_idname = "nlos.open_image_editor"
+    bl_label = "Open Image Editor"
+
+    @classmethod
+    def poll(cls: Any, context: Any) -> bool:
+        """Only in a 3D view."""
+        return bool(context.area and context.area.type == "VIEW_3D")
+
+    def execute(self: Any, context: Any) -> set[str]:
+        """Split the area."""
+        before = set(context.screen.areas)
+        bpy.ops.screen.area_split(direction="VERTICAL", factor=0.4)
+        [made] = set(context.screen.areas) - before or [None]
+        if made is None:
+            self.report({"ERROR"}, "The 3D view is too small to be split")
+            return {"CANCELLED"}
+        made.type = "IMAGE_EDITOR"
+        shown = next((i for n in (images.LOOK, images.PREVIEW) if (i := bpy.data.images.get(n))), None)
+        if shown is not None:
+            made.spaces.active.image = shown
+        return {"FINISHED"}
+
+
+class NLOS_OT_new_room(bpy.types.Operator):
+    """Start a new file with a ready room: wall, partition, lamp, camera, a hidden sheet"""
+
+    bl_idname = "nlos.new_room"
+    bl_label = "NLOS Room"
+
+    def execute(self: Any, context: Any) -> set[str]:
+        """Open Blender's own start-up file, empty it and build."""
+        bpy.ops.wm.read_homefile(app_template="")
+        scene = bpy.context.scene
+        for obj in list(scene.objects):
+            bpy.data.objects.remove(obj)
+        bpy.ops.outliner.orphans_purge(do_recursive=True)
+        stage.build(scene, properties.spec_of(scene.nlos))
+        return {"FINISHED"}
+
+
+_CLASSES = (
+    NLOS_OT_build_scene,
+    NLOS_OT_apply,
+    NLOS_OT_read_scene,
+    NLOS_OT_adopt,
+    NLOS_OT_check,
+    NLOS_OT_fix,
+    NLOS_OT_select,
+    NLOS_OT_render_wall,
+    NLOS_OT_experiment,
+    NLOS_OT_open_image_editor,
+    NLOS_OT_new_room,
+)
 
 register, unregister = bpy.utils.register_classes_factory(_CLASSES)

@@ -5,6 +5,15 @@
 from typing import Any
 
 import bpy
+from bl_ui.utils import PresetPanel
+
+from generator import check, stage
+
+from . import answer, dataset, looking, menus, state
+
+_ICONS = {check.GOOD: "CHECKMARK", check.NOTE: "INFO", check.WARNING: "ERROR", check.ERROR: "CANCEL"}
+_LINE = 44
+"""Characters of a sentence that fit into a line of a sidebar as wide as it is at first."""
 
 
 class _Tab:
@@ -13,47 +22,109 @@ class _Tab:
     bl_category = "NLOS"
 
 
-class NLOS_PT_lab(_Tab, bpy.types.Panel):
-    """The parent of the others."""
+def _split(layout: Any) -> None:
+    layout.use_property_split = True
+    layout.use_property_decorate = False
 
-    bl_label = "NLOS Lab"
+
+def _sentence(layout: Any, text: str, icon: str = "NONE") -> None:
+    """Draw a sentence over as many lines as it takes: labels do not wrap."""
+    column = layout.column(align=True)
+    column.scale_y = 0.8
+    line = ""
+    for word in text.split():
+        if line and len(line) + len(word) >= _LINE:
+            column.label(text=line, icon=icon, translate=False)
+            line, icon = "", "BLANK1" if icon != "NONE" else "NONE"
+        line = f"{line} {word}".lstrip()
+    column.label(text=line, icon=icon, translate=False)
+
+
+class NLOS_PT_presets(PresetPanel, bpy.types.Panel):
+    """The user's own presets."""
+
+    bl_label = "NLOS Presets"
+    preset_subdir = menus.PRESETS
+    preset_operator = "script.execute_preset"
+    preset_add_operator = "nlos.preset_add"
+
+
+class NLOS_PT_scene(_Tab, bpy.types.Panel):
+    """What to build, and who plays which part."""
+
+    bl_label = "Scene"
+
+    def draw_header_preset(self, context: Any) -> None:
+        """Draw the menu of presets."""
+        NLOS_PT_presets.draw_panel_header(self.layout)
 
     def draw(self, context: Any) -> None:
-        """Draw what concerns the scene as a whole."""
-        layout = self.layout
+        """Draw the preset and what to do with it."""
+        layout, settings = self.layout, context.scene.nlos
+        _split(layout)
+        layout.prop(settings, "preset")
         column = layout.column()
         column.scale_y = 1.4
         column.operator("nlos.build_scene", icon="SCENE_DATA")
         row = layout.row(align=True)
         row.operator("nlos.read_scene", text="Read", icon="IMPORT")
         row.operator("nlos.apply", text="Apply", icon="EXPORT")
+        row = layout.row(align=True)
+        session = context.window_manager.nlos
+        row.prop(session, "overlay", toggle=True, icon="OVERLAY")
+        row.popover("NLOS_PT_overlay", text="", icon="DOWNARROW_HLT")
 
 
-class NLOS_PT_scene(_Tab, bpy.types.Panel):
-    """What to build."""
+class NLOS_PT_overlay(bpy.types.Panel):
+    """What the overlay shows."""
 
-    bl_label = "Scene"
-    bl_parent_id = "NLOS_PT_lab"
+    bl_label = "NLOS Overlay"
+    bl_space_type = "VIEW_3D"
+    bl_region_type = "HEADER"
 
     def draw(self, context: Any) -> None:
-        """Draw the preset."""
-        layout, settings = self.layout, context.scene.nlos
-        layout.use_property_split = True
-        layout.use_property_decorate = False
-        layout.prop(settings, "preset")
+        """Draw the switches."""
+        layout, session = self.layout, context.window_manager.nlos
+        layout.active = session.overlay
+        for name in ("show_voxels", "show_patches", "show_legs", "show_poses"):
+            layout.prop(session, name)
+
+
+class NLOS_PT_roles(_Tab, bpy.types.Panel):
+    """Who plays which part."""
+
+    bl_label = "Adopt My Objects"
+    bl_parent_id = "NLOS_PT_scene"
+    bl_options = {"DEFAULT_CLOSED"}  # noqa: RUF012
+
+    def draw(self, context: Any) -> None:
+        """Draw each part with its player."""
+        layout = self.layout
+        for role in stage.SINGLE_ROLES:
+            players = stage.players(context.scene, role)
+            row = layout.row(align=True)
+            words = role.replace("_", " ").title()
+            row.operator("nlos.adopt", text=words).role = role
+            if len(players) == 1:
+                row.operator(
+                    "nlos.select", text=players[0].name, translate=False, icon="RESTRICT_SELECT_OFF"
+                ).name = players[0].name
+            else:
+                row.label(text="nobody yet" if not players else f"{len(players)} objects", icon="ERROR")
+        row = layout.row(align=True)
+        for role in ("room", "partition", "none"):
+            row.operator("nlos.adopt", text="No Role" if role == "none" else role.title()).role = role
 
 
 class NLOS_PT_target(_Tab, bpy.types.Panel):
     """What hides."""
 
     bl_label = "Target"
-    bl_parent_id = "NLOS_PT_lab"
 
     def draw(self, context: Any) -> None:
         """Draw the target's figures."""
         layout, settings = self.layout, context.scene.nlos
-        layout.use_property_split = True
-        layout.use_property_decorate = False
+        _split(layout)
         layout.prop(settings, "target_kind")
         if settings.target_kind == "mesh":
             layout.prop(settings, "target_mesh")
@@ -65,13 +136,11 @@ class NLOS_PT_light(_Tab, bpy.types.Panel):
     """What shines."""
 
     bl_label = "Light"
-    bl_parent_id = "NLOS_PT_lab"
 
     def draw(self, context: Any) -> None:
         """Draw the spot's figures."""
         layout, settings = self.layout, context.scene.nlos
-        layout.use_property_split = True
-        layout.use_property_decorate = False
+        _split(layout)
         layout.prop(settings, "light_power")
         layout.prop(settings, "light_half_angle")
 
@@ -90,8 +159,7 @@ class NLOS_PT_ambient(_Tab, bpy.types.Panel):
     def draw(self, context: Any) -> None:
         """Draw the radiance."""
         layout, settings = self.layout, context.scene.nlos
-        layout.use_property_split = True
-        layout.use_property_decorate = False
+        _split(layout)
         layout.active = settings.use_ambient
         layout.prop(settings, "ambient_radiance")
 
@@ -100,13 +168,11 @@ class NLOS_PT_voxels(_Tab, bpy.types.Panel):
     """Where it may hide."""
 
     bl_label = "Hidden Voxels"
-    bl_parent_id = "NLOS_PT_lab"
 
     def draw(self, context: Any) -> None:
         """Draw the grid."""
         layout, settings = self.layout, context.scene.nlos
-        layout.use_property_split = True
-        layout.use_property_decorate = False
+        _split(layout)
         for name in ("grid_counts", "grid_lo", "grid_hi"):
             layout.column().prop(settings, name)
 
@@ -115,13 +181,11 @@ class NLOS_PT_rendering(_Tab, bpy.types.Panel):
     """How to render it."""
 
     bl_label = "Rendering"
-    bl_parent_id = "NLOS_PT_lab"
 
     def draw(self, context: Any) -> None:
         """Draw the renderer's figures and its button."""
         layout, settings = self.layout, context.scene.nlos
-        layout.use_property_split = True
-        layout.use_property_decorate = False
+        _split(layout)
         layout.prop(settings, "engine")
         layout.prop(settings, "reflection_order")
         if settings.engine != "surfel":
@@ -133,19 +197,131 @@ class NLOS_PT_rendering(_Tab, bpy.types.Panel):
         column.prop(settings, "resolution", index=0, text="Resolution X")
         column.prop(settings, "resolution", index=1, text="Y")
         layout.prop(settings, "difference")
+        if settings.engine != "surfel":
+            layout.prop(settings, "denoise")
         column = layout.column()
         column.scale_y = 1.4
         column.operator("nlos.render_wall", icon="RENDER_STILL")
+        if state.rendering:
+            _sentence(layout, state.rendering)
 
+
+class NLOS_PT_check(_Tab, bpy.types.Panel):
+    """What would spoil a sweep."""
+
+    bl_label = "Check"
+
+    def draw(self, context: Any) -> None:
+        """Draw what was found."""
+        layout = self.layout
+        layout.operator("nlos.check", icon="VIEWZOOM")
+        for found in state.findings:
+            box = layout.box()
+            _sentence(box, found.text, _ICONS[found.level])
+            if found.object or found.fix:
+                row = box.row(align=True)
+                if found.object:
+                    row.operator(
+                        "nlos.select", text=found.object, translate=False, icon="RESTRICT_SELECT_OFF"
+                    ).name = found.object
+                if found.fix:
+                    row.operator("nlos.fix", text=check.FIXES[found.fix], icon="TOOL_SETTINGS").fix = found.fix
+        if state.checking:
+            layout.label(text="Measuring signal and noise ...", icon="SORTTIME")
+
+
+class NLOS_PT_look(_Tab, bpy.types.Panel):
+    """What the object does to the wall, live."""
+
+    bl_label = "Look"
+
+    def draw(self, context: Any) -> None:
+        """Draw the switch, its settings and the experiments."""
+        layout, settings, session = self.layout, context.scene.nlos, context.window_manager.nlos
+        row = layout.row(align=True)
+        row.scale_y = 1.4
+        row.prop(session, "look", toggle=True, icon="HIDE_OFF" if session.look else "HIDE_ON")
+        row.operator("nlos.open_image_editor", text="", icon="IMAGE_DATA")
+        column = layout.column()
+        _split(column)
+        column.prop(settings, "look_resolution")
+        column.prop(settings, "look_shadows")
+        if session.look and looking.words():
+            _sentence(layout, looking.words())
+        layout.label(text="The paper's experiments")
+        row = layout.row(align=True)
+        for number, words in ((1, "Sphere"), (2, "Sheet"), (3, "Turned")):
+            row.operator("nlos.experiment", text=f"{number} {words}").number = number
+
+
+class NLOS_PT_dataset(_Tab, bpy.types.Panel):
+    """Pictures by the hundred."""
+
+    bl_label = "Data Set"
+
+    def draw(self, context: Any) -> None:
+        """Draw its figures, its buttons, how far it is."""
+        layout, settings, job = self.layout, context.scene.nlos, dataset.job
+        column = layout.column()
+        _split(column)
+        column.prop(settings, "dataset")
+        column.prop(settings, "poses")
+        column.prop(settings, "inside")
+        column.prop(settings, "workers")
+        if job is not None and job.running:
+            layout.progress(factor=job.done / job.total if job.total else 0.0, text=job.status())
+            layout.operator("nlos.sweep_cancel", icon="CANCEL")
+        else:
+            row = layout.row(align=True)
+            row.scale_y = 1.4
+            row.operator("nlos.sweep_start", icon="RENDER_ANIMATION")
+            row.operator("nlos.sweep_resume", icon="PLAY")
+            if job is not None:
+                _sentence(layout, job.status())
+        layout.operator("nlos.open_folder", icon="FILE_FOLDER")
+
+
+class NLOS_PT_answer(_Tab, bpy.types.Panel):
+    """Where a trained model thinks it is."""
+
+    bl_label = "Answer"
+    bl_options = {"DEFAULT_CLOSED"}  # noqa: RUF012
+
+    def draw(self, context: Any) -> None:
+        """Draw the model, the question and the answer."""
+        layout, settings = self.layout, context.scene.nlos
+        column = layout.column()
+        _split(column)
+        column.prop(settings, "model")
+        layout.operator("nlos.answer", icon="QUESTION")
+        if state.answer_words:
+            _sentence(layout, state.answer_words)
+        if state.answer:
+            column = layout.column(align=True)
+            likely = sorted(state.answer.items(), key=lambda item: -item[1])[:_MOST_LIKELY]
+            for label, probability in likely:
+                column.progress(factor=probability, text=f"{label}  {probability:.0%}")
+            layout.operator("nlos.forget_answer", icon="X")
+        if not answer.named():
+            _sentence(layout, "Answers need a Python with scikit-learn: name one in the add-on's preferences", "INFO")
+
+
+_MOST_LIKELY = 5
 
 _CLASSES = (
-    NLOS_PT_lab,
+    NLOS_PT_presets,
+    NLOS_PT_overlay,
     NLOS_PT_scene,
+    NLOS_PT_roles,
     NLOS_PT_target,
     NLOS_PT_light,
     NLOS_PT_ambient,
     NLOS_PT_voxels,
     NLOS_PT_rendering,
+    NLOS_PT_check,
+    NLOS_PT_look,
+    NLOS_PT_dataset,
+    NLOS_PT_answer,
 )
 
 register, unregister = bpy.utils.register_classes_factory(_CLASSES)

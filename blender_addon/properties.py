@@ -23,7 +23,9 @@ from bpy.props import (
     StringProperty,
 )
 
-from generator import spec, stage
+from generator import spec, stage, worker
+
+from . import looking, overlay
 
 _ROOM = spec.preset("room")
 
@@ -69,6 +71,10 @@ def _kind_changed(settings: Any, _: Any) -> None:
     else:
         target = spec.preset(settings.preset, settings.target_kind).target
         settings.target_size, settings.target_albedo = target.size, target.albedo
+
+
+def _redraw(_: Any, context: Any) -> None:
+    overlay.changed()
 
 
 class NlosSettings(bpy.types.PropertyGroup):
@@ -212,11 +218,92 @@ class NlosSettings(bpy.types.PropertyGroup):
         default=0,
         min=0,
     )
+    denoise: BoolProperty(
+        name="Denoise",
+        description="Clean this picture with Open Image Denoise: smooth to look at, biased by about half a percent. "
+        "Data sets are never denoised",
+    )
     difference: BoolProperty(
         name="Difference",
         description="Also render the scene without the hidden object, and subtract: the object's own doing is left",
         default=True,
     )
+    look_resolution: EnumProperty(
+        name="Pixels",
+        description="Width of the live picture; more pixels take longer",
+        items=[(str(n), f"{n} x {n}", "") for n in (32, 64, 128, 256)],
+        default="64",
+        update=lambda settings, context: looking.changed(),
+    )
+    look_shadows: BoolProperty(
+        name="Shadows",
+        description="Subtract the light of the room that the object keeps from the wall. In a furnished room that "
+        "takes much longer, so it is done once the object is at rest",
+        default=True,
+        update=lambda settings, context: looking.changed(),
+    )
+    dataset: StringProperty(
+        name="Folder",
+        description="Where the data set goes: a new or empty folder, or the one of a set to go on with",
+        subtype="DIR_PATH",
+        default="//dataset",
+    )
+    poses: IntProperty(
+        name="Poses",
+        description="Pictures per voxel, each with the object at another place in it, turned another way",
+        default=spec.Sweep().poses,
+        min=1,
+        max=1_000_000,
+        soft_max=1000,
+    )
+    inside: EnumProperty(
+        name="Inside",
+        description="What of the object must lie in its voxel",
+        items=(
+            ("whole", "Whole Object", "Every point of it"),
+            ("centre", "Its Centre", "Its origin only: it may reach into the next voxel"),
+        ),
+    )
+    workers: IntProperty(
+        name="Processes",
+        description="Blenders that render side by side, without windows; 0 is one per core",
+        default=0,
+        min=0,
+        soft_max=64,
+    )
+    model: StringProperty(
+        name="Model", description="Trained by nlos-classify train (.skops)", subtype="FILE_PATH", default=""
+    )
+
+
+def sweep_of(settings: Any) -> dict[str, Any]:
+    """Return what the draft says of a sweep: fields of `spec.Sweep`, those that mean something to its engine."""
+    chosen = {
+        "engine": settings.engine,
+        "samples": settings.samples,
+        "accuracy": settings.accuracy,
+        "resolution": list(settings.resolution),
+        "poses": settings.poses,
+        "seed": settings.seed,
+        "inside": settings.inside,
+    }
+    idle = () if settings.engine == "auto" else spec.Sweep.idle(settings.engine)
+    return {name: value for name, value in chosen.items() if name not in idle}
+
+
+def resolved_sweep(scene: Any) -> spec.Sweep:
+    """Return the sweep that the draft describes, as far as it decides the poses.
+
+    Raises
+    ------
+    NlosError
+        The scene cannot be read, or a figure cannot be.
+    """
+    chosen = sweep_of(scene.nlos)
+    if chosen["engine"] == "auto":  # which it will be decides nothing about them
+        chosen["engine"] = "patch"
+    made: spec.Sweep = spec.from_dict(spec.Sweep, worker.with_defaults(stage.read(scene), chosen), "")
+    return made
 
 
 def spec_of(settings: Any) -> spec.Scene:
@@ -294,13 +381,49 @@ def fill(settings: Any, scene: spec.Scene, *, target: bool = True) -> None:
     settings.resolution = scene.resolution
 
 
+class NlosSession(bpy.types.PropertyGroup):
+    """What is switched on in this window manager. Not kept with the file: a file that opens starts nothing."""
+
+    look: BoolProperty(
+        name="Live Look",
+        description="Show what the hidden object does to the wall, and follow it as it is moved",
+        options={"SKIP_SAVE"},
+        update=lambda session, context: looking.switch(session.look),
+    )
+    overlay: BoolProperty(
+        name="Overlay",
+        description="Show in the 3D views what belongs to the experiment but is no object",
+        options={"SKIP_SAVE"},
+        update=lambda session, context: overlay.switch(session.overlay),
+    )
+    show_voxels: BoolProperty(
+        name="Voxels", description="The hidden volume, with its letters", default=True, update=_redraw
+    )
+    show_patches: BoolProperty(
+        name="Patches", description="What the lamp lights and what the camera watches", default=True, update=_redraw
+    )
+    show_legs: BoolProperty(
+        name="Light Legs",
+        description="Lamp to wall, wall to object, object to wall, wall to camera",
+        default=True,
+        update=_redraw,
+    )
+    show_poses: BoolProperty(
+        name="Poses", description="Where the object will stand in the first pictures of a sweep", update=_redraw
+    )
+
+
 def register() -> None:
     """Give every scene a draft."""
     bpy.utils.register_class(NlosSettings)
+    bpy.utils.register_class(NlosSession)
     bpy.types.Scene.nlos = PointerProperty(type=NlosSettings, name="NLOS")
+    bpy.types.WindowManager.nlos = PointerProperty(type=NlosSession, name="NLOS")
 
 
 def unregister() -> None:
     """Take it away."""
+    del bpy.types.WindowManager.nlos
     del bpy.types.Scene.nlos
+    bpy.utils.unregister_class(NlosSession)
     bpy.utils.unregister_class(NlosSettings)

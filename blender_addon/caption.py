@@ -1,0 +1,85 @@
+"""Writes onto the Image Editors what the colours and pixels of our images stand for."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import blf
+import bpy
+import gpu
+import numpy as np
+from gpu_extras.batch import batch_for_shader
+
+from . import images
+
+_handles: list[Any] = []
+_STEPS = 48
+
+
+def register() -> None:
+    """Start to draw; costs nothing where no image of ours is shown."""
+    if not bpy.app.background:
+        _handles.append(bpy.types.SpaceImageEditor.draw_handler_add(_draw, (), "WINDOW", "POST_PIXEL"))
+
+
+def unregister() -> None:
+    """Stop to draw."""
+    while _handles:
+        bpy.types.SpaceImageEditor.draw_handler_remove(_handles.pop(), "WINDOW")
+
+
+def lines(caption: images.Caption) -> tuple[str, str]:
+    """Return what stands beside the scale bar and below it."""
+    scale = f"-{caption.top:.0e} to +{caption.top:.0e} W/m²/sr" if caption.top else "no light from the object"
+    return scale, f"amplified {caption.amplification:,.0f} times" if caption.amplification else ""
+
+
+def ruler(width: float) -> float:
+    """Return a round length, metres, of about a quarter of a width."""
+    longest = images.round_up(width / 4.0)
+    return longest if longest <= width / 2.0 else longest / 2.0
+
+
+def _draw() -> None:
+    context: Any = bpy.context
+    image = context.space_data.image
+    caption = images.captions.get(image.name) if image else None
+    if caption is None:
+        return
+    scale = context.preferences.system.ui_scale
+    margin, wide, high = 18.0 * scale, 180.0 * scale, 14.0 * scale
+    x, y = margin, margin + 20.0 * scale
+    gpu.state.blend_set("ALPHA")
+    steps = np.linspace(-1.0, 1.0, _STEPS)
+    at = x + (steps + 1.0) / 2.0 * wide
+    places = np.stack([np.repeat(at, 2), np.tile([y, y + high], _STEPS)], axis=1).astype(np.float32)
+    colours = np.ones((2 * _STEPS, 4), dtype=np.float32)
+    colours[:, :3] = np.repeat(images.signed(steps), 2, axis=0)
+    shader = gpu.shader.from_builtin("SMOOTH_COLOR")
+    batch_for_shader(shader, "TRI_STRIP", {"pos": places, "color": colours}).draw(shader)
+    above, below = lines(caption)
+    _write(above, x, y + high + 6.0 * scale, scale)
+    _write(below, x, margin, scale)
+    if caption.width:
+        length = ruler(caption.width)
+        left, bottom = context.region.view2d.view_to_region(0.0, 0.0, clip=False)
+        right, _ = context.region.view2d.view_to_region(length / caption.width, 0.0, clip=False)
+        bar = np.array([[left, bottom - 8.0], [right, bottom - 8.0]], dtype=np.float32)
+        plain = gpu.shader.from_builtin("UNIFORM_COLOR")
+        plain.bind()
+        plain.uniform_float("color", (1.0, 1.0, 1.0, 1.0))
+        gpu.state.line_width_set(2.0 * scale)
+        batch_for_shader(plain, "LINES", {"pos": bar}).draw(plain)
+        gpu.state.line_width_set(1.0)
+        _write(f"{100.0 * length:g} cm" if length < 1.0 else f"{length:g} m", left, bottom - 26.0 * scale, scale)
+    gpu.state.blend_set("NONE")
+
+
+def _write(text: str, x: float, y: float, scale: float) -> None:
+    blf.size(0, 12.0 * scale)
+    blf.color(0, 1.0, 1.0, 1.0, 1.0)
+    blf.enable(0, blf.SHADOW)
+    blf.shadow(0, 3, 0.0, 0.0, 0.0, 1.0)
+    blf.position(0, x, y, 0.0)
+    blf.draw(0, text)
+    blf.disable(0, blf.SHADOW)

@@ -1,0 +1,229 @@
+"""Renders a data set in Blenders without windows, while this one stays free."""
+
+# mypy: disable-error-code="misc"
+
+from __future__ import annotations
+
+import time
+from pathlib import Path
+from typing import Any
+
+import bpy
+
+from generator import sweep
+from generator.dataset import SCENE, Dataset
+from generator.spec import NlosError
+
+from . import background, properties, state
+
+
+class Job:
+    """The sweep that is going on, or went on last.
+
+    Attributes
+    ----------
+    path : Path
+        Of the data set.
+    done, total : int
+        Pictures of this run.
+    words : str
+        How it ended; empty while it goes on.
+    """
+
+    def __init__(self, scene: Path, path: Path, chosen: dict[str, Any], workers: int) -> None:
+        self.path = path
+        self.done, self.total, self.words = 0, 0, ""
+        self._begun = time.monotonic()
+        self._first: tuple[float, int] | None = None
+        self._cancelled = False
+        launch = background.launcher()
+
+        def work(task: background.Task) -> sweep.Outcome:
+            return sweep.run(scene, path, chosen, workers=workers, progress=self._told, launch=launch, stop=task.stop)
+
+        self._task = background.Task(work, self._ended, self._shown)
+
+    @property
+    def running(self) -> bool:
+        """Whether it goes on."""
+        return not self.words
+
+    @property
+    def left(self) -> float | None:
+        """Seconds left, if that can be told."""
+        if self._first is None or self.done <= self._first[1]:
+            return None
+        since, before = self._first
+        return (time.monotonic() - since) / (self.done - before) * (self.total - self.done)
+
+    def cancel(self) -> None:
+        """End it; what is rendered stays."""
+        self._cancelled = True
+        self._task.stop.set()
+
+    def status(self) -> str:
+        """Return how far it is, in a line."""
+        if not self.running:
+            return self.words
+        if not self.total:
+            return "Planning the poses"
+        if not self.done:
+            return f"Rendering the background, then {self.total} pictures"
+        left = "" if self.left is None else f", {_clock(self.left)} left"
+        return f"{self.done} of {self.total} pictures{left}"
+
+    def _told(self, done: int, total: int) -> None:  # in the crew's threads
+        if done and self._first is None:
+            self._first = time.monotonic(), done
+        self.done, self.total = done, total
+
+    def _shown(self, _: background.Task) -> None:
+        _status_bar(f"NLOS data set: {self.status()}")
+        state.redraw("VIEW_3D")
+
+    def _ended(self, task: background.Task) -> None:
+        _status_bar(None)
+        if task.error:
+            self.words = task.error
+            return
+        outcome = task.result
+        state_words = f"{outcome.dataset.planned - outcome.remaining} of {outcome.dataset.planned} pictures"
+        if self._cancelled:
+            self.words = f"Cancelled with {state_words} done; Resume goes on from there"
+        elif outcome.failed:
+            self.words = f"{state_words}; {len(outcome.failed)} failed, the first: {outcome.failed[0]}"
+        else:
+            self.words = f"Finished: {state_words}"
+
+
+job: Job | None = None
+
+
+def _status_bar(text: str | None) -> None:
+    for window in bpy.context.window_manager.windows:
+        window.workspace.status_text_set(text)
+
+
+def _clock(seconds: float) -> str:
+    minutes, seconds = divmod(round(seconds), 60)
+    hours, minutes = divmod(minutes, 60)
+    return f"{hours}:{minutes:02d}:{seconds:02d}" if hours else f"{minutes}:{seconds:02d}"
+
+
+def folder(scene: Any) -> Path:
+    """Return the data set's folder.
+
+    Raises
+    ------
+    NlosError
+        None is named, or it is relative to a file that is not saved.
+    """
+    named = scene.nlos.dataset
+    if not named:
+        raise NlosError("Name a folder for the data set")
+    if named.startswith("//") and not bpy.data.filepath:
+        raise NlosError("Save the file first, or name the data set's folder in full: it lies beside the file")
+    return Path(bpy.path.abspath(named)).absolute()
+
+
+class _Running:
+    @classmethod
+    def poll(cls: Any, context: Any) -> bool:
+        """Only one at a time."""
+        cls.poll_message_set("A data set is being rendered")
+        return job is None or not job.running
+
+    def execute(self: Any, context: Any) -> set[str]:
+        """Start the job, or say why not."""
+        global job
+        try:
+            job = self.begin(context.scene)
+        except NlosError as error:
+            self.report({"ERROR"}, str(error))
+            return {"CANCELLED"}
+        state.redraw("VIEW_3D")
+        return {"FINISHED"}
+
+
+class NLOS_OT_sweep_start(_Running, bpy.types.Operator):
+    """Render the object at many poses in every voxel, in Blenders without windows. This one stays free"""
+
+    bl_idname = "nlos.sweep_start"
+    bl_label = "Render Data Set"
+
+    def begin(self, scene: Any) -> Job:
+        """Start anew."""
+        path = folder(scene)
+        if Dataset.exists(path):
+            raise NlosError(f"{path} holds a data set already: resume it, or name another folder")
+        source = background.snapshot("dataset.blend")
+        return Job(source, path, properties.sweep_of(scene.nlos), scene.nlos.workers)
+
+
+class NLOS_OT_sweep_resume(_Running, bpy.types.Operator):
+    """Render what the data set in the folder still lacks, with the scene and settings that it was begun with"""
+
+    bl_idname = "nlos.sweep_resume"
+    bl_label = "Resume"
+
+    def begin(self, scene: Any) -> Job:
+        """Go on."""
+        path = folder(scene)
+        if not Dataset.exists(path):
+            raise NlosError(f"{path} holds no data set to go on with")
+        return Job(path / SCENE, path, {}, scene.nlos.workers)
+
+
+class NLOS_OT_sweep_cancel(bpy.types.Operator):
+    """End the rendering of the data set. What is rendered stays, and Resume goes on from there"""
+
+    bl_idname = "nlos.sweep_cancel"
+    bl_label = "Cancel"
+
+    @classmethod
+    def poll(cls: Any, context: Any) -> bool:
+        """Only while it goes on."""
+        cls.poll_message_set("No data set is being rendered")
+        return job is not None and job.running
+
+    def execute(self: Any, context: Any) -> set[str]:
+        """Ask the workers to end."""
+        assert job is not None
+        job.cancel()
+        self.report({"INFO"}, "The data set's rendering ends; what is rendered stays")
+        return {"FINISHED"}
+
+
+class NLOS_OT_open_folder(bpy.types.Operator):
+    """Show the data set's folder in the file browser"""
+
+    bl_idname = "nlos.open_folder"
+    bl_label = "Open Folder"
+
+    def execute(self: Any, context: Any) -> set[str]:
+        """Open it, if it is there."""
+        try:
+            path = folder(context.scene)
+            if not path.is_dir():
+                raise NlosError(f"{path} is not there yet")
+        except NlosError as error:
+            self.report({"ERROR"}, str(error))
+            return {"CANCELLED"}
+        bpy.ops.wm.path_open(filepath=str(path))
+        return {"FINISHED"}
+
+
+_CLASSES = (NLOS_OT_sweep_start, NLOS_OT_sweep_resume, NLOS_OT_sweep_cancel, NLOS_OT_open_folder)
+_register, _unregister = bpy.utils.register_classes_factory(_CLASSES)
+
+
+def register() -> None:
+    """Add the operators."""
+    _register()
+
+
+def unregister() -> None:
+    """Take them away, and forget the job."""
+    global job
+    job = None
+    _unregister()
