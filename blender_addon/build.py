@@ -90,7 +90,9 @@ def _copy(source: Path, copy: Path, generator: str) -> set[str]:
     text = source.read_text(encoding="utf-8")
     needed = set()
     tree = ast.parse(text)
-    typing = [node for node in ast.walk(tree) if isinstance(node, ast.If) and ast.unparse(node.test) == "TYPE_CHECKING"]
+    typing = [
+        node for node in ast.walk(tree) if isinstance(node, ast.If) and ast.unparse(node.test) == "TYPE_CHECKING"
+    ]
     idle = {inner for node in typing for inner in ast.walk(node)}  # for the type checker's eyes only
     for node in ast.walk(tree):
         if isinstance(node, ast.ImportFrom) and not node.level and node.module and node not in idle:

@@ -11,8 +11,6 @@ import numpy as np
 
 from generator.dataset import Picture
 
-from . import state
-
 WALL = "NLOS wall"
 DIFFERENCE = "NLOS difference"
 PREVIEW = "NLOS preview"
@@ -98,7 +96,11 @@ def look(picture: Picture, watched: Any, reference: float) -> Any:
         Radiance of the lit patch, W/m^2/sr.
     """
     ends = watched.points(np.array([[0.0, 0.5], [1.0, 0.5]]))
-    return coloured(LOOK, picture, reference, float(np.linalg.norm(ends[1] - ends[0])), keep=False)
+    image = coloured(LOOK, picture, reference, float(np.linalg.norm(ends[1] - ends[0])), keep=False)
+    # Undo takes the image away with what was done before it was made.
+    if any(area.spaces.active.image is None for _, area in _editors()):
+        show(image)
+    return image
 
 
 def coloured(name: str, picture: Picture, reference: float, width: float, *, keep: bool = True) -> Any:
@@ -128,9 +130,18 @@ def round_up(value: float) -> float:
 
 def show(image: Any) -> bool:
     """Show an image in the first Image Editor that is open; return whether one is."""
+    for window, area in _editors()[:1]:
+        before, area.spaces.active.image = area.spaces.active.image, image
+        if before is None or before == image or tuple(before.size) != tuple(image.size):
+            region = next(r for r in area.regions if r.type == "WINDOW")
+            with bpy.context.temp_override(window=window, area=area, region=region):
+                bpy.ops.image.view_all(fit_view=True)
+        area.tag_redraw()
+        return True
+    return False
+
+
+def _editors() -> list[tuple[Any, Any]]:
+    """Every Image Editor that is open, and the window that it is in."""
     windows = bpy.context.window_manager.windows
-    spaces = [a.spaces.active for w in windows for a in w.screen.areas if a.type == "IMAGE_EDITOR"]
-    if spaces:
-        spaces[0].image = image
-        state.redraw("IMAGE_EDITOR")
-    return bool(spaces)
+    return [(w, a) for w in windows for a in w.screen.areas if a.type == "IMAGE_EDITOR"]

@@ -25,7 +25,7 @@ from . import images, state
 ACCURACY = 2e-2
 """Of the live picture: below what one sees."""
 
-_REST = 0.25
+_REST = 0.4
 """Seconds after the last change until what takes longer is done."""
 
 _TIMES = 400
@@ -46,6 +46,7 @@ class _Look:
     words: str = ""
     pose: tuple[tuple[float, ...], tuple[float, ...]] | None = None
     seconds: list[float] = field(default_factory=list)
+    pictures: int = 0
 
 
 _look = _Look()
@@ -56,8 +57,13 @@ def words() -> str:
     return _look.words
 
 
+def pictures() -> int:
+    """Return how many pictures were drawn since it was switched on."""
+    return _look.pictures
+
+
 def seconds() -> list[float]:
-    """Return how long the last pictures took, from the change to the image."""
+    """Return how long the last pictures took while the object was moved, from the change to the image."""
     return list(_look.seconds)
 
 
@@ -144,7 +150,9 @@ def _draw() -> float | None:
         _look.pose = place, turn
         images.look(picture.astype(np.float32), _look.transport.world.watched, _look.reference)
         took = time.perf_counter() - start
-        _look.seconds = [*_look.seconds[-_TIMES:], took]
+        if again or exact == _look.shadows:  # those at rest keep nobody waiting
+            _look.seconds = [*_look.seconds[-_TIMES:], took]
+        _look.pictures += 1
         _look.words = f"{1e3 * took:.0f} ms" + ("" if exact or not again else ", shadows follow")
         state.shown = None
         state.redraw("IMAGE_EDITOR", "VIEW_3D")

@@ -10,7 +10,7 @@ import bpy
 import numpy as np
 from bpy.props import EnumProperty, IntProperty, StringProperty
 
-from generator import adopt, check, extract, poses, spec, stage
+from generator import adopt, check, engines, extract, poses, spec, stage
 from generator.dataset import read_picture
 from generator.transport import Mesh, Sphere, Transport
 
@@ -214,9 +214,7 @@ class NLOS_OT_render_wall(_Task, bpy.types.Operator):
         """Start; return what to report."""
         settings = scene.nlos
         described = stage.read(scene)  # what is wrong is said now, not by the other Blender later
-        for part in stage.target_parts(scene)[:1]:
-            if part.hide_render:
-                raise spec.NlosError(f"the target {part.name!r} is hidden from renders; show it")
+        engines.refuse_hidden(scene)
         chosen = {
             name: value for name, value in properties.sweep_of(settings).items() if name not in ("poses", "inside")
         }

@@ -131,15 +131,18 @@ def _draw_lines() -> None:
         batch_for_shader(filled, "TRIS", {"pos": triangles.astype(np.float32)}).draw(filled)
     shader = gpu.shader.from_builtin("POLYLINE_UNIFORM_COLOR")
     region = context.region
-    for name, colour in _COLOURS.items():
-        ends = _lines.get(name)
-        if ends is None or not len(ends):
-            continue
-        shader.bind()
-        shader.uniform_float("viewportSize", (region.width, region.height))
-        shader.uniform_float("lineWidth", 1.5 if name == "voxels" else 2.0)
-        shader.uniform_float("color", colour)
-        batch_for_shader(shader, "LINES", {"pos": ends.astype(np.float32)}).draw(shader)
+    # Once through everything, faintly: a room's own walls stand in front of all of it.
+    for depth_test, strength in (("NONE", 0.35), ("LESS_EQUAL", 1.0)):
+        gpu.state.depth_test_set(depth_test)
+        for name, (red, green, blue, alpha) in _COLOURS.items():
+            ends = _lines.get(name)
+            if ends is None or not len(ends):
+                continue
+            shader.bind()
+            shader.uniform_float("viewportSize", (region.width, region.height))
+            shader.uniform_float("lineWidth", 1.5 if name == "voxels" else 2.0)
+            shader.uniform_float("color", (red, green, blue, alpha * strength))
+            batch_for_shader(shader, "LINES", {"pos": ends.astype(np.float32)}).draw(shader)
     gpu.state.depth_test_set("NONE")
     gpu.state.blend_set("NONE")
 

@@ -12,8 +12,8 @@ from generator import check, stage
 from . import answer, dataset, looking, menus, state
 
 _ICONS = {check.GOOD: "CHECKMARK", check.NOTE: "INFO", check.WARNING: "ERROR", check.ERROR: "CANCEL"}
-_LINE = 44
-"""Characters of a sentence that fit into a line of a sidebar as wide as it is at first."""
+_LETTER = 7.5
+"""Width of a letter, on average and at Blender's own scale, pixels."""
 
 
 class _Tab:
@@ -27,13 +27,15 @@ def _split(layout: Any) -> None:
     layout.use_property_decorate = False
 
 
-def _sentence(layout: Any, text: str, icon: str = "NONE") -> None:
+def _sentence(context: Any, layout: Any, text: str, icon: str = "NONE") -> None:
     """Draw a sentence over as many lines as it takes: labels do not wrap."""
+    letters = context.region.width / (_LETTER * context.preferences.system.ui_scale)
+    longest = max(16, int(letters) - (8 if icon == "NONE" else 12))
     column = layout.column(align=True)
     column.scale_y = 0.8
     line = ""
     for word in text.split():
-        if line and len(line) + len(word) >= _LINE:
+        if line and len(line) + len(word) >= longest:
             column.label(text=line, icon=icon, translate=False)
             line, icon = "", "BLANK1" if icon != "NONE" else "NONE"
         line = f"{line} {word}".lstrip()
@@ -70,6 +72,7 @@ class NLOS_PT_scene(_Tab, bpy.types.Panel):
         row.operator("nlos.read_scene", text="Read", icon="IMPORT")
         row.operator("nlos.apply", text="Apply", icon="EXPORT")
         row = layout.row(align=True)
+        row.use_property_split = False
         session = context.window_manager.nlos
         row.prop(session, "overlay", toggle=True, icon="OVERLAY")
         row.popover("NLOS_PT_overlay", text="", icon="DOWNARROW_HLT")
@@ -120,6 +123,7 @@ class NLOS_PT_target(_Tab, bpy.types.Panel):
     """What hides."""
 
     bl_label = "Target"
+    bl_options = {"DEFAULT_CLOSED"}  # noqa: RUF012
 
     def draw(self, context: Any) -> None:
         """Draw the target's figures."""
@@ -136,6 +140,7 @@ class NLOS_PT_light(_Tab, bpy.types.Panel):
     """What shines."""
 
     bl_label = "Light"
+    bl_options = {"DEFAULT_CLOSED"}  # noqa: RUF012
 
     def draw(self, context: Any) -> None:
         """Draw the spot's figures."""
@@ -168,6 +173,7 @@ class NLOS_PT_voxels(_Tab, bpy.types.Panel):
     """Where it may hide."""
 
     bl_label = "Hidden Voxels"
+    bl_options = {"DEFAULT_CLOSED"}  # noqa: RUF012
 
     def draw(self, context: Any) -> None:
         """Draw the grid."""
@@ -203,7 +209,7 @@ class NLOS_PT_rendering(_Tab, bpy.types.Panel):
         column.scale_y = 1.4
         column.operator("nlos.render_wall", icon="RENDER_STILL")
         if state.rendering:
-            _sentence(layout, state.rendering)
+            _sentence(context, layout, state.rendering)
 
 
 class NLOS_PT_check(_Tab, bpy.types.Panel):
@@ -217,7 +223,7 @@ class NLOS_PT_check(_Tab, bpy.types.Panel):
         layout.operator("nlos.check", icon="VIEWZOOM")
         for found in state.findings:
             box = layout.box()
-            _sentence(box, found.text, _ICONS[found.level])
+            _sentence(context, box, found.text, _ICONS[found.level])
             if found.object or found.fix:
                 row = box.row(align=True)
                 if found.object:
@@ -247,7 +253,7 @@ class NLOS_PT_look(_Tab, bpy.types.Panel):
         column.prop(settings, "look_resolution")
         column.prop(settings, "look_shadows")
         if session.look and looking.words():
-            _sentence(layout, looking.words())
+            _sentence(context, layout, looking.words())
         layout.label(text="The paper's experiments")
         row = layout.row(align=True)
         for number, words in ((1, "Sphere"), (2, "Sheet"), (3, "Turned")):
@@ -277,7 +283,7 @@ class NLOS_PT_dataset(_Tab, bpy.types.Panel):
             row.operator("nlos.sweep_start", icon="RENDER_ANIMATION")
             row.operator("nlos.sweep_resume", icon="PLAY")
             if job is not None:
-                _sentence(layout, job.status())
+                _sentence(context, layout, job.status())
         layout.operator("nlos.open_folder", icon="FILE_FOLDER")
 
 
@@ -295,7 +301,7 @@ class NLOS_PT_answer(_Tab, bpy.types.Panel):
         column.prop(settings, "model")
         layout.operator("nlos.answer", icon="QUESTION")
         if state.answer_words:
-            _sentence(layout, state.answer_words)
+            _sentence(context, layout, state.answer_words)
         if state.answer:
             column = layout.column(align=True)
             likely = sorted(state.answer.items(), key=lambda item: -item[1])[:_MOST_LIKELY]
@@ -303,7 +309,12 @@ class NLOS_PT_answer(_Tab, bpy.types.Panel):
                 column.progress(factor=probability, text=f"{label}  {probability:.0%}")
             layout.operator("nlos.forget_answer", icon="X")
         if not answer.named():
-            _sentence(layout, "Answers need a Python with scikit-learn: name one in the add-on's preferences", "INFO")
+            _sentence(
+                context,
+                layout,
+                "Answers need a Python with scikit-learn: name one in the add-on's preferences",
+                "INFO",
+            )
 
 
 _MOST_LIKELY = 5

@@ -55,6 +55,6 @@ def redraw(*kinds: str) -> None:
 
 
 def once(function: Callable[[], Any], after: float = 0.0) -> None:
-    """Call a function from the event loop, once, unless it is about to be called already."""
+    """Call a function from the event loop, unless it is about to be called already; also when a file opens before."""
     if not bpy.app.timers.is_registered(function):
-        bpy.app.timers.register(function, first_interval=after)
+        bpy.app.timers.register(function, first_interval=after, persistent=True)

@@ -74,9 +74,8 @@ class Renderer:
             if not target:
                 for part in target_parts:
                     overrides.set(part, "hide_render", True)
-            elif target_parts[0].hide_render:
-                name = target_parts[0].name
-                raise NlosError(f"{bpy.data.filepath}: the target {name!r} is hidden from renders; show it")
+            else:
+                refuse_hidden(scene)
             if not ambient:
                 overrides.set(scene, "world", None)
             # With persistent data Cycles keeps the old samples and seed unless the scene is marked as changed.
@@ -108,10 +107,8 @@ class SurfelRenderer:
         """Render one picture with the target where it stands in the scene; samples and seed change nothing."""
         if not target:
             return self._transport.background().astype(np.float32)
-        hidden = stage.find(self._scene, "target")
-        if hidden.hide_render:
-            raise NlosError(f"{bpy.data.filepath}: the target {hidden.name!r} is hidden from renders; show it")
-        position, turn, _ = hidden.matrix_world.decompose()
+        refuse_hidden(self._scene)
+        position, turn, _ = stage.find(self._scene, "target").matrix_world.decompose()
         return self.at(tuple(position), tuple(math.degrees(angle) for angle in turn.to_euler("XYZ")))
 
     def at(self, position: Sequence[float], rotation: Sequence[float]) -> Picture:
@@ -176,6 +173,13 @@ def opened(
             return
         with _patch_lamp(scene, order, overrides) if engine == "patch" else contextlib.nullcontext():
             yield Renderer(scene, Path(folder))
+
+
+def refuse_hidden(scene: bpy.types.Scene) -> None:
+    """Raise NlosError if the target is hidden from renders."""
+    target = stage.find(scene, "target")
+    if target.hide_render:
+        raise NlosError(f"{bpy.data.filepath or 'scene'}: the target {target.name!r} is hidden from renders; show it")
 
 
 def choose(scene: bpy.types.Scene) -> tuple[str, list[str]]:

@@ -471,6 +471,10 @@ def _sphere(surface: _Surface, origin: Array) -> Sphere | None:
 def _at_rest(scene: bpy.types.Scene, target: bpy.types.Object) -> tuple[_Reading, list[str]]:
     """Read the scene with the target unrotated where it is; find out what else changes when it moves."""
     place = np.array(target.matrix_world.translation, dtype=np.float64)
+    if target.hide_render:  # where it goes cannot be seen
+        reading = _read(scene)
+        reading.places.setdefault("target", np.array(target.matrix_world, dtype=np.float64))
+        return reading, reading.reasons
     corner, turn = np.zeros((0, 3)), (40.0, 25.0, 70.0)
     try:
         stage.move_target(scene, _vector(place), (0.0, 0.0, 0.0))

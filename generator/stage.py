@@ -165,6 +165,7 @@ def build(scene: bpy.types.Scene, wanted: spec.Scene) -> None:
                 surface.capitalize(), axis, extent[axis][end], across, wanted.room.albedo, inward=1 - 2 * end
             )
             quad[SURFACE] = surface
+            quad.display_type = "WIRE"  # in the viewport only, where one wants to look inside
             _add(collection, quad, "room")
     if wanted.partition:
         for screen in _partition(wanted.partition):
@@ -189,8 +190,8 @@ def limit_reflections(scene: bpy.types.Scene, order: int) -> None:
 
     Cycles counts bounces after the camera ray's first hit, which is itself a reflection, so order n is n - 1 bounces.
     """
+    cycles = _cycles(scene)
     scene.render.engine = "CYCLES"
-    cycles = scene.cycles
     for kind in ("max_bounces", "diffuse_bounces", "glossy_bounces", "transmission_bounces"):
         setattr(cycles, kind, order - 1)
     cycles.volume_bounces = 0
@@ -200,7 +201,15 @@ def limit_reflections(scene: bpy.types.Scene, order: int) -> None:
 
 def reflection_order(scene: bpy.types.Scene) -> int:
     """Return the reflection order that the scene's Cycles settings allow."""
-    return int(min(scene.cycles.max_bounces, scene.cycles.diffuse_bounces)) + 1
+    cycles = _cycles(scene)
+    return int(min(cycles.max_bounces, cycles.diffuse_bounces)) + 1
+
+
+def _cycles(scene: bpy.types.Scene) -> Any:
+    """Return Cycles' settings, or say that it is switched off."""
+    if not hasattr(scene, "cycles"):
+        raise NlosError("Cycles is switched off: enable it in Preferences > Add-ons (Cycles Render Engine)")
+    return scene.cycles
 
 
 def write_grid(scene: bpy.types.Scene, grid: spec.VoxelGrid) -> None:

@@ -69,6 +69,7 @@ def plan(scene: bpy.types.Scene, source: Path, path: Path, chosen: Mapping[str, 
     """
     check_free(path)
     described = stage.read(scene)
+    engines.refuse_hidden(scene)
     sweep, reasons = settled(scene, described, chosen)
     idle = Sweep.idle(sweep.engine)
     if chosen.get("engine") != engines.AUTO and any(name in chosen for name in idle):

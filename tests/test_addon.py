@@ -7,6 +7,7 @@ import os
 import subprocess
 import sys
 import textwrap
+import time
 import tomllib
 import zipfile
 from pathlib import Path
@@ -255,6 +256,53 @@ def test_render_by_the_integral_without_numba_as_blender_has_none(package: Path,
         assert 0.0 < np.sqrt(((auto - integral) ** 2).mean()) < 0.011 * level
         """,
         without="numba",
+    )
+
+
+def test_the_data_sets_workers_end_with_blender(package: Path, tmp_path: Path) -> None:
+    """Even where it is killed: they notice that nobody listens any more."""
+    script = """
+        import os, signal, time
+        bpy.ops.nlos.build_scene()
+        settings.samples, settings.resolution, settings.poses, settings.workers = 64, (16, 16), 100, 2
+        settings.dataset = os.path.join(os.getcwd(), "set")
+        assert bpy.ops.nlos.sweep_start() == {"FINISHED"}
+        job = importlib.import_module(f"{MODULE}.dataset").job
+        while job.running and job.done < 2:
+            assert not job._task.done, job._task.error
+            time.sleep(0.1)
+        os.kill(os.getpid(), signal.SIGKILL)
+        """
+    with pytest.raises(AssertionError, match=r"-9"):
+        blender(package, tmp_path, script)
+
+    def workers() -> list[str]:
+        commands = [
+            path.read_bytes().replace(b"\0", b" ").decode()
+            for path in Path("/proc").glob("[0-9]*/cmdline")
+            if path.exists()
+        ]
+        return [c for c in commands if "child.py" in c and str(tmp_path) in c]
+
+    deadline = time.monotonic() + 30.0
+    while workers() and time.monotonic() < deadline:
+        time.sleep(0.1)
+    assert not workers()
+    assert list((tmp_path / "set").rglob("*.exr"))
+
+
+def test_without_cycles_there_is_a_sentence(package: Path, tmp_path: Path) -> None:
+    blender(
+        package,
+        tmp_path,
+        """
+        bpy.ops.nlos.build_scene()
+        addon_utils.disable("cycles")
+        for operator in (bpy.ops.nlos.build_scene, bpy.ops.nlos.read_scene, bpy.ops.nlos.render_wall):
+            assert "Cycles is switched off" in refused(operator)
+        bpy.ops.nlos.check()
+        assert "Cycles is switched off" in importlib.import_module(f"{MODULE}.state").findings[0].text
+        """,
     )
 
 

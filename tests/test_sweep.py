@@ -235,6 +235,20 @@ def test_a_worker_that_dies_is_replaced_and_a_hopeless_pose_is_listed(tmp_path, 
     assert len(started) == sweep.TRIES + (1 if len(started) > sweep.TRIES else 0)
 
 
+def test_a_hidden_target_is_refused_before_anything_is_written(tmp_path, scene_file, command):
+    from generator import stage
+
+    scene = stage.open_file(scene_file)
+    stage.find(scene, "target").hide_render = True
+    spoilt = tmp_path / "hidden.blend"
+    stage.save_file(spoilt)
+    for engine in ("path", "patch", "surfel"):
+        result = command("generator", "sweep", spoilt, "-o", tmp_path / "set", "--engine", engine)
+        assert result.returncode == 2
+        assert "hidden from renders" in result.stderr
+        assert not (tmp_path / "set").exists()
+
+
 def test_a_run_can_be_stopped_and_gone_on_with(tmp_path, scene_file):
     from generator import sweep
 
