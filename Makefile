@@ -1,6 +1,7 @@
 # make demo    sets up .venv and runs the whole chain on real renders, in a few minutes after the set-up
 # make test    sets up .venv and runs the tests
 # make lint    ruff, mypy, and the check of the Blender extension
+# make gui     the extension in real windows of Blender 4.3 and 5.2; needs root and debootstrap
 # make results the full run behind docs/results.md, about an hour on 2 cores
 
 # The bpy wheel pinned in constraints.txt is built for one Python version only.
@@ -9,7 +10,7 @@ BIN := .venv/bin
 READY := .venv/ready
 DEMO := demo
 
-.PHONY: demo test lint setup extension results clean
+.PHONY: demo test lint setup extension gui results clean
 
 setup: $(READY)
 
@@ -41,6 +42,9 @@ lint: $(READY)
 
 extension: $(READY)
 	$(BIN)/python -m blender_addon.build -o dist
+
+gui: $(READY)
+	$(BIN)/python tests/gui/run.py -o dist/gui
 
 results: $(READY)
 	$(BIN)/python benchmarks/paper_table.py --output results --poses 100 --resolution 64 --samples 192 \

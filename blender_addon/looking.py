@@ -22,7 +22,7 @@ from generator.transport.compiled import COMPILED
 
 from . import images, state
 
-ACCURACY = 2e-2
+ACCURACY = 1e-2
 """Of the live picture: below what one sees."""
 
 _REST = 0.4

@@ -3,16 +3,13 @@
 # mypy: disable-error-code="misc"
 
 import json
-from dataclasses import replace
 from typing import Any
 
 import bpy
-import numpy as np
 from bpy.props import EnumProperty, IntProperty, StringProperty
 
-from generator import adopt, check, engines, extract, poses, spec, stage
+from generator import adopt, check, engines, spec, stage
 from generator.dataset import read_picture
-from generator.transport import Mesh, Sphere, Transport
 
 from . import background, images, looking, properties, state
 
@@ -269,40 +266,28 @@ class NLOS_OT_experiment(_Task, bpy.types.Operator):
         """Return the tooltip of one experiment."""
         done = ("A sphere is moved along x, y and z", "A square sheet is moved along x, y and z")
         turned = "The sheet is turned about x, y and z"
-        return f"{(*done, turned)[properties.number - 1]}: a row of difference pictures for each axis, live engine"
+        return f"{(*done, turned)[properties.number - 1]}: a row of difference pictures for each axis"
 
     def work(self, scene: Any) -> tuple[str, str]:
-        """Draw the sheet of pictures; return what to report."""
-        described = stage.read(scene)
-        world, reasons = extract.world(scene, resolution=(_EXPERIMENT_PIXELS, _EXPERIMENT_PIXELS))
-        if world is None:
-            raise spec.NlosError(
-                f"experiments are drawn by the engine 'surfel', which cannot honour that {reasons[0]}"
-            )
-        size = min(described.grid.size) / 2.0
-        body = _sheet(size) if self.number > 1 else Sphere(np.zeros(3), size / 2.0, np.ones(3))
-        transport = Transport(replace(world, target=(body,)), accuracy=looking.ACCURACY)
-        at = stage.find(scene, "target").matrix_world.translation
-        rows = poses.experiment(self.number, tuple(at), step=size / 4.0)
-        rest = transport.difference(*rows[0][len(rows[0]) // 2])
-        sheet = np.concatenate(
-            [np.concatenate([transport.difference(*pose) - rest for pose in row], axis=1) for row in rows]
-        )
-        name = images.EXPERIMENT.format(self.number)
-        image = images.coloured(name, sheet, described.reference_radiance, 0.0)
-        images.show(image)
-        moved = "turned" if self.number == 3 else "moved"
-        top = images.captions[name].top
-        return "INFO", f"{name}: {moved} along x, y, z (rows); the brightest colour is {top:.0e} W/m²/sr"
+        """Start; return what to report."""
+        reference, number = stage.read(scene).reference_radiance, self.number
+        file = background.folder() / "experiment.exr"
+        source = background.snapshot("experiment.blend")
 
+        def then(task: background.Task) -> None:
+            state.experiment = task.error
+            if not task.error:
+                image = images.coloured(images.EXPERIMENT.format(number), read_picture(file)[0], reference, 0.0)
+                images.show(image)
 
-_EXPERIMENT_PIXELS = 64
-
-
-def _sheet(size: float) -> Mesh:
-    h = size / 2.0
-    a, b, c, d = (-h, 0.0, -h), (h, 0.0, -h), (h, 0.0, h), (-h, 0.0, h)
-    return Mesh(np.array([[a, b, c], [a, c, d]]), np.full((2, 3), 0.9))
+        state.experiment = "Drawing the pictures ..."
+        task = background.ask(["generator.worker", "experiment", str(source), str(file), str(number)], then)
+        if bpy.app.background:
+            task.wait()
+            if task.error:
+                raise spec.NlosError(task.error)
+        turned = "turned about" if number == 3 else "moved along"
+        return "INFO", f"{images.EXPERIMENT.format(number)}: {turned} x, y and z, a row each"
 
 
 class NLOS_OT_open_image_editor(bpy.types.Operator):

@@ -12,7 +12,7 @@ from generator import check, stage
 from . import answer, dataset, looking, menus, state
 
 _ICONS = {check.GOOD: "CHECKMARK", check.NOTE: "INFO", check.WARNING: "ERROR", check.ERROR: "CANCEL"}
-_LETTER = 7.5
+_LETTER = 6.3
 """Width of a letter, on average and at Blender's own scale, pixels."""
 
 
@@ -258,6 +258,8 @@ class NLOS_PT_look(_Tab, bpy.types.Panel):
         row = layout.row(align=True)
         for number, words in ((1, "Sphere"), (2, "Sheet"), (3, "Turned")):
             row.operator("nlos.experiment", text=f"{number} {words}").number = number
+        if state.experiment:
+            _sentence(context, layout, state.experiment)
 
 
 class NLOS_PT_dataset(_Tab, bpy.types.Panel):

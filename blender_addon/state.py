@@ -31,6 +31,7 @@ class Shown:
 findings: list[Finding] = []
 checking: bool = False
 rendering: str = ""
+experiment: str = ""
 shown: Shown | None = None
 answer: dict[str, float] = {}
 answer_words: str = ""
@@ -39,10 +40,10 @@ environment_words: str = ""
 
 def forget() -> None:
     """Another file is open: nothing known of the last one is true of it."""
-    global checking, rendering, shown, answer_words
+    global checking, experiment, rendering, shown, answer_words
     findings.clear()
     answer.clear()
-    checking, rendering, shown, answer_words = False, "", None, ""
+    checking, rendering, experiment, shown, answer_words = False, "", "", None, ""
 
 
 def redraw(*kinds: str) -> None:

@@ -255,10 +255,12 @@ def _sight(scene: bpy.types.Scene, described: spec.Scene) -> list[Finding]:
             if label not in direct and any(eyes.open(np.array(a), b) for a, b in zip(froms, inside, strict=True)):
                 unhidden.append(label)
         if direct:
-            text = f"{obj.name!r} {does} straight into {_voxels(direct)}: nothing is around the corner there"
+            which = _voxels(direct, grid.labels)
+            text = f"{obj.name!r} {does} straight into {which}: nothing is around the corner there"
             found.append(Finding(ERROR, text, obj.name))
         if unhidden:
-            text = f"Nothing hides {_voxels(unhidden)} from {obj.name!r}, which only happens to point elsewhere"
+            which = _voxels(unhidden, grid.labels)
+            text = f"Nothing hides {which} from {obj.name!r}, which only happens to point elsewhere"
             found.append(Finding(NOTE, text, obj.name))
     w1 = np.asarray(described.spot.aim)
     camera_spec = described.camera
@@ -286,7 +288,9 @@ def _sight(scene: bpy.types.Scene, described: spec.Scene) -> list[Finding]:
         )
         found.append(Finding(WARNING, text))
     if not any(f.level in (WARNING, ERROR) for f in found):
-        found.append(Finding(GOOD, f"V{_voxels(grid.labels)[1:]}: hidden from lamp and camera, seen by the wall"))
+        found.append(
+            Finding(GOOD, f"V{_voxels(grid.labels, grid.labels)[1:]}: hidden from lamp and camera, seen by the wall")
+        )
     return found
 
 
@@ -304,10 +308,12 @@ def _opposite(starts: Array, corners: Array, points: Array) -> Array:
     return origins
 
 
-def _voxels(labels: Sequence[str]) -> str:
+def _voxels(labels: Sequence[str], every: Sequence[str]) -> str:
     if len(labels) == 1:
         return f"voxel {labels[0]}"
-    shown = ", ".join(labels) if len(labels) < 6 else f"{labels[0]} to {labels[-1]} ({len(labels)} of them)"
+    first = every.index(labels[0])
+    in_a_row = len(labels) > 3 and list(labels) == list(every[first : first + len(labels)])
+    shown = f"{labels[0]} to {labels[-1]}" if in_a_row else ", ".join(labels)
     return f"voxels {shown}"
 
 

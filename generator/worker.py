@@ -21,7 +21,7 @@ from typing import TYPE_CHECKING, Any
 import bpy
 import numpy as np
 
-from generator import check, engines, poses, spec, stage
+from generator import check, engines, experiments, poses, spec, stage
 from generator.clearance import clearance
 from generator.dataset import (
     BACKGROUND_AMBIENT,
@@ -234,11 +234,12 @@ def commands() -> Iterable[list[int]]:
 
 
 def main(argv: list[str]) -> int:
-    """Do one of four things.
+    """Do one of five things.
 
     ``plan SCENE DATASET SETTINGS``; ``render DATASET THREADS``, positions on standard input;
     ``check SCENE SETTINGS``, which answers what it found; ``picture SCENE FOLDER SETTINGS denoise|plain``, which
-    leaves ``wall.exr`` and ``background.exr`` in the folder.
+    leaves ``wall.exr`` and ``background.exr`` in the folder; ``experiment SCENE FILE
+    NUMBER``, which leaves its pictures in the file.
     """
     try:
         if argv[0] == "plan":
@@ -251,6 +252,10 @@ def main(argv: list[str]) -> int:
         elif argv[0] == "picture":
             picture(stage.open_file(Path(argv[1])), Path(argv[2]), json.loads(argv[3]), denoise=argv[4] == "denoise")
             answer(rendered=True)
+        elif argv[0] == "experiment":
+            scene = stage.open_file(Path(argv[1]))
+            write_picture(Path(argv[2]), experiments.draw(scene, int(argv[3])), {})
+            answer(drawn=True)
         else:
             dataset = Dataset.open(Path(argv[1]))
             check_blender(dataset)

@@ -10,7 +10,7 @@ import pytest
 from mathutils import Matrix
 from numpy.testing import assert_allclose
 
-from generator import adopt, check, engines, stage, worker
+from generator import adopt, check, engines, experiments, stage, worker
 from generator.check import ERROR, GOOD, NOTE, WARNING
 from generator.dataset import read_picture
 from generator.spec import NlosError, Sweep, preset
@@ -271,3 +271,23 @@ def test_roles_that_cannot_be(role, name, words):
     assert not told(scene, ERROR)
     with pytest.raises(NlosError, match="no object is selected"):
         adopt.assign(scene, "target", [])
+
+
+def test_experiments_show_what_moves_and_what_does_not():
+    """The sheet turned about its own normal, y, changes nothing worth the name; along y it changes most."""
+    scene = built("tabletop")
+    pictures = {number: experiments.draw(scene, number, pixels=16) for number in (1, 2, 3)}
+    for picture in pictures.values():
+        assert picture.shape == (48, 80, 3)
+        assert not picture[:, 32:48].any(), "at rest"
+
+    def change(number):  # of each row's outermost pictures
+        rows = pictures[number].reshape(3, 16, 80, 3)
+        return np.abs(rows[:, :, [*range(16), *range(64, 80)]]).max(axis=(1, 2, 3))
+
+    for number in (1, 2):
+        assert change(number).argmax() == 1
+    about_x, about_y, about_z = change(3)
+    assert about_y < 0.1 * min(about_x, about_z)
+    with pytest.raises(NlosError, match="there is none"):
+        experiments.draw(scene, 4)

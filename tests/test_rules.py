@@ -11,7 +11,19 @@ from conftest import ROOT
 
 SOURCES = sorted(p for package in ("generator", "classify") for p in (ROOT / package).rglob("*.py"))
 NEEDS_BLENDER = {
-    *("adopt", "batch", "bulkworker", "check", "clearance", "engines", "extract", "outlines", "stage", "worker")
+    *(
+        "adopt",
+        "batch",
+        "bulkworker",
+        "check",
+        "clearance",
+        "engines",
+        "experiments",
+        "extract",
+        "outlines",
+        "stage",
+        "worker",
+    )
 }
 
 
