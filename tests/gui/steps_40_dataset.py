@@ -8,7 +8,7 @@ from pathlib import Path
 import bpy
 from helpers import WORK, call, check, memory, module, press, redraw, screenshot, tab, until
 
-POSES = 150  # more than are rendered while a button is sought by mouse
+POSES = 400  # more than are rendered while a button is sought by mouse
 
 
 def job():
