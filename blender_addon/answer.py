@@ -121,7 +121,7 @@ class NLOS_OT_test_environment(bpy.types.Operator):
             lacks = f"It cannot read trained models: {task.error}"
             state.environment_words = lacks if task.error else works
 
-        background.Task(lambda task: run([interpreter, "-c", _TEST]), then)
+        background.Task(lambda task: run([interpreter, "-c", _TEST]), then).settle()
         return {"FINISHED"}
 
 
@@ -142,7 +142,7 @@ class NLOS_OT_answer(bpy.types.Operator):
             if not model.is_file():
                 raise NlosError(f"{model} is no such file; choose a model, trained by nlos-classify train")
             if state.shown is None:
-                raise NlosError("There is no picture yet: render the wall, with Difference on, or switch the look on")
+                raise NlosError("There is no picture yet: render the wall first")
         except NlosError as error:
             self.report({"ERROR"}, str(error))
             return {"CANCELLED"}
@@ -162,7 +162,7 @@ class NLOS_OT_answer(bpy.types.Operator):
                 state.answer_words = f"Voxel {label}, with a probability of {state.answer[label]:.0%}"
             overlay.changed()
 
-        background.Task(lambda task: run([interpreter, *arguments, "--json"]), then)
+        background.Task(lambda task: run([interpreter, *arguments, "--json"]), then).settle()
         return {"FINISHED"}
 
 

@@ -76,11 +76,13 @@ class Task:
         """Whether the thread has ended."""
         return not self._thread.is_alive()
 
-    def wait(self) -> None:
-        """Finish here and now: where Blender has no window, it has no event loop either."""
-        self._thread.join()
-        _tasks.remove(self)
-        self.then(self)
+    def settle(self) -> Task:
+        """Finish here and now where Blender has no window, for there it has no event loop; return the task."""
+        if bpy.app.background:
+            self._thread.join()
+            _tasks.remove(self)
+            self.then(self)
+        return self
 
     def end(self) -> None:
         """Ask the thread to end, and wait for it a while."""

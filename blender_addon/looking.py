@@ -154,7 +154,6 @@ def _draw() -> float | None:
             _look.seconds = [*_look.seconds[-_TIMES:], took]
         _look.pictures += 1
         _look.words = f"{1e3 * took:.0f} ms" + ("" if exact or not again else ", shadows follow")
-        state.shown = None
         state.redraw("IMAGE_EDITOR", "VIEW_3D")
         return _REST if again else None
     except NlosError as error:

@@ -150,9 +150,7 @@ class NLOS_OT_check(_Task, bpy.types.Operator):
             return "WARNING", worst[0].text
         state.checking = True
         arguments = [str(background.snapshot("check.blend")), json.dumps(properties.sweep_of(scene.nlos))]
-        task = background.ask(["generator.worker", "check", *arguments], _checked)
-        if bpy.app.background:
-            task.wait()
+        background.ask(["generator.worker", "check", *arguments], _checked).settle()
         return "INFO", "Nothing stands in the way of a sweep; signal and noise are being measured"
 
 
@@ -244,13 +242,10 @@ class NLOS_OT_render_wall(_Task, bpy.types.Operator):
                 state.rendering += f", of which the object adds {shown.mean() / wall.mean():.2%}"
 
         state.rendering = "Rendering ..."
-        task = background.ask(["generator.worker", "picture", *arguments], then)
-        if bpy.app.background:
-            task.wait()
-            if task.error:
-                raise spec.NlosError(task.error)
-            return "INFO", state.rendering
-        return "INFO", "The wall is being rendered"
+        task = background.ask(["generator.worker", "picture", *arguments], then).settle()
+        if task.error:
+            raise spec.NlosError(task.error)
+        return "INFO", state.rendering
 
 
 class NLOS_OT_experiment(_Task, bpy.types.Operator):
@@ -281,11 +276,9 @@ class NLOS_OT_experiment(_Task, bpy.types.Operator):
                 images.show(image)
 
         state.experiment = "Drawing the pictures ..."
-        task = background.ask(["generator.worker", "experiment", str(source), str(file), str(number)], then)
-        if bpy.app.background:
-            task.wait()
-            if task.error:
-                raise spec.NlosError(task.error)
+        task = background.ask(["generator.worker", "experiment", str(source), str(file), str(number)], then).settle()
+        if task.error:
+            raise spec.NlosError(task.error)
         turned = "turned about" if number == 3 else "moved along"
         return "INFO", f"{images.EXPERIMENT.format(number)}: {turned} x, y and z, a row each"
 

@@ -10,7 +10,9 @@ import textwrap
 import time
 import tomllib
 import zipfile
+from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 import pytest
 
@@ -302,6 +304,36 @@ def test_without_cycles_there_is_a_sentence(package: Path, tmp_path: Path) -> No
             assert "Cycles is switched off" in refused(operator)
         bpy.ops.nlos.check()
         assert "Cycles is switched off" in importlib.import_module(f"{MODULE}.state").findings[0].text
+        """,
+    )
+
+
+def test_a_trained_model_answers(
+    package: Path, tmp_path: Path, scene_file: Path, command: Callable[..., Any]
+) -> None:
+    features, model, pictures = tmp_path / "tiny.h5", tmp_path / "tiny.skops", tmp_path / "pictures"
+    some = ("--poses", "4", "--samples", "1", "--resolution", "8")
+    assert command("generator", "sweep", scene_file, "-o", pictures, *some).returncode == 0
+    assert command("classify", "features", pictures, "-o", features).returncode == 0
+    assert command("classify", "train", features, "-o", model, "--classifier", "NB").returncode == 0
+    blender(
+        package,
+        tmp_path,
+        f"""
+        state = importlib.import_module(f"{{MODULE}}.state")
+        bpy.context.preferences.addons[MODULE].preferences.python = sys.executable
+        assert bpy.ops.nlos.test_environment() == {{"FINISHED"}}
+        assert "It works: Python 3." in state.environment_words, state.environment_words
+        assert "no picture yet" in refused(bpy.ops.nlos.answer) or not settings.model
+        bpy.ops.nlos.build_scene()
+        settings.samples, settings.resolution, settings.model = 4, (8, 8), {str(model)!r}
+        bpy.ops.nlos.render_wall()
+        assert bpy.ops.nlos.answer() == {{"FINISHED"}}
+        assert set(state.answer) == set("ABCDEFGHI"), state.answer_words
+        assert abs(sum(state.answer.values()) - 1.0) < 1e-6 and "with a probability of" in state.answer_words
+        settings.model = {str(features)!r}
+        bpy.ops.nlos.answer()
+        assert not state.answer and "tiny.h5" in state.answer_words, state.answer_words
         """,
     )
 
