@@ -24,8 +24,8 @@ class NLOS_OT_preset_add(AddPresetBase, bpy.types.Operator):
     bl_idname = "nlos.preset_add"
     bl_label = "Add NLOS Preset"
     preset_menu = "NLOS_PT_presets"
-    preset_defines = ("settings = bpy.context.scene.nlos",)
-    preset_values = tuple(f"settings.{name}" for name in _KEPT)
+    # In full: where Blender's Python is 3.13, a definition made for them is not found by older Blenders.
+    preset_values = tuple(f"bpy.context.scene.nlos.{name}" for name in _KEPT)
     preset_subdir = PRESETS
 
 
