@@ -18,6 +18,8 @@ GOOD, NOTE, WARNING, ERROR = "good", "note", "warning", "error"
 
 _LATTICE = np.array([0.1, 0.5, 0.9])
 """Where voxels are looked at, in their edges."""
+_MANY = 64
+"""Of more voxels the middle has to do: a window waits for it."""
 _PIXELS = (np.arange(5) + 0.5) / 5.0
 """Where the watched patch is, in its edges."""
 _RINGS = (0.0, 0.25, 0.5, 0.75, 1.0)
@@ -233,7 +235,8 @@ class _Eyes:
 def _sight(scene: bpy.types.Scene, described: spec.Scene) -> list[Finding]:
     """Lines of sight that must not be, and those that must."""
     eyes, grid = _Eyes(scene), described.grid
-    u, v, w = np.meshgrid(_LATTICE, _LATTICE, _LATTICE, indexing="ij")
+    along = _LATTICE if grid.n_voxels <= _MANY else _LATTICE[1:2]
+    u, v, w = np.meshgrid(along, along, along, indexing="ij")
     lattice = np.stack([u.ravel(), v.ravel(), w.ravel()], axis=1)
     bounds = [grid.bounds(voxel) for voxel in range(grid.n_voxels)]
     points = [lo + lattice * (hi - lo) for lo, hi in bounds]

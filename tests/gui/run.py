@@ -303,7 +303,7 @@ def main() -> int:
     )
     parser.add_argument("--blender", nargs="+", choices=SUITES, default=list(SUITES), help="default: all of them")
     parser.add_argument("--mirror", metavar="ADDRESS", help="Debian mirror; default: that of this machine's apt")
-    parser.add_argument("--limit", type=float, default=900.0, metavar="S", help="seconds for each Blender")
+    parser.add_argument("--limit", type=float, default=1800.0, metavar="S", help="seconds for each Blender")
     parser.add_argument("-o", "--output", type=Path, default=Path("dist/gui"), help="folder for logs and pictures")
     arguments = parser.parse_args()
     # Or what is mounted would stay so.
