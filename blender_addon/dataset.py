@@ -101,7 +101,9 @@ job: Job | None = None
 
 def _status_bar(text: str | None) -> None:
     for window in bpy.context.window_manager.windows:
-        window.workspace.status_text_set(text)
+        # A timer has no window for a moment after a file was opened, and without one Blender 5.2 crashes here.
+        with bpy.context.temp_override(window=window):
+            window.workspace.status_text_set(text)
 
 
 def _clock(seconds: float) -> str:

@@ -126,9 +126,11 @@ def _noted(scene: Any, depsgraph: Any) -> None:
 def _draw() -> float | None:
     """Draw what has changed; return in how many seconds to come again."""
     manager = bpy.context.window_manager
+    scene = bpy.context.scene
+    if manager is None or scene is None:  # for a moment, while a file opens
+        return _REST
     if not manager.nlos.look:
         return None
-    scene = bpy.context.scene
     start = time.perf_counter()
     rest = time.monotonic() - _look.last_change
     _look.busy = True  # reading the scene moves the target and puts it back
