@@ -69,7 +69,7 @@ class Job:
             return "Planning the poses"
         if not self.done:
             return f"Rendering the background, then {self.total} pictures"
-        left = "" if self.left is None else f", {_clock(self.left)} left"
+        left = "" if self.left is None else f", {sweep.clock(self.left)} left"
         return f"{self.done} of {self.total} pictures{left}"
 
     def _told(self, done: int, total: int) -> None:  # in the crew's threads
@@ -104,12 +104,6 @@ def _status_bar(text: str | None) -> None:
         # A timer has no window for a moment after a file was opened, and without one Blender 5.2 crashes here.
         with bpy.context.temp_override(window=window):
             window.workspace.status_text_set(text)
-
-
-def _clock(seconds: float) -> str:
-    minutes, seconds = divmod(round(seconds), 60)
-    hours, minutes = divmod(minutes, 60)
-    return f"{hours}:{minutes:02d}:{seconds:02d}" if hours else f"{minutes}:{seconds:02d}"
 
 
 def folder(scene: Any) -> Path:

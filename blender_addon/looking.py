@@ -155,7 +155,7 @@ def _draw() -> float | None:
         if again or exact == _look.shadows:  # those at rest keep nobody waiting
             _look.seconds = [*_look.seconds[-_TIMES:], took]
         _look.pictures += 1
-        _look.words = f"{1e3 * took:.0f} ms" + ("" if exact or not again else ", shadows follow")
+        _look.words = f"{1e3 * took:.0f} ms" + (", shadows follow" if again else "")
         state.redraw("IMAGE_EDITOR", "VIEW_3D")
         return _REST if again else None
     except NlosError as error:

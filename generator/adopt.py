@@ -135,8 +135,7 @@ def _rounded(values: Array) -> spec.Vector:
 
 def _plane(wall: bpy.types.Object) -> tuple[Array, Array]:
     """Unit normal and centre of a wall in the world."""
-    matrix = np.array(wall.matrix_world)
-    points = stage.evaluated_vertices(wall) @ matrix[:3, :3].T + matrix[:3, 3]
+    points = stage.placed_vertices(wall)
     if len(points) < 3:
         raise NlosError(f"the relay wall {wall.name!r} has no surface")
     centre = (points.min(axis=0) + points.max(axis=0)) / 2.0

@@ -148,9 +148,7 @@ def _frame(scene: bpy.types.Scene) -> list[Finding]:
         unit = scene.unit_settings.scale_length
         text = f"A Blender unit is {unit:g} m here; light, voxels and poses count in metres"
         found.append(Finding(ERROR, text, fix="metres"))
-    matrix = np.array(wall.matrix_world)
-    points = stage.evaluated_vertices(wall) @ matrix[:3, :3].T + matrix[:3, 3]
-    if len(points) and np.abs(points[:, 1]).max() > 1e-5 * np.ptp(points, axis=0).max():
+    if not stage.in_frame(wall):
         text = f"The relay wall {wall.name!r} is not in the plane y = 0, which the lab's frame starts from"
         found.append(Finding(ERROR, text, wall.name, "align"))
     return found
@@ -437,8 +435,3 @@ def _clock(seconds: float) -> str:
 
 def _size(count: float) -> str:
     return f"{count / 1e6:.3g} MB" if count < 1e9 else f"{count / 1e9:.3g} GB"
-
-
-def measured(scene: bpy.types.Scene, sweep: Sweep) -> list[Finding]:
-    """Return what `probe` finds, in sentences."""
-    return probe(scene, sweep).findings()

@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING, Any
 from generator import spec
 from generator.dataset import Dataset
 from generator.spec import NlosError, Sweep
+from generator.sweep import clock
 
 if TYPE_CHECKING:
     from generator.bulk import Bulk
@@ -272,14 +273,8 @@ class LineProgress:
         if total == 0 or (now - self._last < self._every and done < total):
             return
         self._last = now
-        left = f", about {_clock((now - self._start) / done * (total - done))} left" if done else ""
+        left = f", about {clock((now - self._start) / done * (total - done))} left" if done else ""
         print(f"{done} of {total} {self._what}{left}", flush=True)
-
-
-def _clock(seconds: float) -> str:
-    minutes, seconds = divmod(round(seconds), 60)
-    hours, minutes = divmod(minutes, 60)
-    return f"{hours}:{minutes:02d}:{seconds:02d}" if hours else f"{minutes}:{seconds:02d}"
 
 
 @contextlib.contextmanager

@@ -255,8 +255,7 @@ def read(scene: bpy.types.Scene) -> spec.Scene:
     """
     wall, lamp, camera, target = (find(scene, role) for role in SINGLE_ROLES)
     low, high = _box([wall])
-    size = float(max(high - low))
-    if max(abs(low[1]), abs(high[1])) > 1e-5 * size:
+    if not in_frame(wall):
         raise NlosError(f"{_file()}: the relay wall {wall.name!r} must lie in the plane y = 0")
     room, screens = players(scene, "room"), players(scene, "partition")
     return spec.Scene(
@@ -333,6 +332,19 @@ def hull(scene: bpy.types.Scene) -> Array:
 def evaluated_vertices(obj: bpy.types.Object) -> Array:
     """Return an object's vertices after modifiers, in its own frame, (n, 3); empty if it has no surface."""
     return _vertices(obj.evaluated_get(bpy.context.evaluated_depsgraph_get()))
+
+
+def placed_vertices(obj: bpy.types.Object) -> Array:
+    """Return an object's vertices after modifiers, in the world, (n, 3), metres; empty if it has no surface."""
+    matrix = np.asarray(obj.matrix_world)
+    placed: Array = evaluated_vertices(obj) @ matrix[:3, :3].T + matrix[:3, 3]
+    return placed
+
+
+def in_frame(wall: bpy.types.Object) -> bool:
+    """Whether a relay wall, as far as it has a surface, lies in the plane y = 0."""
+    points = placed_vertices(wall)
+    return not len(points) or bool(np.abs(points[:, 1]).max() <= 1e-5 * np.ptp(points, axis=0).max())
 
 
 def _vertices(evaluated: bpy.types.Object) -> Array:
@@ -656,11 +668,7 @@ def _world(scene: bpy.types.Scene, radiance: float) -> None:
 
 def _box(objects: list[bpy.types.Object]) -> tuple[Array, Array]:
     """Bounding box of objects after modifiers, in the world, two arrays of shape (3,)."""
-    points = []
-    for obj in objects:
-        matrix = np.asarray(obj.matrix_world)
-        points.append(evaluated_vertices(obj) @ matrix[:3, :3].T + matrix[:3, 3])
-    every = np.concatenate(points)
+    every = np.concatenate([placed_vertices(obj) for obj in objects])
     if not len(every):
         raise NlosError(f"{_file()}: {objects[0].name!r} has no surface")
     return every.min(axis=0), every.max(axis=0)

@@ -136,6 +136,13 @@ def run(
     return outcome
 
 
+def clock(seconds: float) -> str:
+    """Return a time that is left, as people read it: 1:05 or 2:00:07."""
+    minutes, seconds = divmod(round(seconds), 60)
+    hours, minutes = divmod(minutes, 60)
+    return f"{hours}:{minutes:02d}:{seconds:02d}" if hours else f"{minutes}:{seconds:02d}"
+
+
 def compiling_words(engine: str | None) -> str:
     """Return what to say before an engine's first run, which compiles it; nothing if there is nothing to wait for."""
     folder = Path(__file__).resolve().parent / "transport"

@@ -204,11 +204,11 @@ def _background(renderer: engines.Renderer | engines.SurfelRenderer, dataset: Da
 def check_scene(scene: bpy.types.Scene, chosen: Mapping[str, Any]) -> list[check.Finding]:
     """Return what is to be said of a scene before a sweep with the settings that the user chose."""
     found = check.findings(scene, engine=chosen.get("engine", Sweep().engine))
-    for look in (check.places, check.measured):
-        if check.hopeless(found):
-            break
-        found += look(scene, settled(scene, stage.read(scene), chosen)[0])
-    return found
+    if check.hopeless(found):
+        return found
+    sweep, _ = settled(scene, stage.read(scene), chosen)
+    found += check.places(scene, sweep)
+    return found if check.hopeless(found) else [*found, *check.probe(scene, sweep).findings()]
 
 
 def picture(scene: bpy.types.Scene, folder: Path, chosen: Mapping[str, Any], *, denoise: bool) -> None:

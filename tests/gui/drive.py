@@ -65,7 +65,7 @@ def run() -> Iterator[float | None]:
     os._exit(int(failed > 0))
 
 
-def tick(running: Iterator[float | None] = run()) -> float:  # noqa: B008
+def tick(running: Iterator[float | None] = run()) -> float:  # noqa: B008 (the one run, on purpose)
     """Go on; return for how many seconds to rest."""
     try:
         return next(running) or 0.05
