@@ -359,6 +359,12 @@ class Dataset:
         """Return the picture without the hidden object, (height, width, 3), ambient light included where it is on."""
         return read_picture(self.path / self.background_names[-1])[0]
 
+    def ambient_background(self) -> Picture | None:
+        """Return what ambient light alone adds to the background, (height, width, 3); None where it is off."""
+        names = self.background_names
+        pictures = [read_picture(self.path / name)[0] for name in names]
+        return pictures[1] - pictures[0] if len(pictures) > 1 else None
+
     def picture(self, record: PoseRecord) -> Picture:
         """Return a pose's picture, (height, width, 3), W/m^2/sr.
 
