@@ -4,8 +4,11 @@
 
 from __future__ import annotations
 
+import contextlib
 import json
 import subprocess
+import threading
+import time
 from pathlib import Path
 from typing import Any
 
@@ -72,8 +75,8 @@ def python() -> str:
     return path
 
 
-def run(arguments: list[str]) -> str:
-    """Run that Python, away from Blender's own modules, and return what it prints.
+def run(arguments: list[str], stop: threading.Event) -> str:
+    """Run that Python, away from Blender's own modules, and return what it prints; end it when asked to stop.
 
     Raises
     ------
@@ -82,22 +85,38 @@ def run(arguments: list[str]) -> str:
     """
     try:
         # -E: Blender's PYTHONPATH and PYTHONHOME are not for it. -P would keep the current folder out, but is young.
-        done = subprocess.run(
+        process = subprocess.Popen(
             [arguments[0], "-E", *arguments[1:]],
-            capture_output=True,
-            text=True,
-            timeout=_PATIENCE,
-            check=False,
+            stdin=subprocess.DEVNULL,
+            stdout=subprocess.PIPE,
+            stderr=subprocess.PIPE,
+            encoding="utf-8",
+            errors="replace",
             cwd=str(Path(arguments[0]).parent),
         )
     except OSError as error:
         raise NlosError(f"{arguments[0]} cannot be run ({error.strerror or error})") from None
-    except subprocess.TimeoutExpired:
-        raise NlosError(f"{arguments[0]} did not answer within {_PATIENCE:.0f} seconds") from None
-    if done.returncode:
-        lines = [line for line in done.stderr.splitlines() if line.strip()]
-        raise NlosError(lines[-1].removeprefix("error: ") if lines else f"exit code {done.returncode}")
-    return done.stdout
+    late = time.monotonic() + _PATIENCE
+    while not stop.is_set() and time.monotonic() < late:
+        with contextlib.suppress(subprocess.TimeoutExpired):
+            said, complaints = process.communicate(timeout=0.2)
+            break
+    else:
+        process.kill()
+        process.communicate()
+        raise NlosError(f"{arguments[0]} did not answer within {_PATIENCE:.0f} seconds")
+    if process.returncode:
+        lines = [line for line in complaints.splitlines() if line.strip()]
+        raise NlosError(lines[-1].removeprefix("error: ") if lines else f"exit code {process.returncode}")
+    return said
+
+
+def _probabilities(said: str) -> dict[str, float]:
+    """Voxels and their probabilities, of what the command line printed."""
+    try:
+        return {str(label): float(p) for label, p in json.loads(said)["probability"].items()}
+    except (ValueError, KeyError, TypeError, AttributeError):
+        raise NlosError(f"the Python in the preferences printed no answer but {said.strip()[:80]!r}") from None
 
 
 class NLOS_OT_test_environment(bpy.types.Operator):
@@ -121,7 +140,8 @@ class NLOS_OT_test_environment(bpy.types.Operator):
             lacks = f"It cannot read trained models: {task.error}"
             state.environment_words = lacks if task.error else works
 
-        background.Task(lambda task: run([interpreter, "-c", _TEST]), then).settle()
+        asked = [interpreter, "-c", _TEST]
+        background.Task(lambda task: run(asked, task.stop), then, topic="environment").settle()
         return {"FINISHED"}
 
 
@@ -157,12 +177,13 @@ class NLOS_OT_answer(bpy.types.Operator):
             if task.error:
                 state.answer_words = task.error
             else:
-                state.answer.update(json.loads(task.result)["probability"])
+                state.answer.update(task.result)
                 label = max(state.answer, key=lambda v: state.answer[v])
                 state.answer_words = f"Voxel {label}, with a probability of {state.answer[label]:.0%}"
             overlay.changed()
 
-        background.Task(lambda task: run([interpreter, *arguments, "--json"]), then).settle()
+        asked = [interpreter, *arguments, "--json"]
+        background.Task(lambda task: _probabilities(run(asked, task.stop)), then, topic="answer").settle()
         return {"FINISHED"}
 
 

@@ -34,6 +34,9 @@ class Task:
         Is called in Blender's thread when that is done, with this task; may.
     tick : callable, optional
         Is called in Blender's thread every now and then meanwhile.
+    topic : str
+        What it is about: a newer task about the same ends this one, and so does another file that is opened. Empty if
+        nothing does.
 
     Attributes
     ----------
@@ -50,7 +53,12 @@ class Task:
         work: Callable[[Task], Any],
         then: Callable[[Task], None],
         tick: Callable[[Task], None] = lambda task: None,
+        *,
+        topic: str = "",
     ) -> None:
+        if topic:
+            drop(topic)
+        self.topic = topic
         self.result: Any = None
         self.error = ""
         self.stop = threading.Event()
@@ -93,6 +101,13 @@ class Task:
 _tasks: list[Task] = []
 
 
+def drop(topic: str | None = None) -> None:
+    """End the task about a topic, or about any, whatever it would have found: the question is no longer asked."""
+    for task in [t for t in _tasks if t.topic and topic in (None, t.topic)]:
+        task.stop.set()
+        _tasks.remove(task)
+
+
 def _poll() -> float | None:
     for task in list(_tasks):
         task.tick(task)
@@ -121,7 +136,10 @@ def launcher() -> sweep.Launch:
 
 
 def ask(arguments: Sequence[str], then: Callable[[Task], None]) -> Task:
-    """Run a worker that answers once; ``then`` finds the answer's fields as the task's result."""
+    """Run a worker that answers once; ``then`` finds the answer's fields as the task's result.
+
+    Its topic is what the worker is asked for.
+    """
     launch = launcher()
 
     def work(task: Task) -> dict[str, Any]:
@@ -133,7 +151,7 @@ def ask(arguments: Sequence[str], then: Callable[[Task], None]) -> Task:
                 raise NlosError(f"Blender, without a window, ended early: {worker.last_words()}")
             return answer
 
-    return Task(work, then)
+    return Task(work, then, topic=arguments[1])
 
 
 _folder: tempfile.TemporaryDirectory[str] | None = None

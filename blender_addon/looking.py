@@ -131,6 +131,8 @@ def _draw() -> float | None:
         return _REST
     if not manager.nlos.look:
         return None
+    if bpy.app.is_job_running("RENDER"):  # reading the scene moves the target, which the render would see
+        return _REST
     start = time.perf_counter()
     rest = time.monotonic() - _look.last_change
     _look.busy = True  # reading the scene moves the target and puts it back
