@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+import contextlib
 import json
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -156,6 +157,43 @@ def write(path: Path, features: Features) -> None:
         file["background"].attrs["units"] = "W/m^2/sr"
 
 
+@contextlib.contextmanager
+def opened(path: Path, what: str, newest: int) -> Iterator[Any]:
+    """Open an HDF5 file of ours to read; whatever is wrong with it is one sentence.
+
+    Parameters
+    ----------
+    path : Path
+    what : str
+        It should hold, for messages.
+    newest : int
+        Format that is known.
+
+    Raises
+    ------
+    NlosError
+        The file is missing, of a newer format, refers to other files, or holds something else.
+    """
+    if not path.is_file():
+        raise NlosError(f"{path}: no such {what} file")
+    try:
+        with h5py.File(path, "r") as file:
+            version = int(file.attrs["format"])
+            if version > newest:
+                raise NlosError(f"has {what} format {version}; this software reads up to {newest}, so update it")
+            for name in file:
+                if not isinstance(file.get(name, getlink=True), h5py.HardLink):
+                    raise NlosError(f"{name} is a link to somewhere else, which is not followed")
+                if file[name].external or file[name].is_virtual:  # HDF5 would read any file that is named there
+                    raise NlosError(f"{name} lies in another file, which is not followed")
+            yield file
+    except NlosError as error:
+        raise NlosError(f"{path}: {error}") from None
+    except (OSError, KeyError, ValueError, TypeError, AttributeError) as error:
+        article = "an" if what[0] in "aeiou" else "a"
+        raise NlosError(f"{path}: is not {article} {what} file of this software ({error})") from None
+
+
 def read(path: Path) -> Features:
     """Read features.
 
@@ -164,39 +202,22 @@ def read(path: Path) -> Features:
     NlosError
         The file is missing, of a newer format, or does not hold features.
     """
-    if not path.is_file():
-        raise NlosError(f"{path}: no such features file")
-    try:
-        with h5py.File(path, "r") as file:
-            version = int(file.attrs["format"])
-            if version > FORMAT:
-                raise NlosError(
-                    f"{path}: has features format {version}; this software reads up to {FORMAT}, so update it"
-                )
-            for name in file:
-                if not isinstance(file.get(name, getlink=True), h5py.HardLink):
-                    raise NlosError(f"{path}: {name} is a link to somewhere else, which is not followed")
-                if file[name].external or file[name].is_virtual:  # HDF5 would read any file that is named there
-                    raise NlosError(f"{path}: {name} lies in another file, which is not followed")
-            features = Features(
-                values=np.asarray(file["features"], dtype=np.float64),
-                names=[str(n) for n in file["feature_names"].asstr()],
-                labels=np.array(file["label"].asstr()[:], dtype=np.str_),
-                voxels=np.asarray(file["voxel"]),
-                positions=np.asarray(file["position"]),
-                rotations=np.asarray(file["rotation"]),
-                files=[str(n) for n in file["file"].asstr()],
-                background=np.asarray(file["background"], dtype=np.float32),
-                reference_radiance=float(file.attrs["reference_radiance"]),
-                settings=FeatureSettings.from_json(str(file.attrs["settings"])),
-                grid=from_dict(VoxelGrid, json.loads(str(file.attrs["grid"])), "grid."),
-                target=str(file.attrs["target"]),
-                provenance=json.loads(str(file.attrs["provenance"])),
-            )
-    except NlosError as error:
-        raise NlosError(f"{path}: {str(error).removeprefix(f'{path}: ')}") from None
-    except (OSError, KeyError, ValueError, TypeError, AttributeError) as error:
-        raise NlosError(f"{path}: is not a features file of this software ({error})") from None
+    with opened(path, "features", FORMAT) as file:
+        features = Features(
+            values=np.asarray(file["features"], dtype=np.float64),
+            names=[str(n) for n in file["feature_names"].asstr()],
+            labels=np.array(file["label"].asstr()[:], dtype=np.str_),
+            voxels=np.asarray(file["voxel"]),
+            positions=np.asarray(file["position"]),
+            rotations=np.asarray(file["rotation"]),
+            files=[str(n) for n in file["file"].asstr()],
+            background=np.asarray(file["background"], dtype=np.float32),
+            reference_radiance=float(file.attrs["reference_radiance"]),
+            settings=FeatureSettings.from_json(str(file.attrs["settings"])),
+            grid=from_dict(VoxelGrid, json.loads(str(file.attrs["grid"])), "grid."),
+            target=str(file.attrs["target"]),
+            provenance=json.loads(str(file.attrs["provenance"])),
+        )
     columns = (features.labels, features.voxels, features.positions, features.rotations, features.files)
     if features.values.ndim != 2 or any(len(column) != len(features.values) for column in columns):
         raise NlosError(f"{path}: its features, labels and poses differ in length")

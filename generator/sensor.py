@@ -153,10 +153,40 @@ class Sensor:
         The photons', the readout's and the rounding's (EMVA 1288, the linear model's temporal noise, divided by the
         squared gain). Without the fixed pattern, which picture and background share.
         """
-        rounding = (self._step**2) / 12.0
+        rounding = self._step**2 / 12.0
         electrons = self.electrons(picture) + self.read_noise**2 + rounding
         variance: Array = electrons / (frames or self.frames) / self.exposure**2
         return variance
+
+    def stabilised(self, picture: Picture | Array) -> Array:
+        """Return measured light on a scale where its noise has variance 1 however bright it is, (height, width).
+
+        The generalised Anscombe transform 2 sqrt(n + 3/8 + s^2) of n electrons with read noise s, in all frames
+        together (Anscombe 1948, equation 2.1; Murtagh, Starck and Bijaoui 1995, equation 4).
+        """
+        held = self._held(picture)  # what is measured of darkness can be below zero
+        made: Array = 2.0 * np.sqrt(np.maximum(held + 0.375 + self._dark, 0.0))
+        return made
+
+    def stabilised_mean(self, picture: Picture | Array) -> Array:
+        """Return the mean of `stabilised` over measurements of light that is known, (height, width).
+
+        The root bends, so that is less than the root of the mean: by half its curvature times the variance.
+        """
+        held = np.maximum(self._held(picture), 0.0)
+        inside = held + 0.375 + self._dark
+        mean: Array = 2.0 * np.sqrt(inside) - (held + self._dark) / (4.0 * inside**1.5)
+        return mean
+
+    def _held(self, picture: Picture | Array) -> Array:
+        """Electrons in all frames; of what overflows, nobody knows how much it was."""
+        held: Array = float(self.frames) * np.minimum(self.exposure * _grey(picture), self.full_well)
+        return held
+
+    @property
+    def _dark(self) -> float:
+        """Variance of what all frames add to the photons' own, squared electrons."""
+        return self.frames * (self.read_noise**2 + self._step**2 / 12.0)
 
     @property
     def _white(self) -> float:

@@ -4,9 +4,10 @@ from __future__ import annotations
 
 import numpy as np
 
-from generator import poses, spec
+from generator import bulk, poses, spec
 from generator.dataset import BACKGROUND, Dataset
 from generator.spec import Sweep, preset
+from generator.transport import Sphere, Transport
 
 SIZE = 12
 
@@ -49,3 +50,26 @@ def make_dataset(path, *, target="sheet", n=12, seed=0, noise=2e-7, grid=None, s
         dataset.write_pose(record, pixels, seconds=0.1, samples=1)
     dataset.gather()
     return dataset
+
+
+def make_bulk(path, *, pictures=3000, seed=0, radius=0.15, room=(), rotation=(0.0, 0.0, 0.0), resolution=(16, 16)):
+    """Write a bulk set of a sphere before a bare wall (or a sheet, with radius 0), made by the engine itself."""
+    import worlds
+
+    target = Sphere(np.zeros(3), radius, np.ones(3)) if radius else worlds.sheet(0.3)
+    world = worlds.world(target, room=room, view=worlds.watched(resolution=resolution))
+    grid = spec.VoxelGrid(lo=(0.3, 0.5, -0.4), hi=(1.5, 1.7, 0.6), shape=(2, 2, 1))
+    plan = bulk.Settings(pictures=pictures, resolution=resolution, seed=seed, accuracy=1e-3, rotation=rotation)
+    scene = {**spec.to_dict(preset("room", "sphere" if radius else "sheet")), "grid": spec.to_dict(grid)}
+    transport = Transport(world, accuracy=1e-3)
+    meta = {"scene": scene, "reference_radiance": 1.0, "software": {"blender": "none"}}
+    path.mkdir()
+    background = transport.background().astype(np.float32)
+    found = bulk.Bulk.create(path, plan, meta, world, background, "0" * 64)
+    reach = radius or 0.3 / np.sqrt(2.0)
+    hull = np.concatenate([reach * np.eye(3), -reach * np.eye(3)])
+    draw = poses.Sampler(grid, plan.sweep, hull).draw
+    for number in found.missing():
+        found.write_part(number, draw, transport)
+    found.finish()
+    return bulk.Bulk.open(path)

@@ -114,3 +114,20 @@ def test_no_light_gives_no_exposure():
         Sensor().exposed([flat(0.0)])
     with pytest.raises(NlosError, match="is not chosen yet"):
         Sensor().measure(flat(1.0), np.random.default_rng(0))
+
+
+@pytest.mark.parametrize("electrons", [0.0, 2.0, 30.0, 3000.0])
+def test_stabilised_light_has_unit_noise_about_a_known_mean(electrons):
+    """From darkness to a full well: variance 1, and the mean that is foretold."""
+    sensor = Sensor(exposure=1.0, frames=2)
+    rng = np.random.default_rng(8)
+    seen = np.array([sensor.stabilised(sensor.measure(flat(electrons), rng)) for _ in range(10)])
+    expected = sensor.stabilised_mean(flat(electrons)).mean()
+    assert seen.mean() == pytest.approx(expected, abs=0.012 + 3.29 / np.sqrt(seen.size))
+    assert seen.var() == pytest.approx(1.0, abs=0.08)
+
+
+def test_what_overflows_is_taken_for_full():
+    """Light beyond the full well is no evidence of anything but a full well."""
+    sensor = Sensor(exposure=10_500.0)
+    assert np.array_equal(sensor.stabilised_mean(flat(3.0)), sensor.stabilised_mean(flat(1.0)))

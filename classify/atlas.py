@@ -1,0 +1,247 @@
+"""The pictures that the engine expects of a known object, compressed to what a sensor can tell apart of them.
+
+Three diffuse reflections leave so little detail that a dozen numbers hold all that a camera lets through of it. A
+picture is put on a scale where its noise is 1 in every pixel, the empty scene is subtracted, and the rest projected
+on the few directions in which simulated pictures differ: its code, whose noise is 1 in every direction too. Codes a
+distance d apart are told apart as well as normal variables d apart, so comparing a code with those of many simulated
+poses answers every question: is something there, in which voxel, where.
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable
+from dataclasses import asdict, dataclass
+from functools import cached_property
+from pathlib import Path
+from typing import Any
+
+import h5py
+import numpy as np
+from numpy.typing import NDArray
+
+from classify.store import opened
+from generator.bulk import Bulk
+from generator.dataset import Picture, atomic
+from generator.sensor import Sensor
+from generator.spec import Array, NlosError, VoxelGrid, from_dict, to_dict
+
+FORMAT = 1
+
+_LEFT_OUT = 0.05
+_FOR_BASIS = 4096
+_BLOCK = 2048
+
+
+@dataclass(frozen=True)
+class Atlas:
+    """Codes of simulated pictures.
+
+    Attributes
+    ----------
+    codes : ndarray of shape (n, k), float32
+        Of unit noise.
+    basis : ndarray of shape (k, height * width), float32
+        What turns a stabilised difference picture into a code.
+    empty : ndarray of shape (height, width), float64
+        The empty scene, stabilised (`Sensor.stabilised_mean`).
+    positions, rotations : ndarray of shape (n, 3)
+        Metres and degrees.
+    voxels : ndarray of shape (n,), int
+    grid : VoxelGrid
+    sensor : Sensor
+        With its exposure.
+    left_out : float
+        Root mean square, over the pictures, of what the basis cannot hold, in units of the noise in one direction.
+    about : dict
+        Target, and the set that the pictures are of.
+    """
+
+    codes: NDArray[np.float32]
+    basis: NDArray[np.float32]
+    empty: Array
+    positions: Array
+    rotations: Array
+    voxels: NDArray[np.int64]
+    grid: VoxelGrid
+    sensor: Sensor
+    left_out: float
+    about: dict[str, Any]
+
+    @cached_property
+    def half_squares(self) -> NDArray[np.float32]:
+        """Half of each code's square, (n,)."""
+        half: NDArray[np.float32] = 0.5 * np.einsum("ij,ij->i", self.codes, self.codes)
+        return half
+
+    def code(
+        self, picture: Picture, background: Picture | None = None, *, name: str = "picture"
+    ) -> NDArray[np.float32]:
+        """Return the code of a measured picture, (k,).
+
+        Parameters
+        ----------
+        picture : ndarray of shape (height, width, 3)
+            Measured radiance, W/m^2/sr.
+        background : ndarray of shape (height, width, 3), optional
+            Measured by the sensor's ``background_frames``; without it, the simulated one.
+        name : str
+            For messages.
+
+        Raises
+        ------
+        NlosError
+            The picture has another size than the atlas, or holds NaN or infinite pixels.
+        """
+        empty = self.empty
+        if background is not None:
+            self._check(background, f"{name}: its background")
+            empty = self.sensor.stabilised_mean(background)  # of so many frames that it is as good as known
+        self._check(picture, name)
+        seen = self.sensor.stabilised(picture) - empty
+        code: NDArray[np.float32] = self.basis @ seen.ravel().astype(np.float32)
+        return code
+
+    def _check(self, picture: Picture, name: str) -> None:
+        height, width = self.empty.shape
+        if picture.shape != (height, width, 3):
+            raise NlosError(
+                f"{name}: has {picture.shape[1]} x {picture.shape[0]} pixels, but the atlas is of {width} x {height}"
+            )
+        if not np.isfinite(picture).all():
+            raise NlosError(f"{name}: holds NaN or infinite values; render it again")
+
+
+def build(
+    bulk: Bulk,
+    sensor: Sensor,
+    *,
+    lamp_drift: float = 0.0,
+    measured_background: bool = True,
+    progress: Callable[[int, int], None] = lambda done, total: None,
+) -> Atlas:
+    """Compress a simulated set to the codes of its pictures.
+
+    Parameters
+    ----------
+    bulk : Bulk
+        Finished.
+    sensor : Sensor
+        Without an exposure, the brightest pixel of the background and of some thousand pictures fills it.
+    lamp_drift : float
+        Standard deviation of the lamp's strength since the background was taken, relative: it is fitted with every
+        answer, and what it could explain is no evidence.
+    measured_background : bool
+        Whether the background that pictures come with is measured too, and hence has noise of its own.
+    progress : callable
+        Is told how many pictures are done, and of how many.
+
+    Raises
+    ------
+    NlosError
+        The set is not finished, or has no light.
+    """
+    if missing := bulk.missing():
+        raise NlosError(f"{bulk.path}: {len(missing)} of {bulk.parts} parts are missing; finish the set first")
+    count = bulk.planned
+    background = bulk.background
+    some = np.unique(np.linspace(0, count - 1, min(count, _FOR_BASIS)).astype(np.int64))
+    sample = _colour(bulk.pictures[some])
+    sensor = sensor.exposed([background, sample.reshape(-1, sample.shape[-2], 3)])
+    empty = sensor.stabilised_mean(background)
+
+    def differences(pictures: NDArray[np.float32]) -> NDArray[np.float32]:
+        every = [sensor.stabilised_mean(p) - empty for p in pictures]
+        return np.asarray(every, dtype=np.float32).reshape(len(every), -1)
+
+    basis, left_out = _basis(differences(sample))
+    # What cannot be told from a change of the lamp, and the background's own noise, make the rest less certain.
+    noise = np.eye(len(basis))
+    if measured_background:
+        noise *= 1.0 + sensor.frames / sensor.background_frames
+    if lamp_drift:
+        brighter = sensor.stabilised_mean(background * (1.0 + lamp_drift)) - empty
+        along = basis @ brighter.ravel()
+        noise += np.outer(along, along)
+    whitened = np.linalg.solve(np.linalg.cholesky(noise), basis).astype(np.float32)
+    codes = np.empty((count, len(whitened)), dtype=np.float32)
+    for start in range(0, count, _BLOCK):
+        block = slice(start, min(start + _BLOCK, count))
+        codes[block] = differences(_colour(bulk.pictures[block])) @ whitened.T
+        progress(block.stop, count)
+    return Atlas(
+        codes=codes,
+        basis=whitened,
+        empty=empty,
+        positions=bulk.positions,
+        rotations=bulk.rotations,
+        voxels=bulk.voxels,
+        grid=bulk.grid,
+        sensor=sensor,
+        left_out=left_out,
+        about={
+            "target": str(bulk.meta["scene"].get("target", {}).get("kind", "mesh")),
+            "set": bulk.path.resolve().name,
+            "fingerprint": bulk.meta["fingerprint"],
+            "lamp_drift": lamp_drift,
+        },
+    )
+
+
+def _basis(sample: NDArray[np.float32]) -> tuple[Array, float]:
+    """The fewest orthonormal directions (k, pixels) that hold pictures (n, pixels), and what they leave out."""
+    _, strengths, directions = np.linalg.svd(sample.astype(np.float64), full_matrices=False)
+    rest = np.sqrt(np.cumsum(strengths[::-1] ** 2)[::-1] / len(sample))
+    kept = max(1, int((rest > _LEFT_OUT).sum()))
+    return directions[:kept], float(rest[kept]) if kept < len(rest) else 0.0
+
+
+def _colour(pictures: NDArray[np.float32]) -> NDArray[np.float32]:
+    """Pictures (..., height, width, 3) of a grey set's (..., height, width)."""
+    return pictures if pictures.shape[-1:] == (3,) and pictures.ndim > 3 else pictures[..., None].repeat(3, axis=-1)
+
+
+def save(path: Path, atlas: Atlas) -> None:
+    """Write an atlas to HDF5, by temporary name and rename."""
+    with atomic(path) as temporary, h5py.File(temporary, "w") as file:
+        file.attrs["format"] = FORMAT
+        file.attrs["kind"] = "atlas"
+        file.attrs["grid"] = json.dumps(to_dict(atlas.grid))
+        file.attrs["sensor"] = json.dumps(asdict(atlas.sensor))
+        file.attrs["left_out"] = atlas.left_out
+        file.attrs["about"] = json.dumps(atlas.about)
+        for name in _ARRAYS:
+            file[name] = getattr(atlas, name)
+        file["codes"].attrs["about"] = "difference pictures in units of the sensor's noise, projected on the basis"
+        file["positions"].attrs["units"] = "m"
+        file["rotations"].attrs["units"] = "degrees about x, y, z"
+
+
+_ARRAYS = ("codes", "basis", "empty", "positions", "rotations", "voxels")
+
+
+def load(path: Path) -> Atlas:
+    """Read an atlas.
+
+    Raises
+    ------
+    NlosError
+        The file is missing, of a newer format, or no atlas.
+    """
+    with opened(path, "atlas", FORMAT) as file:
+        atlas = Atlas(
+            **{name: np.asarray(file[name]) for name in _ARRAYS},
+            grid=from_dict(VoxelGrid, json.loads(str(file.attrs["grid"])), "grid."),
+            sensor=from_dict(Sensor, json.loads(str(file.attrs["sensor"])), "sensor."),
+            left_out=float(file.attrs["left_out"]),
+            about=json.loads(str(file.attrs["about"])),
+        )
+        n, k = atlas.codes.shape
+        shapes = [atlas.basis.shape, atlas.positions.shape, atlas.rotations.shape, atlas.voxels.shape]
+        if shapes != [(k, atlas.empty.size), (n, 3), (n, 3), (n,)] or not n:
+            raise ValueError("its codes, basis and poses differ in length")
+        if not all(np.isfinite(getattr(atlas, name)).all() for name in _ARRAYS):
+            raise ValueError("it holds NaN or infinite values")
+        if atlas.voxels.min() < 0 or atlas.voxels.max() >= atlas.grid.n_voxels:
+            raise ValueError(f"it names a voxel that its grid of {atlas.grid.n_voxels} lacks")
+    return atlas

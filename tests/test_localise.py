@@ -1,0 +1,128 @@
+"""Places from pictures, against the Cramer-Rao bound and against their own stated uncertainty."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from classify_helpers import make_bulk
+from scipy import stats
+
+from classify import atlas as atlases
+from classify import localise
+from generator.sensor import Sensor
+from generator.spec import NlosError
+
+
+@pytest.fixture(scope="module")
+def simulated(tmp_path_factory):
+    """A bulk set of a sphere before a bare wall."""
+    return make_bulk(tmp_path_factory.mktemp("bulk") / "set")
+
+
+@pytest.fixture(scope="module")
+def unseen(tmp_path_factory):
+    """The same sphere at other poses."""
+    return make_bulk(tmp_path_factory.mktemp("bulk") / "unseen", pictures=600, seed=9)
+
+
+def colour(picture):
+    """A grey picture in three channels."""
+    return np.repeat(np.asarray(picture)[..., None], 3, axis=2)
+
+
+def places(atlas, unseen, seed=0):
+    """Where the unseen poses are found, through the sensor's noise."""
+    rng = np.random.default_rng(seed)
+    pictures = [atlas.sensor.measure(colour(p), rng) for p in unseen.pictures[:]]
+    return [localise.locate(atlas, atlas.code(picture)) for picture in pictures]
+
+
+@pytest.mark.parametrize("measured", [False, True])
+def test_an_empty_scene_has_a_code_of_unit_noise(tmp_path, measured):
+    """In a room, so that there is light; the background's own noise is part of it where it is measured."""
+    import worlds
+
+    floor = worlds.quad((-2.0, 0.0, -1.0), (4.0, 0.0, 0.0), (0.0, 3.0, 0.0), 0.5)
+    found = make_bulk(tmp_path / "set", pictures=64, room=(floor,))
+    sensor = Sensor(background_frames=2)
+    atlas = atlases.build(found, sensor, measured_background=measured)
+    rng = np.random.default_rng(1)
+    codes = []
+    for _ in range(400):
+        before = atlas.sensor.measure(found.background, rng, frames=2) if measured else None
+        codes.append(atlas.code(atlas.sensor.measure(found.background, rng), before))
+    codes = np.array(codes)
+    low, high = stats.chi2.interval(0.999, codes.size)
+    assert low < (codes**2).sum() < high
+    assert np.abs(codes.mean(axis=0)).max() < 4.5 / np.sqrt(len(codes))
+
+
+DIM = Sensor(full_well=40.0, bits=8)
+"""Photons are so few that several of the atlas' poses explain a picture."""
+
+
+@pytest.mark.parametrize("sensor", [DIM, Sensor(full_well=1000.0, bits=10), Sensor()], ids=["dim", "some", "bright"])
+def test_stated_uncertainty_is_true(simulated, unseen, sensor):
+    """95 % regions hold the truth in 95 % of the cases, voxels are right as often as they say they are."""
+    atlas = atlases.build(simulated, sensor, measured_background=False)
+    found = places(atlas, unseen)
+    apart = np.array([p.position for p in found]) - unseen.positions
+    distance = [d @ np.linalg.solve(p.covariance, d) for d, p in zip(apart, found, strict=True)]
+    inside = np.sum(np.array(distance) < stats.chi2.ppf(0.95, 3))
+    assert stats.binom.cdf(inside, len(found), 0.93) > 1e-3
+    right = np.array([p.voxels.argmax() for p in found]) == unseen.voxels
+    sure = np.array([p.voxels.max() for p in found])
+    spread = np.sqrt((sure * (1.0 - sure)).sum())
+    assert abs(right.sum() - sure.sum()) < 3.3 * spread + 2.0
+
+
+@pytest.mark.parametrize("turning", [False, True])
+def test_the_engines_fit_reaches_the_bound(simulated, unseen, tmp_path, turning):
+    """Its error is what Cramer and Rao allow, where pictures are sharp: a ball, and a sheet that turns too."""
+    if turning:
+        angles = (20.0, 20.0, 20.0)
+        simulated = make_bulk(tmp_path / "set", radius=0.0, rotation=angles)
+        unseen = make_bulk(tmp_path / "unseen", radius=0.0, rotation=angles, pictures=32, seed=9)
+    atlas = atlases.build(simulated, Sensor(frames=100), measured_background=False)
+    synthesis = localise.Synthesis(atlas, unseen.world())
+    rng = np.random.default_rng(4)
+    apart = []
+    for position, picture in list(zip(unseen.positions, unseen.pictures[:], strict=True))[:32]:
+        fit = localise.polish(synthesis, atlas.code(atlas.sensor.measure(colour(picture), rng)))
+        off = fit.position - position
+        apart.append(off @ np.linalg.solve(fit.covariance[:3, :3], off) / 3.0)
+    low, high = stats.chi2.interval(0.999, 3 * len(apart))
+    assert low < 3 * np.sum(apart) < high
+
+
+def test_evidence_speaks_for_what_is_there(simulated, unseen):
+    """A picture with the object is evidence for it, one without against it."""
+    atlas = atlases.build(simulated, Sensor(), measured_background=False)
+    rng = np.random.default_rng(3)
+    dark = np.zeros((16, 16, 3), dtype=np.float32)
+    empty = localise.locate(atlas, atlas.code(atlas.sensor.measure(dark, rng)))
+    assert empty.evidence < 0.0
+    assert min(p.evidence for p in places(atlas, unseen)[:20]) > 0.0
+
+
+def test_an_atlas_is_kept_in_a_file(simulated, tmp_path):
+    """What was written is read."""
+    atlas = atlases.build(simulated, Sensor())
+    atlases.save(tmp_path / "a.h5", atlas)
+    again = atlases.load(tmp_path / "a.h5")
+    assert np.array_equal(again.codes, atlas.codes)
+    assert (again.sensor, again.grid, again.about) == (atlas.sensor, atlas.grid, atlas.about)
+
+
+def test_bad_input_is_one_sentence(simulated, tmp_path):
+    """Other files, other sizes, NaN."""
+    (tmp_path / "a.h5").write_text("no")
+    with pytest.raises(NlosError, match=r"a\.h5: is not an atlas file of this software"):
+        atlases.load(tmp_path / "a.h5")
+    with pytest.raises(NlosError, match="no such atlas file"):
+        atlases.load(tmp_path / "b.h5")
+    atlas = atlases.build(simulated, Sensor())
+    with pytest.raises(NlosError, match="has 8 x 8 pixels, but the atlas is of 16 x 16"):
+        atlas.code(np.ones((8, 8, 3), dtype=np.float32))
+    with pytest.raises(NlosError, match="holds NaN or infinite values"):
+        atlas.code(np.full((16, 16, 3), np.nan, dtype=np.float32))
