@@ -7,11 +7,15 @@ import contextlib
 import json
 import os
 import sys
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from generator.cli import LineProgress, guarded
 from generator.spec import NlosError
+
+if TYPE_CHECKING:
+    from generator.sensor import Sensor
 
 _EXAMPLES = """\
 examples:
@@ -135,7 +139,81 @@ def _parser() -> argparse.ArgumentParser:
         help="picture without the object (default: the training scene's)",
     )
     predict.set_defaults(run=_predict)
+
+    atlas = commands.add_parser(
+        "atlas",
+        help="compress a simulated set to what a sensor can tell apart of it",
+        description="Compress a simulated set (nlos-generate bulk) of a known object to what a camera's sensor can "
+        "tell apart of its pictures: what locate and bound need.",
+        epilog="example:\n  nlos-generate bulk room.blend -o simulated/ --pictures 90000 --accuracy 3e-3\n"
+        "  nlos-classify atlas simulated/ -o room.atlas --frames 10",
+        formatter_class=_RAW,
+    )
+    atlas.add_argument("simulated", type=Path, metavar="SET", help="folder of the simulated set")
+    atlas.add_argument("-o", "--output", type=Path, required=True, metavar="FILE.atlas")
+    _add_sensor_options(atlas)
+    atlas.add_argument(
+        "--lamp-drift",
+        type=float,
+        default=0.0,
+        metavar="D",
+        help="how much the lamp's strength may have changed since the background was taken, relative; it is fitted "
+        "with every answer (default: 0)",
+    )
+    atlas.set_defaults(run=_atlas)
+
+    locate = commands.add_parser(
+        "locate",
+        help="say whether there is something, in which voxel, and where",
+        description="Find a known object in every picture of a data set, as the atlas' sensor would have seen it, "
+        "and say how often voxel, position and presence are right.",
+        epilog="example:\n  nlos-classify locate room.atlas sphere/ -o answers/",
+        formatter_class=_RAW,
+    )
+    locate.add_argument("atlas", type=Path, metavar="FILE.atlas")
+    locate.add_argument("dataset", type=Path, help="folder of the data set; its pictures are clean, noise is added")
+    locate.add_argument("-o", "--output", type=Path, metavar="FOLDER", help="for answers.csv")
+    locate.add_argument("--seed", type=int, default=0, metavar="N", help="of the sensor's noise (default: 0)")
+    locate.add_argument(
+        "--false-alarm", type=float, default=0.01, metavar="P", help="share of empty scenes (default: 0.01)"
+    )
+    locate.set_defaults(run=_locate)
+
+    bound = commands.add_parser(
+        "bound",
+        help="say how well any method can answer, voxel by voxel",
+        description="Say how well voxel, position and presence can be known from a picture at all: what the sensor's "
+        "noise leaves of it, by Bayes' rule and by the bound of Cramer and Rao.",
+        epilog="example:\n  nlos-classify bound room.atlas simulated/",
+        formatter_class=_RAW,
+    )
+    bound.add_argument("atlas", type=Path, metavar="FILE.atlas")
+    bound.add_argument("simulated", type=Path, metavar="SET", help="folder of the simulated set that it is of")
+    bound.add_argument("--count", type=int, default=3000, metavar="N", help="pictures to try (default: 3000)")
+    bound.add_argument("--seed", type=int, default=0, metavar="N", help="of pictures and noise (default: 0)")
+    bound.set_defaults(run=_bound)
     return parser
+
+
+def _add_sensor_options(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument(
+        "--sensor",
+        type=Path,
+        metavar="FILE.toml",
+        help="full_well, read_noise, bits, exposure, fill, frames, background_frames, gain_spread, offset_spread, "
+        "drift (default: 10,500 e-, 2.5 e-, 12 bits, brightest pixel at 80 %% of full well, one frame)",
+    )
+    parser.add_argument("--frames", type=int, metavar="N", help="to average for a picture (default: the sensor's)")
+
+
+def _sensor(options: argparse.Namespace) -> Sensor:
+    from dataclasses import replace
+
+    from generator.sensor import Sensor
+    from generator.spec import from_dict, read_toml
+
+    sensor: Sensor = from_dict(Sensor, read_toml(options.sensor), "sensor.") if options.sensor else Sensor()
+    return sensor if options.frames is None else replace(sensor, frames=options.frames)
 
 
 def _check_output(path: Path, *, folder: bool = False) -> None:
@@ -188,9 +266,6 @@ def _features(options: argparse.Namespace) -> int:
 
 
 def _compare(options: argparse.Namespace) -> int:
-    from rich.console import Console
-    from rich.table import Table
-
     from classify import evaluate, models, report, store
 
     if len(options.features) > 2:
@@ -213,18 +288,11 @@ def _compare(options: argparse.Namespace) -> int:
             sets, names, settings=chosen, folds=options.folds, seed=options.seed, progress=progress
         )
     page = report.write(options.output, results, sets, names, options.folds)
-    table = Table(title="accuracy with its 95 % interval", title_justify="left")
-    for heading in ("scenario", "classifier", "paper's", "its settings, here", "tuned, here"):
-        table.add_column(heading, no_wrap=True)
-    last = ""
-    for scenario, *cells in report.text_table(results):
-        if last and scenario != last:
-            table.add_section()
-        table.add_row("" if scenario == last else scenario, *cells)
-        last = scenario
-    console = Console()
-    # In a log or a pipe the table must not be squeezed into 80 columns.
-    Console(width=None if console.is_terminal else 120).print(table)
+    _print_table(
+        "accuracy with its 95 % interval",
+        ("scenario", "classifier", "paper's", "its settings, here", "tuned, here"),
+        report.text_table(results),
+    )
     unconverged = sum(r.unconverged for r in results)
     if unconverged:
         print(f"{unconverged} fits ended at their iteration limit, before they converged")
@@ -261,6 +329,110 @@ def _predict(options: argparse.Namespace) -> int:
             likely = sorted(voxels.items(), key=lambda item: -item[1])
             print(f"{path}: {label}   " + "  ".join(f"{voxel} {p:.1%}" for voxel, p in likely if p >= 5e-4))
     return 0
+
+
+def _atlas(options: argparse.Namespace) -> int:
+    from classify import atlas
+    from generator.bulk import Bulk
+
+    sensor = _sensor(options)
+    _check_output(options.output)
+    with _progress("compressing", "pictures") as progress:
+        made = atlas.build(
+            Bulk.open(options.simulated),
+            sensor,
+            lamp_drift=options.lamp_drift,
+            progress=lambda done, total: progress(done, total, ""),
+        )
+    atlas.save(options.output, made)
+    n, k = made.codes.shape
+    print(
+        f"{options.output}: {n} pictures of a {made.about['target']}, {k} numbers each; what they leave out is "
+        f"{made.left_out:.2f} of the noise"
+    )
+    return 0
+
+
+def _locate(options: argparse.Namespace) -> int:
+    from classify import atlas, models, trial
+    from generator.dataset import Dataset, write_text
+
+    models.check_seed(options.seed)
+    if options.output:
+        _check_output(options.output, folder=True)
+    found = atlas.load(options.atlas)
+    dataset = Dataset.open(options.dataset)
+    with _progress("locating", "pictures") as progress:
+        answers = trial.run(
+            found,
+            dataset,
+            false_alarm=options.false_alarm,
+            seed=options.seed,
+            progress=lambda done, total: progress(done, total, ""),
+        )
+    _print_table(
+        f"{options.dataset}, each with its 95 % interval",
+        ("voxel", "pictures", "right voxel", "median error", "within 95 % region", "detected"),
+        answers.rows(),
+    )
+    print(f"in empty scenes, something is found in {answers.false_alarms().percent()}")
+    if options.output:
+        write_text(options.output / "answers.csv", answers.csv())
+        print(options.output / "answers.csv")
+    return 0
+
+
+def _bound(options: argparse.Namespace) -> int:
+    from classify import atlas, bound, models
+    from classify.localise import Synthesis
+    from generator.bulk import Bulk
+
+    models.check_seed(options.seed)
+    if options.count < 1:
+        raise NlosError(f"--count {options.count}: must be 1 or more")
+    found, simulated = atlas.load(options.atlas), Bulk.open(options.simulated)
+    if found.about.get("fingerprint") != simulated.meta["fingerprint"]:
+        raise NlosError(f"{options.atlas}: is not an atlas of {options.simulated}; make it anew")
+    with _progress("asking", "pictures") as progress:
+        best = bound.reachable(
+            found,
+            count=options.count,
+            seed=options.seed,
+            progress=lambda done, total: progress(done, total, ""),
+        )
+    rows = bound.rows(Synthesis(found, simulated.world()), best)
+    _print_table(
+        f"{options.atlas}: the best that any method can do",
+        ("voxel", "right voxel", "presence", "x cm", "y cm", "z cm", "turn unknown", "noticed: x cm", "y cm", "z cm"),
+        rows,
+    )
+    print(f"median error of the position, wherever the object is: {best.error.centimetres()}")
+    print(
+        "presence: in standard deviations of the noise; x, y, z: least standard deviation in the middle of the voxel "
+        "by Cramer and Rao, and of all three together where the turn is unknown too; noticed: least movement that "
+        "shows between two pictures, at 1 % false alarms and 99 % detections"
+    )
+    return 0
+
+
+def _print_table(title: str, headings: Sequence[str], rows: Sequence[Sequence[str]]) -> None:
+    """Print a table; what its first column repeats is written once, and ends with a line."""
+    from rich.console import Console
+    from rich.table import Table
+
+    table = Table(title=title, title_justify="left")
+    for heading in headings:
+        table.add_column(heading, no_wrap=True)
+    repeated = len({row[0] for row in rows}) < len(rows)
+    last = ""
+    for first, *cells in rows:
+        if repeated and last and first != last:
+            table.add_section()
+        table.add_row("" if first == last else first, *cells)
+        last = first
+    console = Console()
+    # In a log or a pipe the table must not be squeezed into 80 columns.
+    Console(width=None if console.is_terminal else 160).print(table)
 
 
 if __name__ == "__main__":

@@ -35,6 +35,14 @@ class Interval:
     low: float
     high: float
 
+    def percent(self) -> str:
+        """Return a proportion as text."""
+        return f"{100 * self.value:.1f} % ({100 * self.low:.1f} to {100 * self.high:.1f})"
+
+    def centimetres(self) -> str:
+        """Return a length in metres as text."""
+        return f"{100 * self.value:.2f} cm ({100 * self.low:.2f} to {100 * self.high:.2f})"
+
 
 @dataclass(frozen=True)
 class Result:

@@ -57,7 +57,7 @@ class Place:
     poses: float
 
 
-def locate(atlas: Atlas, code: NDArray[np.float32], *, seed: int = 0) -> Place:
+def locate(atlas: Atlas, code: NDArray[np.float32], *, seed: int = 0, without: int | None = None) -> Place:
     """Return where the object is.
 
     Parameters
@@ -68,11 +68,15 @@ def locate(atlas: Atlas, code: NDArray[np.float32], *, seed: int = 0) -> Place:
         Of the picture, from `Atlas.code`.
     seed : int
         Of the sampling.
+    without : int, optional
+        A pose that is left out: the one that the code was made of, where the atlas is asked about itself.
     """
     logs = atlas.codes @ code - atlas.half_squares
+    if without is not None:
+        logs[without] = -np.inf
     top = float(logs.max())
     weights = np.exp(logs - top)
-    by_voxel: Array = np.bincount(atlas.voxels, weights, atlas.grid.n_voxels)
+    by_voxel = np.bincount(atlas.voxels, weights, atlas.grid.n_voxels).astype(np.float64)
     total = float(by_voxel.sum())
     poses = total**2 / float(weights @ weights)
     if poses >= ENOUGH:

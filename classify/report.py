@@ -216,14 +216,9 @@ def text_table(results: Sequence[Result]) -> list[tuple[str, ...]]:
             mine = {r.settings: r for r in results if r.scenario == scenario and r.classifier == classifier}
             if mine:
                 published = paper_row(next(iter(mine.values())))
-                cells = [percent(mine[s].accuracy) if s in mine else "" for s in _COLOURS]
+                cells = [mine[s].accuracy.percent() if s in mine else "" for s in _COLOURS]
                 rows.append((_words(scenario), classifier, f"{published[0]:.0%}" if published else "-", *cells))
     return rows
-
-
-def percent(i: Interval) -> str:
-    """Return a proportion and its interval as text."""
-    return f"{100 * i.value:.1f} % ({100 * i.low:.1f} to {100 * i.high:.1f})"
 
 
 _RESULT_COLUMNS = [
@@ -313,7 +308,7 @@ def _page(
 ) -> str:
     loader = jinja2.FileSystemLoader(Path(__file__).parent / "templates")
     environment = jinja2.Environment(loader=loader, autoescape=True, undefined=jinja2.StrictUndefined)
-    environment.filters["percent"] = percent
+    environment.filters["percent"] = Interval.percent
     grid = sets[0].grid
     sections = [
         {

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from generator import bulk, poses, spec
-from generator.dataset import BACKGROUND, Dataset
+from generator.dataset import BACKGROUND, Dataset, PoseRecord
 from generator.spec import Sweep, preset
 from generator.transport import Sphere, Transport
 
@@ -73,3 +73,25 @@ def make_bulk(path, *, pictures=3000, seed=0, radius=0.15, room=(), rotation=(0.
         found.write_part(number, draw, transport)
     found.finish()
     return bulk.Bulk.open(path)
+
+
+def make_seen(path, simulated, *, poses=3):
+    """Write a data set of some poses of a bulk set, as a sweep of its scene would have."""
+    n = poses * simulated.grid.n_voxels
+    labels, records = simulated.grid.labels, []
+    for i, voxel in enumerate(simulated.voxels[:n]):
+        place, turn = (tuple(map(float, p[i])) for p in (simulated.positions, simulated.rotations))
+        file = f"{labels[voxel]}/{i:04d}.exr"
+        records.append(PoseRecord(i // len(labels), int(voxel), labels[voxel], place, turn, 1, file=file))
+    meta = {
+        "sweep": {**spec.to_dict(simulated.plan.sweep), "scene_sha256": "none"},
+        "reference_radiance": 1.0,
+        "scene": simulated.meta["scene"],
+        "software": {"blender": "none"},
+    }
+    dataset = Dataset.create(path, meta, records)
+    dataset.write_background(BACKGROUND, simulated.background, seed=0, samples=1)
+    for record, picture in zip(records, simulated.pictures[:n], strict=True):
+        dataset.write_pose(record, np.repeat(picture[..., None], 3, axis=2), seconds=0.1, samples=1)
+    dataset.gather()
+    return Dataset.open(path)

@@ -1,0 +1,170 @@
+"""What answers are worth: voxel, position and presence on a whole data set, each with its interval."""
+
+from __future__ import annotations
+
+import csv
+import io
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.stats import chi2
+
+from classify.atlas import Atlas
+from classify.bound import median
+from classify.detect import Detector, evidence
+from classify.evaluate import Interval, wilson
+from classify.localise import Place, locate
+from generator.dataset import Dataset, PoseRecord
+from generator.sensor import Camera
+from generator.spec import Array, NlosError
+
+_EMPTY = 1000
+SURE = 0.95
+"""Probability that the stated regions hold."""
+
+
+@dataclass(frozen=True)
+class Trial:
+    """The answers to a data set's pictures.
+
+    Attributes
+    ----------
+    records : list of PoseRecord
+    places : list of Place
+    evidence : ndarray of shape (n,)
+        For something, picture by picture.
+    empty : ndarray of shape (m,)
+        The same of pictures of the empty scene.
+    detector : Detector
+    labels : tuple of str
+        Of the voxels.
+    """
+
+    records: list[PoseRecord]
+    places: list[Place]
+    evidence: Array
+    empty: Array
+    detector: Detector
+    labels: tuple[str, ...]
+
+    @property
+    def right(self) -> NDArray[np.bool_]:
+        """Whether the likeliest voxel is the true one, (n,)."""
+        return np.array([p.voxels.argmax() == r.voxel for p, r in zip(self.places, self.records, strict=True)])
+
+    @property
+    def errors(self) -> Array:
+        """Distance of the position from the true one, (n,), metres."""
+        found, true = (np.array([x.position for x in some]) for some in (self.places, self.records))
+        apart: Array = np.linalg.norm(found - true, axis=1)
+        return apart
+
+    @property
+    def inside(self) -> NDArray[np.bool_]:
+        """Whether the true position lies in the region that is stated to hold it, with probability `SURE`, (n,)."""
+        most = chi2.ppf(SURE, 3)
+        held = []
+        for place, record in zip(self.places, self.records, strict=True):
+            apart = np.asarray(record.position) - place.position
+            held.append(apart @ np.linalg.pinv(place.covariance, hermitian=True) @ apart <= most)
+        return np.array(held)
+
+    def accuracy(self, some: Array | None = None) -> Interval:
+        """Return the share of right voxels, of some pictures or all."""
+        right = self.right if some is None else self.right[some]
+        return wilson(int(right.sum()), len(right))
+
+    def detected(self, some: Array | None = None) -> Interval:
+        """Return the share of pictures in which something is found, of some or all."""
+        found = self.evidence > self.detector.threshold
+        found = found if some is None else found[some]
+        return wilson(int(found.sum()), len(found))
+
+    def false_alarms(self) -> Interval:
+        """Return the share of empty pictures in which something is found."""
+        return wilson(int((self.empty > self.detector.threshold).sum()), len(self.empty))
+
+    def rows(self) -> list[tuple[str, ...]]:
+        """Return a table, voxel by voxel and in all: pictures, accuracy, median error, stated regions, detection."""
+        voxels = np.array([r.voxel for r in self.records])
+        parts = [(label, voxels == v) for v, label in enumerate(self.labels) if (voxels == v).any()]
+        made = []
+        for label, some in [*parts, ("all", np.ones(len(voxels), dtype=bool))]:
+            error = median(self.errors[some])
+            held = wilson(int(self.inside[some].sum()), int(some.sum()))
+            cells = [
+                self.accuracy(some).percent(),
+                error.centimetres(),
+                held.percent(),
+                self.detected(some).percent(),
+            ]
+            made.append((label, str(int(some.sum())), *cells))
+        return made
+
+    def csv(self) -> str:
+        """Return every answer as a table, comma-separated."""
+        text = io.StringIO()
+        writer = csv.writer(text, lineterminator="\n")
+        writer.writerow(["file", "voxel", "found", "probability", *_AXES, *(f"found_{a}" for a in _AXES),
+                         *(f"sd_{a}" for a in _AXES), "evidence", "detected"])  # fmt: skip
+        for record, place, found in zip(self.records, self.places, self.evidence, strict=True):
+            numbers = [*record.position, *place.position, *np.sqrt(np.diag(place.covariance))]
+            label, sure = self.labels[place.voxels.argmax()], place.voxels.max()
+            writer.writerow([record.file, record.label, label, f"{sure:.4f}", *(f"{x:.5f}" for x in numbers),
+                             f"{found:.2f}", int(found > self.detector.threshold)])  # fmt: skip
+        return text.getvalue()
+
+
+_AXES = ("x", "y", "z")
+
+
+def run(
+    atlas: Atlas,
+    dataset: Dataset,
+    *,
+    false_alarm: float = 0.01,
+    seed: int = 0,
+    progress: Callable[[int, int], None] = lambda done, total: None,
+) -> Trial:
+    """Answer every picture of a data set, as the atlas' sensor would have seen it.
+
+    Parameters
+    ----------
+    atlas : Atlas
+    dataset : Dataset
+        Of the same grid and resolution; the pictures on it are clean.
+    false_alarm : float
+        Share of empty scenes that may be taken for something.
+    seed : int
+        Of the sensor's noise.
+    progress : callable
+        Is told how many pictures are done, and of how many.
+
+    Raises
+    ------
+    NlosError
+        Grid or resolution differ, or the data set is empty or broken.
+    """
+    if dataset.grid != atlas.grid:
+        raise NlosError(f"{dataset.path}: has another voxel grid than the atlas; make both of one scene")
+    records = dataset.records
+    if not records:
+        raise NlosError(f"{dataset.path}: holds no finished picture yet")
+    camera = Camera(dataset, atlas.sensor, seed)
+    background, clean = camera.background(), dataset.background()
+    codes = []
+    for done, record in enumerate(records):
+        codes.append(atlas.code(camera.picture(record), background, name=str(dataset.path / record.file)))
+        progress(done + 1, len(records))
+    rng = np.random.default_rng([seed, 5])
+    empty = [atlas.code(atlas.sensor.measure(clean, rng, pattern=seed), background) for _ in range(_EMPTY)]
+    return Trial(
+        records=records,
+        places=[locate(atlas, code, seed=seed) for code in codes],
+        evidence=evidence(atlas, np.array(codes)),
+        empty=evidence(atlas, np.array(empty)),
+        detector=Detector.at(atlas, false_alarm, seed=seed),
+        labels=tuple(atlas.grid.labels),
+    )

@@ -1,0 +1,97 @@
+"""Bounds against closed forms."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+from classify_helpers import make_bulk
+from scipy.stats import norm
+
+from classify import atlas as atlases
+from classify import bound
+from classify.atlas import Atlas
+from classify.localise import Synthesis
+from generator.sensor import Sensor
+from generator.spec import NlosError, VoxelGrid
+from generator.transport import Transport
+
+PLACE, TURN = np.array([0.8, 0.9, 0.1]), np.zeros(3)
+
+
+@pytest.fixture(scope="module")
+def simulated(tmp_path_factory):
+    """A bulk set of a sphere before a bare wall."""
+    return make_bulk(tmp_path_factory.mktemp("bulk") / "set", pictures=1500)
+
+
+def line(distance, copies=400):
+    """An atlas of two voxels whose pictures lie a distance apart, and nothing else."""
+    codes = np.zeros((2 * copies, 3), dtype=np.float32)
+    codes[copies:, 1] = distance
+    voxels = np.repeat([0, 1], copies)
+    positions = np.stack([voxels, 0.0 * voxels, 0.0 * voxels], axis=1).astype(float)
+    grid = VoxelGrid(lo=(-0.5, -0.5, -0.5), hi=(1.5, 0.5, 0.5), shape=(2, 1, 1))
+    sensor = Sensor(exposure=1.0)
+    return Atlas(codes, np.eye(3, 4, dtype=np.float32), np.zeros((2, 2)), positions, 0.0 * positions, voxels, grid,
+                 sensor, 0.0, {})  # fmt: skip
+
+
+@pytest.mark.parametrize("distance", [0.3, 1.0, 3.0, 40.0])
+def test_two_pictures_are_told_apart_as_two_normal_variables(distance):
+    """Accuracy is that of the best test between two normal distributions (Neyman and Pearson 1933)."""
+    found = bound.reachable(line(distance), count=800)
+    truth = norm.cdf(distance / 2.0)
+    assert abs(found.accuracy.value - truth) < 3.3 * math.sqrt(truth * (1.0 - truth) / 800) + 1e-9
+    assert found.count == 800
+    if distance > 10.0:
+        assert found.error.value < 1e-3
+
+
+@pytest.mark.parametrize("frames", [1, 16])
+def test_strength_is_known_to_the_root_of_the_photons(simulated, frames):
+    """With photons alone, and nothing but the object's light, no estimate beats 1 / sqrt(N): all photons count."""
+    sensor = Sensor(read_noise=0.0, bits=0, frames=frames)
+    synthesis = Synthesis(atlases.build(simulated, sensor, measured_background=False), simulated.world())
+    made = Transport(simulated.world(), accuracy=1e-3).difference(PLACE, TURN)
+    photons = frames * synthesis.atlas.sensor.electrons(made).sum()
+    assert bound.limits(synthesis, PLACE, TURN).strength * math.sqrt(photons) == pytest.approx(1.0, rel=0.02)
+
+
+def test_the_code_keeps_the_pictures_information(simulated):
+    """The bound on the position is that of all pixels, by the engine's derivatives and the sensor's variance."""
+    synthesis = Synthesis(atlases.build(simulated, Sensor(), measured_background=False), simulated.world())
+    sensor = synthesis.atlas.sensor
+    for place in (PLACE, np.array([1.2, 1.4, -0.1])):
+        made = Transport(simulated.world(), accuracy=1e-2).render(place, TURN, derivatives=True)
+        slopes = made.derivatives[:3, ..., 0].reshape(3, -1)
+        whole = np.sqrt(np.diag(np.linalg.inv((slopes / sensor.variance(made.pixels).ravel()) @ slopes.T)))
+        assert bound.limits(synthesis, place, TURN).position == pytest.approx(whole, rel=0.03)
+
+
+def test_a_ball_that_turns_is_not_seen_to(simulated):
+    """Within the engine's accuracy: a turn shows far less than the shift of the rim by as much."""
+    synthesis = Synthesis(atlases.build(simulated, Sensor(), measured_background=False), simulated.world())
+    found = bound.limits(synthesis, PLACE, TURN)
+    assert (found.rotation > 5.0 * found.position / 0.15).all()
+    assert (found.turned >= found.position * 0.999).all()
+    assert found.presence > 10.0
+    wanted = norm.isf(0.01) + norm.ppf(0.99)
+    assert (found.movement < wanted * math.sqrt(2.0) * found.position * 1.001).all()
+
+
+def test_what_is_blind_is_infinite():
+    """A direction that nothing is known of makes all that share in it unknown, and nothing else."""
+    assert bound.deviations(np.diag([4.0, 0.0, 25.0])).tolist() == [0.5, math.inf, 0.2]
+    mixed = np.array([[1.0, 1.0, 0.0], [1.0, 1.0, 0.0], [0.0, 0.0, 1.0]])
+    assert bound.deviations(mixed).tolist() == [math.inf, math.inf, 1.0]
+    assert np.isinf(bound.deviations(np.zeros((2, 2)))).all()
+    full = np.array([[2.0, 0.3], [0.3, 1.0]])
+    assert bound.deviations(full) == pytest.approx(np.sqrt(np.diag(np.linalg.inv(full))))
+
+
+def test_rates_that_cannot_be_are_one_sentence(simulated):
+    """Fewer detections than false alarms are no detection."""
+    with pytest.raises(NlosError, match="must be 0 < false < detected < 1"):
+        bound.limits(None, PLACE, TURN, false_alarm=0.5, detection=0.4)
