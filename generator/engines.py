@@ -20,7 +20,7 @@ from mathutils import Matrix, Vector
 
 from generator import extract, stage
 from generator.dataset import Picture, read_picture
-from generator.spec import NlosError
+from generator.spec import Array, NlosError
 from generator.transport import Transport
 from generator.transport.world import LitPatch
 
@@ -110,6 +110,10 @@ class SurfelRenderer:
         refuse_hidden(self._scene)
         position, turn, _ = stage.find(self._scene, "target").matrix_world.decompose()
         return self.at(tuple(position), tuple(math.degrees(angle) for angle in turn.to_euler("XYZ")))
+
+    def difference(self, position: Sequence[float], rotation: Sequence[float]) -> Array:
+        """Return what the target at a pose changes of the empty scene, (height, width, 3), W/m^2/sr."""
+        return self._transport.difference(position, rotation)
 
     def at(self, position: Sequence[float], rotation: Sequence[float]) -> Picture:
         """Render one picture with the target at a pose: metres, and degrees about x, then y, then z."""

@@ -416,6 +416,27 @@ def put_back(scene: bpy.types.Scene) -> Iterator[None]:
         bpy.context.view_layer.update()
 
 
+@contextlib.contextmanager
+def stand_in(scene: bpy.types.Scene, wanted: spec.Target) -> Iterator[None]:
+    """Put another object in the target's place, unturned; on leaving, take it away again."""
+    parts = target_parts(scene)
+    other = _target(wanted)
+    other.location = parts[0].matrix_world.translation
+    with Overrides() as overrides:
+        for part in parts:
+            overrides.set(part, "hide_render", True)
+        del parts[0][ROLE]
+        _add(scene.collection, other, "target")
+        try:
+            bpy.context.view_layer.update()
+            yield
+        finally:
+            data, materials = other.data, list(other.data.materials)
+            bpy.data.batch_remove([other, data, *materials])
+            parts[0][ROLE] = "target"
+    bpy.context.view_layer.update()
+
+
 def albedo(obj: bpy.types.Object) -> float | None:
     """Return the mean albedo of an object's material if it is plainly Lambertian, else None."""
     colour = diffuse_colour(obj)

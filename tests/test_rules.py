@@ -20,6 +20,7 @@ NEEDS_BLENDER = {
         "engines",
         "experiments",
         "extract",
+        "laboratory",
         "outlines",
         "stage",
         "worker",
