@@ -6,6 +6,7 @@ from __future__ import annotations
 
 import contextlib
 import json
+import os
 import subprocess
 import threading
 import time
@@ -70,7 +71,7 @@ def python() -> str:
             "Answers need a Python with NLOS Lab's command line: make one with 'make setup' in its folder, "
             "and name its .venv/bin/python in Preferences > Add-ons > NLOS Lab"
         )
-    if not Path(path).is_file():
+    if not os.path.isfile(path):  # of a name that no file can have, too
         raise NlosError(f"{path} (Preferences > Add-ons > NLOS Lab) is no file; name the Python of an environment")
     return path
 
@@ -114,7 +115,10 @@ def run(arguments: list[str], stop: threading.Event) -> str:
 def _probabilities(said: str) -> dict[str, float]:
     """Voxels and their probabilities, of what the command line printed."""
     try:
-        return {str(label): float(p) for label, p in json.loads(said)["probability"].items()}
+        found = {str(label): float(p) for label, p in json.loads(said)["probability"].items()}
+        if found and all(0.0 <= p <= 1.0 for p in found.values()):
+            return found
+        raise ValueError
     except (ValueError, KeyError, TypeError, AttributeError):
         raise NlosError(f"the Python in the preferences printed no answer but {said.strip()[:80]!r}") from None
 
@@ -159,16 +163,16 @@ class NLOS_OT_answer(bpy.types.Operator):
             if not settings.model:
                 raise NlosError("Choose a model, trained by nlos-classify train (.skops)")
             model = Path(bpy.path.abspath(settings.model)).absolute()
-            if not model.is_file():
+            if not os.path.isfile(model):
                 raise NlosError(f"{model} is no such file; choose a model, trained by nlos-classify train")
             if state.shown is None:
                 raise NlosError("There is no picture yet: render the wall first")
+            files = [background.folder() / f"{name}.exr" for name in ("asked", "asked-background")]
+            for path, picture in zip(files, (state.shown.wall, state.shown.background), strict=True):
+                dataset.write_picture(path, picture, {})
         except NlosError as error:
             self.report({"ERROR"}, str(error))
             return {"CANCELLED"}
-        files = [background.folder() / f"{name}.exr" for name in ("wall", "background")]
-        for path, picture in zip(files, (state.shown.wall, state.shown.background), strict=True):
-            dataset.write_picture(path, picture, {})
         arguments = ["-m", "classify.cli", "predict", str(model), str(files[0]), "--background", str(files[1])]
         state.answer_words = "Asking the model ..."
 

@@ -7,6 +7,7 @@ import contextlib
 import sys
 import tempfile
 import threading
+import traceback
 from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
@@ -110,10 +111,17 @@ def drop(topic: str | None = None) -> None:
 
 def _poll() -> float | None:
     for task in list(_tasks):
-        task.tick(task)
-        if task.done:
-            _tasks.remove(task)
-            task.then(task)
+        try:
+            task.tick(task)
+            if task.done:
+                _tasks.remove(task)
+                task.then(task)
+        except Exception:  # one that fails must not leave the others waiting for ever
+            traceback.print_exc()
+            state.rendering = "What was asked for in the background could not be shown; the system console says why"
+            if task in _tasks and task.done:
+                _tasks.remove(task)
+        if task not in _tasks:
             state.redraw()
     return _EVERY if _tasks else None
 
@@ -161,7 +169,10 @@ def folder() -> Path:
     """Return the session's own folder, which goes when Blender does."""
     global _folder
     if _folder is None:
-        _folder = tempfile.TemporaryDirectory(prefix="nlos-lab-")
+        try:
+            _folder = tempfile.TemporaryDirectory(prefix="nlos-lab-")
+        except OSError as error:
+            raise NlosError(f"no temporary folder can be made ({error.strerror or error})") from None
     return Path(_folder.name)
 
 

@@ -4,6 +4,7 @@
 
 from __future__ import annotations
 
+import os
 import time
 from pathlib import Path
 from typing import Any
@@ -97,13 +98,24 @@ class Job:
 
 
 job: Job | None = None
+_written: set[str] = set()
+"""Workspaces with our text in the status bar."""
 
 
 def _status_bar(text: str | None) -> None:
-    for window in bpy.context.window_manager.windows:
-        # A timer has no window for a moment after a file was opened, and without one Blender 5.2 crashes here.
-        with bpy.context.temp_override(window=window):
-            window.workspace.status_text_set(text)
+    """Write into the status bar of every workspace that is shown; None clears all that were."""
+    shown = {window.workspace.name: window for window in bpy.context.window_manager.windows}
+    if text is None:
+        first = next(iter(shown.values()), None)
+        shown |= dict.fromkeys(_written - set(shown), first) if first else {}
+        _written.clear()
+    else:
+        _written.update(shown)
+    for name, window in shown.items():
+        if (workspace := bpy.data.workspaces.get(name)) is not None:
+            # A timer has no window for a moment after a file was opened, and without one Blender 5.2 crashes here.
+            with bpy.context.temp_override(window=window):
+                workspace.status_text_set(text)
 
 
 def folder(scene: Any) -> Path:
@@ -119,7 +131,12 @@ def folder(scene: Any) -> Path:
         raise NlosError("Name a folder for the data set")
     if named.startswith("//") and not bpy.data.filepath:
         raise NlosError("Save the file first, or name the data set's folder in full: it lies beside the file")
-    return Path(bpy.path.abspath(named)).absolute()
+    path = Path(bpy.path.abspath(named)).absolute()
+    try:
+        path.exists()
+    except OSError as error:
+        raise NlosError(f"{path}: is no folder that can be used ({error.strerror})") from None
+    return path
 
 
 class _Running:
@@ -200,7 +217,7 @@ class NLOS_OT_open_folder(bpy.types.Operator):
         """Open it, if it is there."""
         try:
             path = folder(context.scene)
-            if not path.is_dir():
+            if not os.path.isdir(path):
                 raise NlosError(f"{path} is not there yet")
         except NlosError as error:
             self.report({"ERROR"}, str(error))
@@ -222,4 +239,5 @@ def unregister() -> None:
     """Take them away, and forget the job."""
     global job
     job = None
+    _status_bar(None)
     _unregister()

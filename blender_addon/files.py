@@ -5,7 +5,7 @@ from typing import Any
 import bpy
 from bpy.app.handlers import persistent
 
-from . import background, looking, overlay, state
+from . import background, images, looking, overlay, state
 
 
 @persistent  # type: ignore[untyped-decorator]
@@ -21,6 +21,7 @@ def _before(*_: Any) -> None:
 @persistent  # type: ignore[untyped-decorator]
 def _after(*_: Any) -> None:
     background.drop()  # what they would find is not true of this file
+    images.captions.clear()
     state.forget()
     session = bpy.context.window_manager.nlos
     # Blender may have taken the switches over from the file that was open.

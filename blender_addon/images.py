@@ -79,6 +79,7 @@ def preview(picture: Picture) -> Any:
 
     White is what 1 % of the values exceed: a single bright pixel, which is noise as a rule, does not darken the rest.
     """
+    captions.pop(PREVIEW, None)
     white = float(np.quantile(picture, 0.99)) or float(picture.max())
     return store(PREVIEW, np.clip(picture / white, 0.0, 1.0) if white > 0 else np.zeros_like(picture))
 

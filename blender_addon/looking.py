@@ -37,8 +37,9 @@ class _Look:
 
     transport: Transport | None = None
     reference: float = 0.0
-    scale: tuple[float, ...] = ()
     scene: str = ""
+    around: tuple[Any, ...] = ()
+    exact: bool = False
     world_changed: bool = True
     last_change: float = 0.0
     busy: bool = False
@@ -120,7 +121,21 @@ def _noted(scene: Any, depsgraph: Any) -> None:
             _look.world_changed = moved = True
     if moved:
         _look.last_change = time.monotonic()
-        state.once(_draw)
+    state.once(_draw)
+
+
+def _around(scene: Any) -> tuple[Any, ...]:
+    """What changes a picture and is told by no update of an object: cheap to compare."""
+    layers: list[Any] = [layer.layer_collection for layer in scene.view_layers]
+    shown = []
+    while layers:
+        layer = layers.pop()
+        shown.append((layer.name, layer.exclude, layer.collection.hide_render))
+        layers += layer.children
+    objects = tuple((o.name, o.hide_render, len(o.constraints), o.get(stage.ROLE)) for o in scene.objects)
+    cycles = getattr(scene, "cycles", None)
+    bounces = (cycles.max_bounces, cycles.diffuse_bounces) if cycles else ()
+    return objects, tuple(shown), bounces, stage.ambient(scene), scene.camera and scene.camera.name
 
 
 def _draw() -> float | None:
@@ -131,27 +146,31 @@ def _draw() -> float | None:
         return _REST
     if not manager.nlos.look:
         return None
-    if bpy.app.is_job_running("RENDER"):  # reading the scene moves the target, which the render would see
+    if state.rendering_now():
         return _REST
     start = time.perf_counter()
     rest = time.monotonic() - _look.last_change
     _look.busy = True  # reading the scene moves the target and puts it back
     try:
-        if _look.scene != scene.name or (_look.transport and _look.scale != _pose(scene)[2]):
+        place, turn, scale = _pose(scene)
+        around = (*_around(scene), *(f"{s:.5g}" for s in scale))  # a turn changes its last digits
+        if _look.scene != scene.name or _look.around != around:
+            _look.world_changed, _look.around = True, around
+        if _look.transport is None and _look.pose != (place, turn):
             _look.world_changed = True
         if _look.world_changed:
             if _look.transport is not None and rest < _REST:
                 return _REST
+            _look.pose = place, turn  # of what cannot be read, until it is elsewhere
             _read(scene)
         if _look.transport is None:
             return None
-        place, turn, _ = _pose(scene)
         exact = scene.nlos.look_shadows and (_look.shadows or rest >= _REST)
         again = scene.nlos.look_shadows and not exact
-        if (place, turn) == _look.pose and not exact:
-            return _REST
+        if (place, turn) == _look.pose and (_look.exact or not exact):
+            return None if _look.exact else _REST
         picture = _look.transport.difference(place, turn, shadows=exact)
-        _look.pose = place, turn
+        _look.pose, _look.exact = (place, turn), exact or not again
         images.look(picture.astype(np.float32), _look.transport.world.watched, _look.reference)
         took = time.perf_counter() - start
         if again or exact == _look.shadows:  # those at rest keep nobody waiting
@@ -161,8 +180,9 @@ def _draw() -> float | None:
         state.redraw("IMAGE_EDITOR", "VIEW_3D")
         return _REST if again else None
     except NlosError as error:
-        _look.words = str(error)
-        state.redraw("VIEW_3D")
+        if _look.words != str(error):
+            _look.words = str(error)
+            state.redraw("VIEW_3D")
         return None
     finally:
         bpy.context.view_layer.update()
@@ -177,18 +197,17 @@ def _pose(scene: Any) -> tuple[tuple[float, ...], tuple[float, ...], tuple[float
 
 def _read(scene: Any) -> None:
     """Read what a picture needs besides the pose."""
-    _look.world_changed, _look.transport, _look.pose = False, None, None
+    _look.world_changed, _look.transport = False, None
     pixels = int(scene.nlos.look_resolution)
+    _look.scene = scene.name
     described = stage.read(scene)
     width, height = described.resolution
     size = (pixels, max(1, round(pixels * height / width)))
     world, reasons = extract.world(scene, resolution=size)
-    _look.scene = scene.name
     if world is None:
         raise NlosError(f"No live picture: {reasons[0]}. Render Wall can show it")
-    _look.transport = Transport(world, accuracy=ACCURACY)
+    _look.transport, _look.pose = Transport(world, accuracy=ACCURACY), None
     _look.reference = described.reference_radiance
-    _look.scale = _pose(scene)[2]
     # With nothing to be shadowed, or the compiler at hand, shadows cost next to nothing.
     _look.shadows = not world.room or bool(COMPILED)
 

@@ -72,6 +72,7 @@ def _in_header(self: Any, context: Any) -> None:
 
 
 def _in_new(self: Any, context: Any) -> None:
+    self.layout.operator_context = "INVOKE_DEFAULT"
     self.layout.operator("nlos.new_room", icon="SCENE_DATA")
 
 

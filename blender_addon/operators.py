@@ -3,7 +3,7 @@
 # mypy: disable-error-code="misc"
 
 import json
-from typing import Any
+from typing import Any, cast
 
 import bpy
 from bpy.props import EnumProperty, IntProperty, StringProperty
@@ -31,7 +31,10 @@ class _Task:
 
     @classmethod
     def poll(cls: Any, context: Any) -> bool:
-        """Only in Object Mode: in Edit Mode the meshes are out of reach."""
+        """Only in Object Mode: in Edit Mode the meshes are out of reach. And not while Blender renders."""
+        if state.rendering_now():
+            cls.poll_message_set("Wait for the render to end")
+            return False
         cls.poll_message_set("Go to Object Mode first")
         return bool(context.mode == "OBJECT")
 
@@ -144,6 +147,7 @@ class NLOS_OT_check(_Task, bpy.types.Operator):
 
     def work(self, scene: Any) -> tuple[str, str]:
         """Find; return what to report."""
+        _forget_checks()
         state.findings[:] = check.findings(scene, engine=scene.nlos.engine)
         worst = [f for f in state.findings if f.level == check.ERROR]
         if worst:
@@ -152,6 +156,12 @@ class NLOS_OT_check(_Task, bpy.types.Operator):
         arguments = [str(background.snapshot("check.blend")), json.dumps(properties.sweep_of(scene.nlos))]
         background.ask(["generator.worker", "check", *arguments], _checked).settle()
         return "INFO", "Nothing stands in the way of a sweep; signal and noise are being measured"
+
+
+def _forget_checks() -> None:
+    """What an earlier check has still to say is true of an earlier scene."""
+    background.drop("check")
+    state.checking = False
 
 
 def _checked(task: background.Task) -> None:
@@ -172,6 +182,7 @@ class NLOS_OT_fix(_Task, bpy.types.Operator):
 
     def work(self, scene: Any) -> tuple[str, str]:
         """Mend, and look again."""
+        _forget_checks()
         check.mend(scene, self.fix)
         state.findings[:] = check.findings(scene, engine=scene.nlos.engine)
         return "INFO", f"{check.FIXES[self.fix]}: done"
@@ -232,14 +243,15 @@ class NLOS_OT_render_wall(_Task, bpy.types.Operator):
             state.shown = state.Shown(wall, without)
             images.store(images.WALL, wall)
             state.rendering = f"Mean radiance {wall.mean():.4g} W/m²/sr"
-            if not difference:
+            if difference:
+                shown = wall - without
+                images.store(images.DIFFERENCE, shown)
+                images.show(images.coloured(images.PREVIEW, shown, reference, width))
+                if wall.any():
+                    state.rendering += f", of which the object adds {shown.mean() / wall.mean():.2%}"
+            else:
                 images.show(images.preview(wall))
-                return
-            shown = wall - without
-            images.store(images.DIFFERENCE, shown)
-            images.show(images.coloured(images.PREVIEW, shown, reference, width))
-            if wall.any():
-                state.rendering += f", of which the object adds {shown.mean() / wall.mean():.2%}"
+            state.remember("Render Wall")  # else the next undo takes the pictures away
 
         state.rendering = "Rendering ..."
         task = background.ask(["generator.worker", "picture", *arguments], then).settle()
@@ -274,6 +286,7 @@ class NLOS_OT_experiment(_Task, bpy.types.Operator):
             if not task.error:
                 image = images.coloured(images.EXPERIMENT.format(number), read_picture(file)[0], reference, 0.0)
                 images.show(image)
+                state.remember("Experiment")
 
         state.experiment = "Drawing the pictures ..."
         task = background.ask(["generator.worker", "experiment", str(source), str(file), str(number)], then).settle()
@@ -291,8 +304,10 @@ class NLOS_OT_open_image_editor(bpy.types.Operator):
 
     @classmethod
     def poll(cls: Any, context: Any) -> bool:
-        """Only in a 3D view."""
-        return bool(context.area and context.area.type == "VIEW_3D")
+        """Only in a 3D view that does not fill the window."""
+        cls.poll_message_set("Needs a 3D view that is not maximised")
+        inside = context.area is not None and context.area.type == "VIEW_3D"
+        return bool(inside and bpy.ops.screen.area_split.poll())
 
     def execute(self: Any, context: Any) -> set[str]:
         """Split the area."""
@@ -315,6 +330,21 @@ class NLOS_OT_new_room(bpy.types.Operator):
     bl_idname = "nlos.new_room"
     bl_label = "NLOS Room"
 
+    @classmethod
+    def poll(cls: Any, context: Any) -> bool:
+        """Not while Blender renders, and not without Cycles: the file that is open would be lost for nothing."""
+        cls.poll_message_set("Wait for the render to end, and enable Cycles")
+        return hasattr(context.scene, "cycles") and not state.rendering_now()
+
+    def invoke(self: Any, context: Any, event: Any) -> set[str]:
+        """Ask before what is not saved is lost."""
+        if bpy.data.is_dirty:
+            answer: set[str] = context.window_manager.invoke_confirm(
+                self, event, title="Start a new room?", message="What is not saved is lost.", confirm_text="New Room"
+            )
+            return answer
+        return cast("set[str]", self.execute(context))
+
     def execute(self: Any, context: Any) -> set[str]:
         """Open Blender's own start-up file, empty it and build."""
         bpy.ops.wm.read_homefile(app_template="")
@@ -322,7 +352,12 @@ class NLOS_OT_new_room(bpy.types.Operator):
         for obj in list(scene.objects):
             bpy.data.objects.remove(obj)
         bpy.ops.outliner.orphans_purge(do_recursive=True)
-        stage.build(scene, properties.spec_of(scene.nlos))
+        try:
+            stage.build(scene, properties.spec_of(scene.nlos))
+        except spec.NlosError as error:
+            self.report({"ERROR"}, str(error))
+            return {"CANCELLED"}
+        state.remember("New Room")
         return {"FINISHED"}
 
 

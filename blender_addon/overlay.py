@@ -109,8 +109,14 @@ def _crosses(scene: Any) -> Any:
     from . import properties
 
     sweep = properties.resolved_sweep(scene)
-    key = (stage.read_grid(scene), sweep, stage.hull(scene).tobytes())
+    others = tuple(
+        (o.name, o.hide_render, tuple(map(tuple, o.matrix_world))) for o in scene.objects if o.type == "MESH"
+    )
+    target = stage.find(scene, "target").name
+    around = tuple(other for other in others if other[0] != target)
+    key = (stage.read_grid(scene), sweep, stage.hull(scene).tobytes(), around)
     if _poses is None or _poses[0] != key:
+        _poses = key, np.empty((0, 3))  # where nothing fits, it is not tried again until something changes
         _poses = key, outlines.sampled(scene, sweep)
     places = _poses[1]
     arm = 0.05 * min(key[0].size)
@@ -121,6 +127,7 @@ def _draw_lines() -> None:
     global _lines
     context = bpy.context
     if _lines is None:
+        _lines = {"letters": [], "boxes": []}  # should measuring fail, it is told once and not with every redraw
         _lines = _measure(context.scene, context.window_manager.nlos)
     gpu.state.blend_set("ALPHA")
     gpu.state.depth_test_set("LESS_EQUAL")

@@ -46,6 +46,20 @@ def forget() -> None:
     checking, rendering, experiment, shown, answer_words = False, "", "", None, ""
 
 
+def rendering_now() -> bool:
+    """Whether Blender renders or bakes: reading a scene then would crash it, or be seen in the picture."""
+    return any(bpy.app.is_job_running(job) for job in ("RENDER", "OBJECT_BAKE"))
+
+
+def remember(message: str) -> None:
+    """Make what was just put into the file a step of its own for undo."""
+    manager: Any = bpy.context.window_manager
+    if bpy.app.background or not manager.windows:
+        return
+    with bpy.context.temp_override(window=manager.windows[0]):
+        bpy.ops.ed.undo_push(message=message)
+
+
 def redraw(*kinds: str) -> None:
     """Let areas of some kinds (all, if none is named) draw themselves again."""
     manager: Any = bpy.context.window_manager

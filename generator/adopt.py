@@ -151,14 +151,23 @@ def _plane(wall: bpy.types.Object) -> tuple[Array, Array]:
 def _transform(scene: bpy.types.Scene, change: Matrix) -> None:
     """Transform every object, and the voxels, in the world; lamps and cameras keep their own scale."""
     bpy.context.view_layer.update()
-    for obj in scene.objects:
-        if obj.parent is not None and obj.parent.name in scene.objects:
-            continue
-        placed = change @ obj.matrix_world
+    roots = [o for o in scene.objects if o.parent is None or o.parent.name not in scene.objects]
+    for obj in roots:
+        moves = obj.animation_data is not None and (obj.animation_data.action or obj.animation_data.drivers)
+        if obj.constraints or moves or obj.library is not None:
+            why = "is linked from another file" if obj.library else "is held by constraints, drivers or animation"
+            raise NlosError(f"{obj.name!r} {why}, so it cannot be put elsewhere; nothing was changed")
+    for obj in roots:
+        # Its own, not the world's: of what no view layer shows Blender does not know where in the world it is.
+        before = obj.matrix_basis.copy() if obj.parent is None else obj.matrix_world.copy()
+        placed = change @ before
         if obj.type in ("LIGHT", "CAMERA") and not obj.children:
             place, turn, _ = placed.decompose()
-            placed = Matrix.LocRotScale(place, turn, obj.matrix_world.to_scale())
-        obj.matrix_world = placed
+            placed = Matrix.LocRotScale(place, turn, before.to_scale())
+        if obj.parent is None:
+            obj.matrix_basis = placed
+        else:
+            obj.matrix_world = placed
     if all(key in scene for key in (stage.GRID_LO, stage.GRID_HI, stage.GRID_SHAPE)):
         lo, hi = scene[stage.GRID_LO], scene[stage.GRID_HI]
         corners = np.array(

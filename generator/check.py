@@ -18,6 +18,8 @@ GOOD, NOTE, WARNING, ERROR = "good", "note", "warning", "error"
 
 _LATTICE = np.array([0.1, 0.5, 0.9])
 """Where voxels are looked at, in their edges."""
+_MOST = 512
+"""Of more than these, so many, evenly spread: a window waits for it."""
 _MANY = 64
 """Of more voxels the middle has to do: a window waits for it."""
 _PIXELS = (np.arange(5) + 0.5) / 5.0
@@ -82,7 +84,7 @@ def mend(scene: bpy.types.Scene, fix: str) -> None:
     elif fix == "voxels":
         adopt.fit_grid(scene)
     elif fix == "show":
-        stage.find(scene, "target").hide_render = False
+        stage.show(scene, stage.find(scene, "target"))
     else:
         raise NlosError(f"fix {fix!r}: there is none; choose from {', '.join(FIXES)}")
 
@@ -157,8 +159,8 @@ def _frame(scene: bpy.types.Scene) -> list[Finding]:
 def _settings(scene: bpy.types.Scene, described: spec.Scene) -> list[Finding]:
     found = []
     target = stage.find(scene, "target")
-    if target.hide_render:
-        text = f"The target {target.name!r} is hidden from renders"
+    if why := stage.unseen(scene, target):
+        text = f"The target {target.name!r} {why}"
         found.append(Finding(ERROR, text, target.name, "show"))
     if scene.render.engine != "CYCLES":
         found.append(
@@ -236,7 +238,9 @@ def _sight(scene: bpy.types.Scene, described: spec.Scene) -> list[Finding]:
     along = _LATTICE if grid.n_voxels <= _MANY else _LATTICE[1:2]
     u, v, w = np.meshgrid(along, along, along, indexing="ij")
     lattice = np.stack([u.ravel(), v.ravel(), w.ravel()], axis=1)
-    bounds = [grid.bounds(voxel) for voxel in range(grid.n_voxels)]
+    looked = np.unique(np.linspace(0, grid.n_voxels - 1, min(grid.n_voxels, _MOST)).astype(int))
+    labels = [grid.labels[voxel] for voxel in looked]
+    bounds = [grid.bounds(int(voxel)) for voxel in looked]
     points = [lo + lattice * (hi - lo) for lo, hi in bounds]
     found = []
     lamp, camera = stage.find(scene, "spot"), stage.find(scene, "camera")
@@ -246,9 +250,9 @@ def _sight(scene: bpy.types.Scene, described: spec.Scene) -> list[Finding]:
         (lamp, camera), clearance.sights(scene, described.spot), ("shines", "looks"), strict=True
     ):
         passed = eyes.passed(*solid.rays(_RINGS))
-        direct = [label for label, (lo, hi) in zip(grid.labels, bounds, strict=True) if _any_inside(passed, lo, hi)]
+        direct = [label for label, (lo, hi) in zip(labels, bounds, strict=True) if _any_inside(passed, lo, hi)]
         unhidden = []
-        for label, inside in zip(grid.labels, points, strict=True):
+        for label, inside in zip(labels, points, strict=True):
             # An orthographic camera sees along parallel rays, each from a place of its own.
             froms = (
                 _opposite(starts, corners, inside) if obj == camera else [lamp.matrix_world.translation] * len(inside)
@@ -274,7 +278,7 @@ def _sight(scene: bpy.types.Scene, described: spec.Scene) -> list[Finding]:
     weights = np.stack([(1 - s) * (1 - t), s * (1 - t), s * t, (1 - s) * t], axis=-1).reshape(-1, 4)
     watched = weights @ corners
     low = []
-    for label, inside in zip(grid.labels, points, strict=True):
+    for label, inside in zip(labels, points, strict=True):
         lights = eyes.share(inside, w1[None])
         reach = float((lights * eyes.share(inside, watched)).mean())
         if reach == 0.0:
@@ -290,7 +294,7 @@ def _sight(scene: bpy.types.Scene, described: spec.Scene) -> list[Finding]:
         found.append(Finding(WARNING, text))
     if not any(f.level in (WARNING, ERROR) for f in found):
         found.append(
-            Finding(GOOD, f"V{_voxels(grid.labels, grid.labels)[1:]}: hidden from lamp and camera, seen by the wall")
+            Finding(GOOD, f"V{_voxels(labels, grid.labels)[1:]}: hidden from lamp and camera, seen by the wall")
         )
     return found
 
@@ -357,6 +361,10 @@ class Probe:
 
     def findings(self) -> list[Finding]:
         """Return it in sentences."""
+        if self.signal_to_noise == 0.0 or (self.share == 0.0 and not np.isfinite(self.signal_to_noise)):
+            return [
+                Finding(ERROR, f"The object changes nothing in the pictures of {self.engine!r}, where it stands now")
+            ]
         signal = f"The object adds {self.share:.2%} to the picture"
         enough = self.signal_to_noise >= 3.0
         noise = f"its difference stands {self.signal_to_noise:.3g} times above the noise of {self.engine!r}"

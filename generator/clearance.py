@@ -18,6 +18,8 @@ from generator.spec import Array
 _RIM = 32
 """Corners of the polygon around what the lamp lights."""
 
+_SURFACES = ("MESH", "CURVE", "SURFACE", "META", "FONT")
+
 
 def clearance(
     scene: bpy.types.Scene, described: spec.Scene, *, engine: str
@@ -52,14 +54,25 @@ def clearance(
 
 
 def obstacles(scene: bpy.types.Scene) -> list[BVHTree]:
-    """Return every rendered mesh but the target's, as a tree each."""
+    """Return every rendered surface but the target's, as a tree each; instances of collections too."""
     parts = stage.target_parts(scene)
     depsgraph = bpy.context.evaluated_depsgraph_get()
+    found = [
+        (obj, obj.matrix_world)
+        for obj in scene.objects
+        if obj.type in _SURFACES and obj not in parts and not stage.unseen(scene, obj)
+    ]
     trees = []
-    for obj in scene.objects:
-        if obj.type == "MESH" and obj not in parts and not obj.hide_render:
-            vertices, faces = _polygons(obj, depsgraph)
-            trees.append(BVHTree.FromPolygons([obj.matrix_world @ v for v in vertices], faces))
+    for obj, matrix in found:
+        vertices, faces = _polygons(obj, depsgraph)
+        trees.append(BVHTree.FromPolygons([matrix @ v for v in vertices], faces))
+    for instance in depsgraph.object_instances:
+        if not instance.is_instance or instance.object.type not in _SURFACES:
+            continue
+        owner = instance.parent.original
+        if owner not in parts and not stage.unseen(scene, owner) and not instance.object.hide_render:
+            vertices, faces = _mesh_of(instance.object)
+            trees.append(BVHTree.FromPolygons([instance.matrix_world @ v for v in vertices], faces))
     return trees
 
 
@@ -130,8 +143,12 @@ class Sight:
 
 
 def _polygons(obj: bpy.types.Object, depsgraph: Any) -> tuple[list[Vector], list[tuple[int, ...]]]:
-    mesh = obj.evaluated_get(depsgraph).to_mesh()
+    return _mesh_of(obj.evaluated_get(depsgraph))
+
+
+def _mesh_of(evaluated: bpy.types.Object) -> tuple[list[Vector], list[tuple[int, ...]]]:
+    mesh = evaluated.to_mesh()
     vertices = [v.co.copy() for v in mesh.vertices]
     faces = [tuple(p.vertices) for p in mesh.polygons]
-    obj.evaluated_get(depsgraph).to_mesh_clear()
+    evaluated.to_mesh_clear()
     return vertices, faces

@@ -180,10 +180,10 @@ def opened(
 
 
 def refuse_hidden(scene: bpy.types.Scene) -> None:
-    """Raise NlosError if the target is hidden from renders."""
+    """Raise NlosError if the target is not rendered."""
     target = stage.find(scene, "target")
-    if target.hide_render:
-        raise NlosError(f"{bpy.data.filepath or 'scene'}: the target {target.name!r} is hidden from renders; show it")
+    if why := stage.unseen(scene, target):
+        raise NlosError(f"{bpy.data.filepath or 'scene'}: the target {target.name!r} {why}; show it")
 
 
 def choose(scene: bpy.types.Scene) -> tuple[str, list[str]]:

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+import contextlib
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any, NoReturn, TypeVar
 
@@ -38,6 +39,9 @@ _NOT_MESH = {
 }
 
 Result = TypeVar("Result")
+
+_SLOT = "NLOS look"
+"""Of the render result: what reading a scene leaves there is no picture."""
 
 
 def lit_patch(scene: bpy.types.Scene) -> LitPatch:
@@ -116,8 +120,8 @@ def world(scene: bpy.types.Scene, *, resolution: tuple[int, int] | None = None) 
     bent = [s for s in reading.surfaces if s.smooth and s.role != "target"]
     bent += [part for sphere, part in zip(spheres, parts, strict=True) if part.smooth and sphere is None]
     reasons += [f"{s.label} is shaded smooth, so that it reflects as if it were curved" for s in bent]
-    if target.hide_render:
-        reasons.append(f"the target {target.name!r} is hidden from renders")
+    if why := stage.unseen(scene, target):
+        reasons.append(f"the target {target.name!r} {why}")
     elif not bodies:
         reasons.append(f"the target {target.name!r} has no surface to reflect light")
     if reasons or patch is None or watched is None:
@@ -182,7 +186,7 @@ def _as_rendered(scene: bpy.types.Scene, look: Callable[[Any], Result]) -> Resul
 
     bpy.utils.register_class(Look)
     try:
-        with stage.Overrides() as overrides, stage.quiet():
+        with stage.Overrides() as overrides, stage.quiet(), _in_a_slot():
             overrides.set(scene, "camera", stage.find(scene, "camera"))
             for name, value in (
                 ("engine", Look.bl_idname),
@@ -203,6 +207,26 @@ def _as_rendered(scene: bpy.types.Scene, look: Callable[[Any], Result]) -> Resul
     if not results:
         raise NlosError(f"{bpy.data.filepath or 'scene'}: cannot be read, for none of its view layers is rendered")
     return results[0]
+
+
+@contextlib.contextmanager
+def _in_a_slot() -> Iterator[None]:
+    """Let a render fill a slot of its own, so that the picture that the user rendered last stays."""
+    result = next((image for image in bpy.data.images if image.type == "RENDER_RESULT"), None)
+    if result is None:
+        yield
+        return
+    slots = result.render_slots
+    before = slots.active_index
+    names = [slot.name for slot in slots]
+    if _SLOT not in names:
+        slots.new(name=_SLOT)
+        names.append(_SLOT)
+    slots.active_index = names.index(_SLOT)
+    try:
+        yield
+    finally:
+        slots.active_index = before
 
 
 def _read(scene: bpy.types.Scene) -> _Reading:
@@ -471,7 +495,7 @@ def _sphere(surface: _Surface, origin: Array) -> Sphere | None:
 def _at_rest(scene: bpy.types.Scene, target: bpy.types.Object) -> tuple[_Reading, list[str]]:
     """Read the scene with the target unrotated where it is; find out what else changes when it moves."""
     place = np.array(target.matrix_world.translation, dtype=np.float64)
-    if target.hide_render:  # where it goes cannot be seen
+    if stage.unseen(scene, target):  # where it goes cannot be seen
         reading = _read(scene)
         reading.places.setdefault("target", np.array(target.matrix_world, dtype=np.float64))
         return reading, reading.reasons

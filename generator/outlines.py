@@ -44,6 +44,8 @@ def boxes(grid: spec.VoxelGrid) -> Array:
 
 def lit_patch(lamp: bpy.types.Object) -> Array:
     """Return the rim of what a spot lamp lights of the plane y = 0, (n, 3), metres; empty if that is no ellipse."""
+    if lamp.type != "LIGHT" or lamp.data.type != "SPOT":
+        return np.empty((0, 3))
     matrix = np.array(lamp.matrix_world)
     origin, axes = matrix[:3, 3], matrix[:3, :3] / np.linalg.norm(matrix[:3, :3], axis=0)
     turn = np.linspace(0.0, 2.0 * math.pi, _TURNS, endpoint=False)[:, None]

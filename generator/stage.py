@@ -26,6 +26,8 @@ from generator import spec
 from generator.spec import Array, NlosError
 
 ROLE = "nlos_role"
+BUILT = "nlos_built"
+"""Of what `build` made, and may take away again."""
 KIND = "nlos_target_kind"
 SURFACE = "nlos_surface"
 GRID_LO, GRID_HI, GRID_SHAPE = "nlos_grid_lo", "nlos_grid_hi", "nlos_grid_shape"
@@ -146,9 +148,14 @@ def build(scene: bpy.types.Scene, wanted: spec.Scene) -> None:
             f"resolution: {width} x {height} pixels do not fit the watched rectangle of "
             f"{x[1] - x[0]:g} x {z[1] - z[0]:g} m; pixels must be square"
         )
-    target = _target(wanted.target)  # first: a mesh file that cannot be read must leave the scene as it was
+    # What can go wrong goes wrong first, and leaves the scene as it was.
+    _cycles(scene)
+    for obj in scene.objects:
+        if ROLE in obj and obj.library is not None:
+            raise NlosError(f"{_file()}: {obj.name!r} is linked from another file, so it cannot be replaced")
+    target = _target(wanted.target)
     _clear(scene)
-    collection = scene.collection.children.get(COLLECTION)
+    collection = next((c for c in scene.collection.children if c.name == COLLECTION and c.library is None), None)
     if collection is None:
         collection = bpy.data.collections.new(COLLECTION)
         scene.collection.children.link(collection)
@@ -182,6 +189,8 @@ def build(scene: bpy.types.Scene, wanted: spec.Scene) -> None:
     scene.render.resolution_x, scene.render.resolution_y = wanted.resolution
     scene.render.resolution_percentage = 100
     limit_reflections(scene, wanted.reflection_order)
+    for obj in collection.objects:
+        obj[BUILT] = True
     bpy.context.view_layer.update()
 
 
@@ -244,6 +253,38 @@ def players(scene: bpy.types.Scene, role: str) -> list[bpy.types.Object]:
     return [o for o in scene.objects if o.get(ROLE) == role]
 
 
+def unseen(scene: bpy.types.Scene, obj: bpy.types.Object) -> str:
+    """Return why an object is not rendered, in words that follow its name; empty if it is."""
+    if obj.hide_render:
+        return "is hidden from renders"
+
+    def shown(layer: Any) -> bool:
+        if layer.exclude or layer.collection.hide_render:
+            return False
+        return obj.name in layer.collection.objects or any(map(shown, layer.children))
+
+    if any(layer.use and shown(layer.layer_collection) for layer in scene.view_layers):
+        return ""
+    return "is in no collection that is rendered"
+
+
+def show(scene: bpy.types.Scene, obj: bpy.types.Object) -> None:
+    """Let an object be rendered, and the collections that hold it."""
+    obj.hide_render = False
+
+    def open_up(layer: Any) -> bool:
+        below = [open_up(child) for child in layer.children]  # all of them, not the first that holds it
+        if obj.name in layer.collection.objects or any(below):
+            if layer.exclude and layer.collection != scene.collection:
+                layer.exclude = False
+            layer.collection.hide_render = False
+            return True
+        return False
+
+    for layer in scene.view_layers:
+        open_up(layer.layer_collection)
+
+
 def read(scene: bpy.types.Scene) -> spec.Scene:
     """Read the spec back out of a scene, as edited.
 
@@ -257,7 +298,12 @@ def read(scene: bpy.types.Scene) -> spec.Scene:
     low, high = _box([wall])
     if not in_frame(wall):
         raise NlosError(f"{_file()}: the relay wall {wall.name!r} must lie in the plane y = 0")
+    if target.matrix_world.determinant() < 0.0:
+        raise NlosError(
+            f"{_file()}: the target {target.name!r} is mirrored by a negative scale; apply the scale first"
+        )
     room, screens = players(scene, "room"), players(scene, "partition")
+    kind = target.get(KIND, "mesh")
     return spec.Scene(
         preset=str(scene.get(PRESET, "custom")),
         wall=spec.Wall(x=_range(low, high, 0), z=_range(low, high, 2), albedo=albedo(wall)),
@@ -267,7 +313,7 @@ def read(scene: bpy.types.Scene) -> spec.Scene:
         camera=_read_camera(scene, camera),
         grid=read_grid(scene),
         target=spec.Target(
-            kind=target.get(KIND, "mesh"),
+            kind=kind if kind in ("sheet", "sphere") else "mesh",
             size=short(max(np.ptp(hull(scene), axis=0))),
             albedo=albedo(target),
         ),
@@ -500,14 +546,22 @@ def ambient(scene: bpy.types.Scene) -> float:
     """Return the world's mean radiance, W/m^2/sr; for a world with a texture, its strength."""
     node = _background_node(scene)
     if node is None:
-        return 0.0 if scene.world is None or scene.world.node_tree else float(sum(scene.world.color) / 3.0)
+        return 0.0 if scene.world is None or _world_tree(scene) else float(sum(scene.world.color) / 3.0)
     strength = short(node.inputs["Strength"].default_value)
     colour = node.inputs["Color"]
     return strength if colour.is_linked else strength * float(sum(colour.default_value[:3])) / 3.0
 
 
+def _world_tree(scene: bpy.types.Scene) -> Any:
+    """The world's nodes, if they are what is rendered."""
+    world = scene.world
+    if world is None or (bpy.app.version < (5, 0, 0) and not world.use_nodes):
+        return None
+    return world.node_tree
+
+
 def _background_node(scene: bpy.types.Scene) -> Any:
-    tree = scene.world.node_tree if scene.world else None
+    tree = _world_tree(scene)
     return next((n for n in tree.nodes if n.type == "BACKGROUND"), None) if tree else None
 
 
@@ -516,7 +570,13 @@ def _file() -> str:
 
 
 def _clear(scene: bpy.types.Scene) -> None:
-    for obj in [o for o in scene.objects if ROLE in o]:
+    """Take away what an earlier call built; objects of the user's own only lose their roles."""
+    ours = scene.collection.children.get(COLLECTION)
+    # Scenes that older versions built have no mark, but a collection of their own.
+    built = [o for o in scene.objects if BUILT in o or (ROLE in o and ours is not None and o.name in ours.objects)]
+    for obj in [o for o in scene.objects if ROLE in o and o not in built]:
+        del obj[ROLE]
+    for obj in built:
         data = obj.data
         bpy.data.objects.remove(obj, do_unlink=True)
         if data is not None and data.users == 0:
@@ -674,9 +734,13 @@ def _import_mesh(wanted: spec.Target) -> bpy.types.Object:
 
 
 def _world(scene: bpy.types.Scene, radiance: float) -> None:
-    if scene.world is None:
+    old = scene.world
+    if old is None or BUILT not in old or old.library is not None:
+        if old is not None:
+            old.use_fake_user = True  # somebody made it: kept, though this scene has another now
         scene.world = bpy.data.worlds.new("NLOS world")
-    if scene.world.node_tree is None:
+        scene.world[BUILT] = True
+    if bpy.app.version < (5, 0, 0) or scene.world.node_tree is None:  # Blender 5 has nothing else, and warns
         scene.world.use_nodes = True
     tree = scene.world.node_tree
     tree.nodes.clear()
@@ -795,6 +859,10 @@ def read_grid(scene: bpy.types.Scene) -> spec.VoxelGrid:
     missing = [key for key in (GRID_LO, GRID_HI, GRID_SHAPE) if key not in scene]
     if missing:
         raise NlosError(f"{_file()}: lacks the voxel grid (custom property {missing[0]} of the scene)")
+    if not all(hasattr(scene[key], "__len__") for key in (GRID_LO, GRID_HI, GRID_SHAPE)):
+        raise NlosError(
+            f"{_file()}: the voxel grid (custom properties {GRID_LO} and so on) must be three lists of three"
+        )
     data = {
         "lo": [short(v) for v in scene[GRID_LO]],
         "hi": [short(v) for v in scene[GRID_HI]],

@@ -1,0 +1,169 @@
+"""Nothing that a user made is lost or moved, and what is not rendered is told: cases that a review provoked."""
+
+from __future__ import annotations
+
+import bpy
+import pytest
+
+from generator import adopt, check, clearance, engines, extract, spec, stage, worker
+from generator.check import ERROR
+from generator.spec import NlosError, preset
+
+_FACES = [(0, 1, 3, 2), (4, 5, 7, 6), (0, 1, 5, 4), (2, 3, 7, 6), (0, 2, 6, 4), (1, 3, 7, 5)]
+
+
+def built(target="sheet"):
+    scene = stage.new_file()
+    stage.build(scene, preset("room", target))
+    return scene
+
+
+def own_object(scene, name="Mine", place=(3.0, 4.0, 5.0), collection=None):
+    """A cube of the user's own."""
+    mesh = bpy.data.meshes.new(name)
+    corners = [(x, y, z) for x in (-0.1, 0.1) for y in (-0.1, 0.1) for z in (-0.1, 0.1)]
+    mesh.from_pydata(corners, [], _FACES)
+    obj = bpy.data.objects.new(name, mesh)
+    obj.location = place
+    (collection or scene.collection).objects.link(obj)
+    bpy.context.view_layer.update()
+    return obj
+
+
+def test_building_again_keeps_what_was_adopted():
+    """The user's object loses its role, no more; what an earlier build made goes, with or without a role."""
+    scene = built()
+    mine = own_object(scene)
+    before = stage.find(scene, "target").name
+    adopt.assign(scene, "target", [mine])
+    world = bpy.data.worlds.new("Studio")
+    scene.world = world
+    stage.build(scene, preset("room", "sphere"))
+    assert mine.name in scene.objects
+    assert stage.ROLE not in mine
+    assert stage.find(scene, "target") != mine
+    assert [o.name for o in scene.objects].count(before) <= 1
+    assert len(stage.players(scene, "room")) == len(preset("room").room.surfaces)
+    assert bpy.data.worlds.get("Studio") == world
+    assert world.use_fake_user
+
+
+def test_a_scene_that_cannot_be_built_stays():
+    """What is refused is refused before anything is taken away."""
+    scene = built()
+    names = sorted(o.name for o in scene.objects)
+    wrong = spec.from_dict(spec.Scene, {**spec.to_dict(preset("room")), "resolution": [64, 32]})
+    with pytest.raises(NlosError, match="do not fit the watched rectangle"):
+        stage.build(scene, wrong)
+    assert sorted(o.name for o in scene.objects) == names
+
+
+def test_metres_move_what_no_view_layer_shows():
+    """Of an excluded collection Blender does not know where its objects are; their own figures say it."""
+    scene = built()
+    hidden = bpy.data.collections.new("Hidden")
+    scene.collection.children.link(hidden)
+    mine = own_object(scene, place=(2.0, 4.0, 6.0), collection=hidden)
+    scene.view_layers[0].layer_collection.children["Hidden"].exclude = True
+    bpy.context.view_layer.update()
+    scene.unit_settings.scale_length = 0.5
+    adopt.to_metres(scene)
+    assert tuple(mine.location) == pytest.approx((1.0, 2.0, 3.0))
+
+
+def test_what_is_held_is_named_and_nothing_moves():
+    scene = built()
+    mine = own_object(scene)
+    mine.constraints.new("COPY_LOCATION").target = stage.find(scene, "spot")
+    before = {o.name: o.matrix_basis.copy() for o in scene.objects}
+    scene.unit_settings.scale_length = 0.5
+    with pytest.raises(NlosError, match="'Mine' is held by constraints"):
+        adopt.to_metres(scene)
+    assert all(scene.objects[name].matrix_basis == matrix for name, matrix in before.items())
+
+
+@pytest.mark.parametrize("how", ["exclude", "hide_render"])
+def test_a_target_in_a_collection_that_is_not_rendered(how):
+    """Found by the check, refused by the engines, mended by its fix."""
+    scene = built()
+    layer = scene.view_layers[0].layer_collection.children[stage.COLLECTION]
+    setattr(layer if how == "exclude" else layer.collection, how, True)
+    bpy.context.view_layer.update()
+    found = [f for f in check.findings(scene) if "is in no collection that is rendered" in f.text]
+    assert [f.level for f in found][:1] == [ERROR]
+    with pytest.raises(NlosError, match="is in no collection that is rendered"):
+        engines.refuse_hidden(scene)
+    check.mend(scene, "show")
+    assert not stage.unseen(scene, stage.find(scene, "target"))
+
+
+def test_an_object_that_changes_nothing_is_an_error():
+    """Never "infinitely far above the noise"."""
+    probe = check.Probe(engine="patch", share=0.0, signal_to_noise=float("inf"), seconds=1.0, bytes=1.0)
+    assert [f.level for f in probe.findings()] == [ERROR]
+
+
+def test_the_picture_that_was_rendered_last_stays(tmp_path):
+    """Reading the scene renders too, in a slot of its own."""
+    scene = built()
+    scene.render.engine, scene.cycles.samples = "CYCLES", 1
+    scene.render.resolution_x = scene.render.resolution_y = 8
+    scene.render.image_settings.file_format = "OPEN_EXR"
+    bpy.ops.render.render()
+    result = next(i for i in bpy.data.images if i.type == "RENDER_RESULT")
+    for _ in range(3):
+        extract.surfel_world(scene)
+    result.save_render(str(tmp_path / "kept.exr"))
+    assert (tmp_path / "kept.exr").stat().st_size > 0
+    assert len(result.render_slots) <= 9
+
+
+def test_a_mirrored_target_is_refused():
+    """Its figures come back from Blender as another turn and scale, and the poses would not be what was asked for."""
+    scene = built()
+    stage.find(scene, "target").scale = (-1.0, 1.0, 1.0)
+    bpy.context.view_layer.update()
+    with pytest.raises(NlosError, match="mirrored by a negative scale"):
+        stage.read(scene)
+
+
+def test_instances_are_in_the_way_and_what_is_not_rendered_is_not():
+    scene = built()
+    before = len(clearance.obstacles(scene))
+    furniture = bpy.data.collections.new("Furniture")
+    own_object(scene, collection=furniture)
+    empty = bpy.data.objects.new("Instance", None)
+    empty.instance_type, empty.instance_collection = "COLLECTION", furniture
+    scene.collection.objects.link(empty)
+    bpy.context.view_layer.update()
+    assert len(clearance.obstacles(scene)) == before + 1
+    empty.hide_render = True
+    bpy.context.view_layer.update()
+    assert len(clearance.obstacles(scene)) == before
+
+
+def test_odd_properties_are_sentences():
+    scene = built()
+    stage.find(scene, "target")[stage.KIND] = "teapot"
+    assert stage.read(scene).target.kind == "mesh"
+    assert worker.settled(scene, stage.read(scene), {})[0].rotation == worker.TURNS["mesh"]
+    scene[stage.GRID_LO] = 1.0
+    with pytest.raises(NlosError, match="must be three lists of three"):
+        stage.read_grid(scene)
+
+
+def test_many_voxels_are_looked_at_in_part():
+    """A window waits for the check."""
+    scene = built()
+    grid = stage.read_grid(scene)
+    stage.write_grid(scene, spec.VoxelGrid(lo=grid.lo, hi=grid.hi, shape=(20, 20, 20)))
+    assert not any(f.level == ERROR for f in check.findings(scene))
+
+
+def test_a_lamp_that_is_no_spot_has_no_patch():
+    from generator import outlines
+
+    scene = built()
+    lamp = stage.find(scene, "spot")
+    lamp.data.type = "POINT"
+    assert outlines.lit_patch(lamp).shape == (0, 3)
