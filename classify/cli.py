@@ -87,6 +87,8 @@ def _parser() -> argparse.ArgumentParser:
         "--size", type=int, default=32, metavar="N", help="average down to N pixels a side (default: 32)"
     )
     features.add_argument("--partial", action="store_true", help="take an unfinished data set as it is")
+    _add_sensor_options(features, "as clean radiance")
+    features.add_argument("--seed", type=int, default=0, metavar="N", help="of the sensor's noise (default: 0)")
     features.set_defaults(run=_features)
 
     compare = commands.add_parser(
@@ -179,6 +181,44 @@ def _parser() -> argparse.ArgumentParser:
     )
     locate.set_defaults(run=_locate)
 
+    track = commands.add_parser(
+        "track",
+        help="follow an object that moves, frame by frame",
+        description="Follow a known object through the frames of a trajectory, as the atlas' sensor would have seen "
+        "them: where it is after each, how sure, and how far from the truth.",
+        epilog="example:\n  nlos-generate trajectory room.blend -o walk/ --frames 200 --engine surfel\n"
+        "  nlos-classify track room.atlas walk/ -o track/ --gap 80:110",
+        formatter_class=_RAW,
+    )
+    track.add_argument(
+        "atlas", type=Path, metavar="FILE.atlas", help="of poses that fill the volume: --inside centre"
+    )
+    track.add_argument("dataset", type=Path, help="folder of the trajectory")
+    track.add_argument("-o", "--output", type=Path, metavar="FOLDER", help="for track.csv and track.png")
+    track.add_argument(
+        "--step",
+        type=float,
+        default=0.03,
+        metavar="M",
+        help="standard deviation of its walk along each axis from frame to frame, metres (default: 0.03)",
+    )
+    track.add_argument(
+        "--gap",
+        action="append",
+        default=[],
+        metavar="FROM:TO",
+        help="take the object away for these frames; repeatable",
+    )
+    track.add_argument(
+        "--follow",
+        type=float,
+        default=0.0,
+        metavar="S",
+        help="while the trajectory is being rendered: wait S seconds for the next frame (default: 0)",
+    )
+    track.add_argument("--seed", type=int, default=0, metavar="N", help="of the sensor's noise (default: 0)")
+    track.set_defaults(run=_track)
+
     bound = commands.add_parser(
         "bound",
         help="say how well any method can answer, voxel by voxel",
@@ -195,15 +235,18 @@ def _parser() -> argparse.ArgumentParser:
     return parser
 
 
-def _add_sensor_options(parser: argparse.ArgumentParser) -> None:
+_SENSORS = ("full_well", "read_noise", "bits", "exposure", "fill", "frames", "background_frames", "gain_spread")
+
+
+def _add_sensor_options(parser: argparse.ArgumentParser, otherwise: str = "by the default sensor") -> None:
     parser.add_argument(
         "--sensor",
-        type=Path,
-        metavar="FILE.toml",
-        help="full_well, read_noise, bits, exposure, fill, frames, background_frames, gain_spread, offset_spread, "
-        "drift (default: 10,500 e-, 2.5 e-, 12 bits, brightest pixel at 80 %% of full well, one frame)",
+        metavar="default|FILE.toml",
+        help=f"see the pictures through a camera's sensor; a file may name {', '.join(_SENSORS)}, offset_spread and "
+        "drift. The default has a full well of 10,500 electrons, the brightest pixel at 80 %% of it, a read noise of "
+        f"2.5, 12 bits (without it: {otherwise})",
     )
-    parser.add_argument("--frames", type=int, metavar="N", help="to average for a picture (default: the sensor's)")
+    parser.add_argument("--frames", type=int, metavar="N", help="that the sensor averages for a picture (default: 1)")
 
 
 def _sensor(options: argparse.Namespace) -> Sensor:
@@ -212,7 +255,8 @@ def _sensor(options: argparse.Namespace) -> Sensor:
     from generator.sensor import Sensor
     from generator.spec import from_dict, read_toml
 
-    sensor: Sensor = from_dict(Sensor, read_toml(options.sensor), "sensor.") if options.sensor else Sensor()
+    named = options.sensor not in (None, "default")
+    sensor: Sensor = from_dict(Sensor, read_toml(Path(options.sensor)), "sensor.") if named else Sensor()
     return sensor if options.frames is None else replace(sensor, frames=options.frames)
 
 
@@ -240,7 +284,7 @@ def _progress(what: str, unit: str) -> Iterator[Callable[[int, int, str], None]]
 
 
 def _features(options: argparse.Namespace) -> int:
-    from classify import store
+    from classify import models, store
     from classify.features import FeatureSettings
     from generator.dataset import Dataset
 
@@ -252,11 +296,18 @@ def _features(options: argparse.Namespace) -> int:
         ceiling=options.ceiling,
         size=options.size,
     )
+    models.check_seed(options.seed)
+    sensor = None if options.sensor is None and options.frames is None else _sensor(options)
     dataset = Dataset.open(options.dataset)
     _check_output(options.output)
     with _progress("describing", "pictures") as progress:
         features = store.extract(
-            dataset, settings, partial=options.partial, progress=lambda done, total: progress(done, total, "")
+            dataset,
+            settings,
+            partial=options.partial,
+            sensor=sensor,
+            seed=options.seed,
+            progress=lambda done, total: progress(done, total, ""),
         )
     store.write(options.output, features)
     n, d = features.values.shape
@@ -380,6 +431,52 @@ def _locate(options: argparse.Namespace) -> int:
         write_text(options.output / "answers.csv", answers.csv())
         print(options.output / "answers.csv")
     return 0
+
+
+def _track(options: argparse.Namespace) -> int:
+    from classify import atlas, models, pursuit
+    from generator.dataset import Dataset, write_text
+
+    models.check_seed(options.seed)
+    gaps = [_gap(text) for text in options.gap]
+    if options.output:
+        _check_output(options.output, folder=True)
+
+    def told(so_far: pursuit.Pursuit) -> None:
+        record, step = so_far.records[-1], so_far.steps[-1]
+        x, y, z = step.position
+        label = found.grid.labels[step.voxels.argmax()]
+        where = f"{label} at {x:.2f}, {y:.2f}, {z:.2f} m" if step.presence > 0.5 else "nothing"
+        print(f"frame {record.index}: {where} (presence {step.presence:.0%})", flush=True)
+
+    found = atlas.load(options.atlas)
+    followed = pursuit.run(
+        found,
+        Dataset.open(options.dataset),
+        step=options.step,
+        gaps=gaps,
+        patience=options.follow,
+        seed=options.seed,
+        told=told,
+    )
+    for line in followed.words():
+        print(line)
+    if options.output:
+        write_text(options.output / "track.csv", followed.csv())
+        followed.draw(options.output / "track.png", str(options.dataset))
+        print(options.output / "track.png")
+    return 0
+
+
+def _gap(text: str) -> tuple[int, int]:
+    first, _, last = text.partition(":")
+    try:
+        gap = (int(first), int(last))
+    except ValueError:
+        gap = (0, 0)
+    if not 0 <= gap[0] < gap[1]:
+        raise NlosError(f"--gap {text!r}: must read FROM:TO, two frames, for example 80:110")
+    return gap
 
 
 def _bound(options: argparse.Namespace) -> int:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import contextlib
 import json
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 
 from classify.features import FeatureSettings, describe, feature_names, software
 from generator.dataset import Dataset, Picture, atomic
+from generator.sensor import Camera, Sensor
 from generator.spec import NlosError, VoxelGrid, from_dict, to_dict
 
 FORMAT = 1
@@ -71,6 +72,8 @@ def extract(
     settings: FeatureSettings,
     *,
     partial: bool = False,
+    sensor: Sensor | None = None,
+    seed: int = 0,
     progress: Callable[[int, int], None] = lambda done, total: None,
 ) -> Features:
     """Describe every picture of a data set.
@@ -81,6 +84,10 @@ def extract(
     settings : FeatureSettings
     partial : bool
         Take an unfinished data set as it is.
+    sensor : Sensor, optional
+        That sees the pictures; without one, their clean radiance is described.
+    seed : int
+        Of the sensor's noise.
     progress : callable
         Is told how many pictures are done, and of how many.
 
@@ -97,13 +104,14 @@ def extract(
             f"{dataset.path}: only {len(records)} of {dataset.planned} pictures are rendered; finish the sweep, or "
             "take it as it is with --partial"
         )
-    background = dataset.background()
+    camera = dataset if sensor is None else Camera(dataset, sensor, seed)
+    background = camera.background()
     rows = []
     for done, record in enumerate(records):
         name = str(dataset.path / record.file)
         rows.append(
             describe(
-                dataset.picture(record),
+                camera.picture(record),
                 settings,
                 reference=dataset.reference_radiance,
                 background=background,
@@ -128,6 +136,7 @@ def extract(
             "dataset": dataset.path.resolve().name,
             "fingerprint": dataset.meta["fingerprint"],
             "sweep": dataset.settings,
+            **({"sensor": asdict(camera.sensor), "noise_seed": seed} if isinstance(camera, Camera) else {}),
             "software": {**dataset.meta.get("software", {}), **software()},
         },
     )
@@ -239,6 +248,11 @@ def check_comparable(a: Features, b: Features, names: tuple[str, str]) -> None:
         raise NlosError(
             f"{names[0]} and {names[1]}: have different voxel grids ({_grid(a.grid)} against {_grid(b.grid)}), so "
             "their labels mean different places; compare data sets of one grid"
+        )
+    seen = [{k: v for k, v in f.provenance.get("sensor", {}).items() if k != "exposure"} for f in (a, b)]
+    if seen[0] != seen[1]:
+        raise NlosError(
+            f"{names[0]} and {names[1]}: were seen by different sensors; extract both with one --sensor and --frames"
         )
     if a.settings != b.settings:
         ours, theirs = json.loads(a.settings.to_json()), json.loads(b.settings.to_json())

@@ -20,6 +20,8 @@ from generator.sweep import clock
 if TYPE_CHECKING:
     from generator.bulk import Bulk
 
+_FRAMES = 200
+
 _EXAMPLES = """\
 examples:
   nlos-generate scene room --target sphere -o room.blend
@@ -101,6 +103,19 @@ def _parser() -> argparse.ArgumentParser:
     sweep.add_argument("--workers", type=int, default=0, metavar="W", help="processes (default: one per core)")
     sweep.set_defaults(run=_sweep)
 
+    trajectory = commands.add_parser(
+        "trajectory",
+        help="render a data set of a target that moves: frame after frame, for track",
+        description="As sweep does, but the target walks through the voxels, straight from one random pose to the "
+        "next, and its pictures are frames, one after the other.",
+        epilog="example:\n  nlos-generate trajectory room.blend -o walk/ --frames 200 --pace 0.03 --engine surfel",
+        formatter_class=argparse.RawDescriptionHelpFormatter,
+    )
+    trajectory.add_argument("scene", type=Path, help="the .blend file")
+    _add_sweep_options(trajectory, frames=True)
+    trajectory.add_argument("--workers", type=int, default=0, metavar="W", help="processes (default: one per core)")
+    trajectory.set_defaults(run=_trajectory)
+
     bulk = commands.add_parser(
         "bulk",
         help="make a very large set: up to millions of pictures in a few hundred HDF5 files",
@@ -135,6 +150,7 @@ def _parser() -> argparse.ArgumentParser:
         formatter_class=argparse.RawDescriptionHelpFormatter,
     )
     checked.add_argument("scene", type=Path, help="the .blend file")
+    checked.add_argument("--poses", type=int, metavar="N", help=f"per voxel (default: {Sweep().poses})")
     _add_engine_options(checked)
     _add_pose_options(checked, "of all poses and all noise")
     checked.set_defaults(run=_check)
@@ -180,16 +196,23 @@ def _parser() -> argparse.ArgumentParser:
     return parser
 
 
-def _add_sweep_options(parser: argparse.ArgumentParser) -> None:
+def _add_sweep_options(parser: argparse.ArgumentParser, *, frames: bool = False) -> None:
+    default = Sweep()
     parser.add_argument("-o", "--output", type=Path, required=True, metavar="DATASET", help="folder of the data set")
+    if frames:
+        parser.add_argument("--frames", type=int, metavar="N", help=f"in all (default: {_FRAMES})")
+        parser.add_argument(
+            "--pace", type=float, metavar="M", help=f"metres from frame to frame (default: {default.pace:g})"
+        )
+    else:
+        parser.add_argument("--poses", type=int, metavar="N", help=f"per voxel (default: {default.poses})")
     _add_engine_options(parser)
-    _add_pose_options(parser, "of all poses and all noise")
+    _add_pose_options(parser, "of all poses and all noise", inside=not frames)
     parser.add_argument("--shard", default="0/1", metavar="i/n", help="render the i-th of n parts only (from 0)")
 
 
 def _add_engine_options(parser: argparse.ArgumentParser) -> None:
     default = Sweep()
-    parser.add_argument("--poses", type=int, metavar="N", help=f"per voxel (default: {default.poses})")
     parser.add_argument(
         "--engine",
         choices=["auto", "path", "patch", "surfel"],
@@ -215,15 +238,16 @@ def _add_engine_options(parser: argparse.ArgumentParser) -> None:
     )
 
 
-def _add_pose_options(parser: argparse.ArgumentParser, seed: str) -> None:
+def _add_pose_options(parser: argparse.ArgumentParser, seed: str, *, inside: bool = True) -> None:
     default = Sweep()
     parser.add_argument("--seed", type=int, metavar="N", help=f"{seed} (default: {default.seed})")
     parser.add_argument("--resolution", metavar="R", help="64 or 64x48 (default: the scene's)")
-    parser.add_argument(
-        "--inside",
-        choices=["whole", "centre"],
-        help=f"what of the target must lie in its voxel (default: {default.inside})",
-    )
+    if inside:
+        parser.add_argument(
+            "--inside",
+            choices=["whole", "centre"],
+            help=f"what of the target must lie in its voxel (default: {default.inside})",
+        )
     parser.add_argument(
         "--rotation",
         type=float,
@@ -358,6 +382,15 @@ def _sweep(options: argparse.Namespace) -> int:
     with _progress() as progress:
         outcome = sweep.run(options.scene, options.output, chosen, progress=progress, tell=print, **_farm(options))
     return _report(outcome.dataset, outcome.rendered, outcome.remaining, outcome.failed)
+
+
+def _trajectory(options: argparse.Namespace) -> int:
+    if options.frames is None:
+        known = Dataset.open(options.output).settings if Dataset.exists(options.output) else {}
+        options.frames = known.get("frames", _FRAMES)
+    if options.frames < 1:
+        raise NlosError(f"--frames {options.frames}: must be 1 or more")
+    return _sweep(options)
 
 
 def _bulk(options: argparse.Namespace) -> int:

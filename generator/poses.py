@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -242,6 +243,65 @@ def experiment(number: int, centre: Vector, *, step: float, turn: float = 15.0, 
             row.append(((place[0], place[1], place[2]), (rotation[0], rotation[1], rotation[2])))
         rows.append(row)
     return rows
+
+
+def trajectory(
+    grid: VoxelGrid, sweep: Sweep, hull: Array, is_free: Callable[[Vector, Vector], bool] = lambda *_: True
+) -> list[PoseRecord]:
+    """Draw a walk through the voxels: straight from one random pose to the next, at an even pace.
+
+    Parameters
+    ----------
+    grid, sweep, hull, is_free
+        As for `plan`; each leg goes where the target is clear of every surface all the way.
+
+    Returns
+    -------
+    list of PoseRecord
+        Frame by frame; voxel and label are those that the target's origin stands in.
+
+    Raises
+    ------
+    NlosError
+        The target fits nowhere, or can go nowhere from where it is.
+    """
+    labels, centred = grid.labels, replace(sweep, inside="centre")
+    sampler = Sampler(grid, centred, hull, is_free)
+    rng = np.random.default_rng([sweep.seed, grid.n_voxels])
+    drawn = 0
+
+    def somewhere() -> tuple[Array, Array]:
+        nonlocal drawn
+        drawn += 1
+        place, turn = sampler.draw(int(rng.integers(grid.n_voxels)), drawn)
+        return np.array(place), np.array(turn)
+
+    place, turn = somewhere()
+    walk = [(place, turn)]
+    while len(walk) < sweep.frames:
+        for _ in range(_TRIES):
+            goal, turned = somewhere()
+            steps = math.ceil(float(np.linalg.norm(goal - place)) / sweep.pace)
+            shares = np.minimum(np.arange(1, steps + 1) * sweep.pace / np.linalg.norm(goal - place), 1.0)[:, None]
+            leg = list(zip(place + shares * (goal - place), turn + shares * (turned - turn), strict=True))
+            if all(is_free(_vector(p), _vector(r)) for p, r in leg):
+                break
+        else:
+            raise NlosError("trajectory: found no way on for the target, clear of all surfaces and hidden all along")
+        walk += leg
+        place, turn = leg[-1]
+    records = []
+    for index, (place, turn) in enumerate(walk[: sweep.frames]):
+        voxel = grid.voxel(place)
+        file = f"frames/{index:05d}.exr"
+        seed = noise_seed(sweep.seed, 1 + index)
+        records.append(PoseRecord(index, voxel, labels[voxel], _vector(place), _vector(turn), seed, file=file))
+    return records
+
+
+def _vector(values: Array) -> Vector:
+    x, y, z = (float(v) for v in values)
+    return x, y, z
 
 
 def _box(points: Array) -> tuple[Array, Array]:

@@ -201,6 +201,12 @@ class VoxelGrid:
         lo = np.asarray(self.lo) + np.asarray(self.cell(voxel)) * np.asarray(self.size)
         return lo, lo + np.asarray(self.size)
 
+    def voxel(self, place: Array) -> int:
+        """Return which voxel a place (3,), metres, is in, or which of those at the rim is next to it."""
+        steps = (np.asarray(place) - self.lo) / np.asarray(self.size)
+        i, j, k = np.clip(np.floor(steps).astype(int), 0, np.array(self.shape) - 1)
+        return int(i + self.shape[0] * (j + self.shape[1] * k))
+
 
 def voxel_label(index: int) -> str:
     """Return the spreadsheet-style name of a voxel: 0 is A, 25 is Z, 26 is AA."""
@@ -352,6 +358,10 @@ class Sweep:
         Largest angles about x, y, z, degrees; each is drawn between minus and plus that.
     accuracy : float
         Of `surfel`: root mean square error over the pixels, relative to what the target adds.
+    frames : int
+        Of a trajectory, one after the other, in place of poses in every voxel; 0 is none.
+    pace : float
+        Of a trajectory, metres from frame to frame.
     """
 
     engine: Literal["path", "patch", "surfel"] = "patch"
@@ -363,15 +373,24 @@ class Sweep:
     inside: Literal["whole", "centre"] = "whole"
     rotation: Vector = (0.0, 0.0, 0.0)
     accuracy: float = 1e-3
+    frames: int = 0
+    pace: float = 0.03
 
     @classmethod
     def idle(cls, engine: str) -> tuple[str, ...]:
         """Return the settings that mean nothing to an engine."""
         return ("samples", "paired") if engine == "surfel" else ("accuracy",)
 
+    @property
+    def unused(self) -> tuple[str, ...]:
+        """The settings that mean nothing here: to the engine, and to a sweep of voxels or a trajectory."""
+        return (*self.idle(self.engine), *(("poses", "inside") if self.frames else ("frames", "pace")))
+
     def __post_init__(self) -> None:
         _check(1e-8 <= self.accuracy <= 0.3, f"accuracy: {self.accuracy:g} must be from 1e-08 to 0.3")
         _check(1 <= self.samples <= 2**24, f"samples: {self.samples} must be from 1 to {2**24}")
+        _check(0 <= self.frames <= 1_000_000, f"frames: {self.frames} must be from 1 to 1000000")
+        _check(0.0 < self.pace < math.inf, f"pace: {self.pace:g} must be positive, metres from frame to frame")
         _check(1 <= self.poses <= 1_000_000, f"poses: {self.poses} must be from 1 to 1000000")
         _check(0 <= self.seed < 2**63, f"seed: {self.seed} must be from 0 to 2^63 - 1")
         _check(

@@ -196,6 +196,10 @@ def check_same(dataset: _Made, scene: Path, chosen: Mapping[str, Any]) -> None:
             differences.append(f"{name} means nothing to its engine {own['engine']!r}")
         if name in own and own[name] != value:
             differences.append(f"{name} is {own[name]} there and {value} here")
+        elif name == "frames" and name not in own:
+            differences.append("its poses lie in voxels, not on a trajectory")
+        elif name == "poses" and name not in own:
+            differences.append("its poses lie on a trajectory, not in voxels")
     if scene_hash(scene) not in (own.get("scene_sha256"), scene_hash(dataset.path / SCENE)):
         differences.append(f"{scene} is not the scene it was rendered from (or has been saved again since)")
     if differences:

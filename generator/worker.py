@@ -78,11 +78,12 @@ def plan(scene: bpy.types.Scene, source: Path, path: Path, chosen: Mapping[str, 
     with engines.opened(scene, sweep.engine, resolution=sweep.resolution, accuracy=sweep.accuracy) as renderer:
         # Refuses now what it could not honour later. The camera's view depends on the resolution.
         is_free = clearance(scene, described, engine=sweep.engine)
-    records = poses.plan(described.grid, sweep, stage.hull(scene), is_free)
+    planned = poses.trajectory if sweep.frames else poses.plan
+    records = planned(described.grid, sweep, stage.hull(scene), is_free)
     stage.save_file(path / SCENE)
     meta = {
         "sweep": {
-            **{name: value for name, value in spec.to_dict(sweep).items() if name not in idle},
+            **{name: value for name, value in spec.to_dict(sweep).items() if name not in sweep.unused},
             "scene_sha256": scene_hash(source),
         },
         "engine_reasons": reasons,

@@ -75,14 +75,15 @@ def make_bulk(path, *, pictures=3000, seed=0, radius=0.15, room=(), rotation=(0.
     return bulk.Bulk.open(path)
 
 
-def make_seen(path, simulated, *, poses=3):
+def make_seen(path, simulated, *, poses=3, frames=False):
     """Write a data set of some poses of a bulk set, as a sweep of its scene would have."""
     n = poses * simulated.grid.n_voxels
     labels, records = simulated.grid.labels, []
     for i, voxel in enumerate(simulated.voxels[:n]):
         place, turn = (tuple(map(float, p[i])) for p in (simulated.positions, simulated.rotations))
-        file = f"{labels[voxel]}/{i:04d}.exr"
-        records.append(PoseRecord(i // len(labels), int(voxel), labels[voxel], place, turn, 1, file=file))
+        file = f"frames/{i:05d}.exr" if frames else f"{labels[voxel]}/{i:04d}.exr"
+        index = i if frames else i // len(labels)
+        records.append(PoseRecord(index, int(voxel), labels[voxel], place, turn, 1, file=file))
     meta = {
         "sweep": {**spec.to_dict(simulated.plan.sweep), "scene_sha256": "none"},
         "reference_radiance": 1.0,

@@ -10,6 +10,7 @@ from hypothesis import strategies as st
 from classify import store
 from classify.features import FeatureSettings, describe, feature_names, tone_map
 from generator.dataset import read_picture, write_picture
+from generator.sensor import Sensor
 from generator.spec import NlosError
 
 SETS = ["global", "spatial-hog"]
@@ -173,3 +174,24 @@ def test_a_picture_altered_after_rendering_is_refused(tmp_path):
     write_picture(file, pixels * 2, header)
     with pytest.raises(NlosError, match=r"C/0000\.exr: its pixels differ"):
         store.extract(dataset, FeatureSettings())
+
+
+def test_features_of_what_a_sensor_saw(tmp_path, command):
+    """The same seed sees the same noise; sets that different sensors saw are not compared."""
+    dataset = make_dataset(tmp_path / "d", n=2)
+    clean, noisy, again = (
+        store.extract(dataset, FeatureSettings(), sensor=sensor, seed=4) for sensor in (None, Sensor(), Sensor())
+    )
+    assert not np.array_equal(clean.values, noisy.values)
+    assert np.array_equal(noisy.values, again.values)
+    assert noisy.provenance["sensor"]["exposure"] > 0.0
+    many = store.extract(dataset, FeatureSettings(), sensor=Sensor(frames=9))
+    with pytest.raises(NlosError, match="were seen by different sensors"):
+        store.check_comparable(noisy, many, ("a.h5", "b.h5"))
+    store.check_comparable(noisy, again, ("a.h5", "b.h5"))
+    done = command("classify", "features", tmp_path / "d", "-o", tmp_path / "f.h5", "--sensor", "default")
+    assert done.returncode == 0, done.stderr
+    assert store.read(tmp_path / "f.h5").provenance["sensor"]["frames"] == 1
+    done = command("classify", "features", tmp_path / "d", "-o", tmp_path / "g.h5", "--frames", 0)
+    assert (done.returncode, (tmp_path / "g.h5").exists()) == (2, False)
+    assert "sensor.frames: 0 must be 1 or more" in done.stderr
