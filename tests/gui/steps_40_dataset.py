@@ -6,7 +6,7 @@ import time
 from pathlib import Path
 
 import bpy
-from helpers import WORK, call, check, memory, module, press, redraw, screenshot, tab, until
+from helpers import WORK, call, check, memory, module, press, redraw, screenshot, tab, until, view3d
 
 POSES = 150
 
@@ -19,6 +19,8 @@ def start_cancel():
     settings = bpy.context.scene.nlos
     settings.engine, settings.samples, settings.resolution, settings.poses = "patch", 32, (16, 16), POSES
     settings.dataset, settings.workers = str(WORK / "set"), 2
+    with view3d():
+        bpy.ops.ed.undo_push(message="settings")  # as their fields do
     call(bpy.ops.wm.save_as_mainfile, filepath=str(WORK / "room40.blend"))
     yield from press("nlos.sweep_start")
     check(job() is not None and job().running, "its button starts it")
