@@ -446,7 +446,7 @@ def _track(options: argparse.Namespace) -> int:
         record, step = so_far.records[-1], so_far.steps[-1]
         x, y, z = step.position
         label = found.grid.labels[step.voxels.argmax()]
-        where = f"{label} at {x:.2f}, {y:.2f}, {z:.2f} m" if step.presence > 0.5 else "nothing"
+        where = f"{label} at {x:.2f}, {y:.2f}, {z:.2f} m" if step.found else "nothing"
         print(f"frame {record.index}: {where} (presence {step.presence:.0%})", flush=True)
 
     found = atlas.load(options.atlas)

@@ -15,13 +15,18 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
+from scipy.stats import chi2
 
 from classify.atlas import Atlas
-from generator.spec import Array, NlosError
+from classify.track import Step
+from generator.spec import Array, NlosError, Vector
 from generator.transport import Transport, World
 
 ENOUGH = 200.0
 """Poses that must share in an answer (effective number: Kish 1965) before the atlas alone gives it."""
+
+SURE = 0.95
+"""Probability that a stated region holds the truth."""
 
 _NEAR = 256
 _DRAWS = 1500
@@ -229,6 +234,12 @@ def _turned(rotation: Array, by: Array) -> Array:
         turn = Rotation.from_rotvec(by) * Rotation.from_euler("xyz", rotation, degrees=True)
         angles: Array = turn.as_euler("xyz", degrees=True)
     return angles
+
+
+def holds(place: Place | Step, position: Vector) -> bool:
+    """Whether the region that is stated to hold the object with probability `SURE` holds a position, metres."""
+    apart = np.asarray(position) - place.position
+    return bool(apart @ np.linalg.pinv(place.covariance, hermitian=True) @ apart <= chi2.ppf(SURE, 3))
 
 
 def _moments(points: Array, weights: Array) -> tuple[Array, Array]:

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import csv
-import io
 import time
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field
@@ -21,8 +19,9 @@ from matplotlib.patches import Ellipse
 from classify.atlas import Atlas
 from classify.bound import median
 from classify.evaluate import Interval, wilson
+from classify.localise import holds
 from classify.track import Filter, Step
-from generator.dataset import Dataset, PoseRecord, atomic
+from generator.dataset import Dataset, PoseRecord, atomic, csv_text
 from generator.sensor import Camera
 from generator.spec import Array, NlosError
 
@@ -30,7 +29,6 @@ _REST = 0.5
 """Seconds between two looks at a folder that fills."""
 _ELLIPSE = 2.448
 """Standard deviations of a 95 % ellipse."""
-_PRESENT = 0.5
 
 
 @dataclass
@@ -74,7 +72,7 @@ class Pursuit:
 
     def told(self) -> Interval:
         """Return the share of frames in which presence was told rightly."""
-        right = [(s.presence > _PRESENT) == there for s, there in zip(self.steps, self.there, strict=True)]
+        right = [(s.found) == there for s, there in zip(self.steps, self.there, strict=True)]
         return wilson(sum(right), len(right))
 
     def voxels(self) -> Interval:
@@ -85,19 +83,16 @@ class Pursuit:
 
     def held(self) -> Interval:
         """Return the share of frames with an object whose place lies in its 95 % region."""
-        inside = []
-        for step, record, there in zip(self.steps, self.records, self.there, strict=True):
-            apart = np.asarray(record.position) - step.position
-            if there:
-                inside.append(apart @ np.linalg.pinv(step.covariance, hermitian=True) @ apart <= 7.815)
-        return wilson(int(sum(inside)), len(inside))
+        every = zip(self.steps, self.records, self.there, strict=True)
+        inside = [holds(step, record.position) for step, record, there in every if there]
+        return wilson(sum(inside), len(inside))
 
     def found_again(self) -> list[int]:
         """Return, for each end of a gap, how many frames it took to tell that the object was back."""
         waits = []
         for at in range(1, len(self.there)):
             if self.there[at] and not self.there[at - 1]:
-                after = [s.presence > _PRESENT for s in self.steps[at:]]
+                after = [s.found for s in self.steps[at:]]
                 waits.append(after.index(True) + 1 if any(after) else len(after))
         return waits
 
@@ -115,16 +110,12 @@ class Pursuit:
 
     def csv(self) -> str:
         """Return every frame as a table, comma-separated."""
-        text = io.StringIO()
-        writer = csv.writer(text, lineterminator="\n")
-        axes = "xyz"
-        writer.writerow(
-            ["frame", "there", "presence", *axes, *(f"found_{a}" for a in axes), *(f"sd_{a}" for a in axes)]
-        )
+        rows = []
         for record, step, there in zip(self.records, self.steps, self.there, strict=True):
             numbers = [*record.position, *step.position, *np.sqrt(np.diag(step.covariance))]
-            writer.writerow([record.index, int(there), f"{step.presence:.4f}", *(f"{x:.5f}" for x in numbers)])
-        return text.getvalue()
+            rows.append([record.index, int(there), f"{step.presence:.4f}", *(f"{x:.5f}" for x in numbers)])
+        named = [f"{what}_{a}" for what in ("found", "sd") for a in "xyz"]
+        return csv_text(["frame", "there", "presence", *"xyz", *named], rows)
 
     def draw(self, path: Path, title: str) -> None:
         """Write a picture of the path from above, with its uncertainty, and of the error over time."""
@@ -132,10 +123,10 @@ class Pursuit:
         truth, found = self.truth, self.path
         there = np.array(self.there, dtype=bool)
         for step, present in zip(self.steps, there, strict=True):
-            if present and step.presence > _PRESENT:
+            if present and step.found:
                 _ellipse(above, step)
         above.plot(*np.where(there[:, None], truth, np.nan)[:, :2].T, color="#1a1a1a", lw=1.5, label="true path")
-        seen = np.array([s.presence > _PRESENT for s in self.steps])
+        seen = np.array([s.found for s in self.steps])
         above.plot(*np.where(seen[:, None], found, np.nan)[:, :2].T, color="#d1242f", lw=1.2, label="found")
         above.set_xlabel("x, along the wall (m)")
         above.set_ylabel("y, from the wall (m)")

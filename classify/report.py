@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import base64
-import csv
 import io
 from collections.abc import Sequence
 from pathlib import Path
@@ -22,7 +21,7 @@ from matplotlib.lines import Line2D
 from classify.evaluate import Interval, Result
 from classify.models import NAMES
 from classify.store import Features
-from generator.dataset import atomic, write_text
+from generator.dataset import atomic, csv_text, write_text
 from generator.spec import VoxelGrid
 
 # Table 1 of the paper: accuracy, precision, recall, F1. Its data set 1 is the sheet and 2 the sphere (5.2, and the
@@ -78,10 +77,10 @@ def write(
     Path
         Of the HTML page, which needs no other file.
     """
-    write_text(folder / "results.csv", _csv(_RESULT_COLUMNS, [_result_row(r) for r in results]))
+    write_text(folder / "results.csv", csv_text(_RESULT_COLUMNS, [_result_row(r) for r in results]))
     write_text(
         folder / "confusion.csv",
-        _csv(
+        csv_text(
             ["train", "test", "classifier", "settings", "truth", "predicted", "count"],
             [row for r in results for row in _confusion_rows(r)],
         ),
@@ -254,14 +253,6 @@ def _confusion_rows(r: Result) -> list[list[object]]:
         [r.train, r.test, r.classifier, r.settings, r.labels[i], r.labels[j], int(r.confusion[i, j])]
         for i, j in np.argwhere(r.confusion > 0)
     ]
-
-
-def _csv(header: Sequence[str], rows: Sequence[Sequence[object]]) -> str:
-    text = io.StringIO()
-    writer = csv.writer(text, lineterminator="\n")
-    writer.writerow(header)
-    writer.writerows(rows)
-    return text.getvalue()
 
 
 def _slug(scenario: str) -> str:

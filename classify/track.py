@@ -45,6 +45,11 @@ class Step:
     position: Array
     covariance: Array
 
+    @property
+    def found(self) -> bool:
+        """Whether something is more probable than nothing."""
+        return self.presence > 0.5
+
 
 class Filter:
     """Follows one object.

@@ -2,27 +2,22 @@
 
 from __future__ import annotations
 
-import csv
-import io
 from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.stats import chi2
 
 from classify.atlas import Atlas
 from classify.bound import median
 from classify.detect import Detector, evidence
 from classify.evaluate import Interval, wilson
-from classify.localise import Place, locate
-from generator.dataset import Dataset, PoseRecord
+from classify.localise import Place, holds, locate
+from generator.dataset import Dataset, PoseRecord, csv_text
 from generator.sensor import Camera
 from generator.spec import Array, NlosError
 
 _EMPTY = 1000
-SURE = 0.95
-"""Probability that the stated regions hold."""
 
 
 @dataclass(frozen=True)
@@ -63,13 +58,8 @@ class Trial:
 
     @property
     def inside(self) -> NDArray[np.bool_]:
-        """Whether the true position lies in the region that is stated to hold it, with probability `SURE`, (n,)."""
-        most = chi2.ppf(SURE, 3)
-        held = []
-        for place, record in zip(self.places, self.records, strict=True):
-            apart = np.asarray(record.position) - place.position
-            held.append(apart @ np.linalg.pinv(place.covariance, hermitian=True) @ apart <= most)
-        return np.array(held)
+        """Whether the true position lies in the region that is stated to hold it, (n,)."""
+        return np.array([holds(p, r.position) for p, r in zip(self.places, self.records, strict=True)])
 
     def accuracy(self, some: Array | None = None) -> Interval:
         """Return the share of right voxels, of some pictures or all."""
@@ -105,16 +95,21 @@ class Trial:
 
     def csv(self) -> str:
         """Return every answer as a table, comma-separated."""
-        text = io.StringIO()
-        writer = csv.writer(text, lineterminator="\n")
-        writer.writerow(["file", "voxel", "found", "probability", *_AXES, *(f"found_{a}" for a in _AXES),
-                         *(f"sd_{a}" for a in _AXES), "evidence", "detected"])  # fmt: skip
+        header = [
+            "file",
+            "voxel",
+            "found",
+            "probability",
+            *_AXES,
+            *(f"{w}_{a}" for w in ("found", "sd") for a in _AXES),
+        ]
+        rows = []
         for record, place, found in zip(self.records, self.places, self.evidence, strict=True):
             numbers = [*record.position, *place.position, *np.sqrt(np.diag(place.covariance))]
             label, sure = self.labels[place.voxels.argmax()], place.voxels.max()
-            writer.writerow([record.file, record.label, label, f"{sure:.4f}", *(f"{x:.5f}" for x in numbers),
-                             f"{found:.2f}", int(found > self.detector.threshold)])  # fmt: skip
-        return text.getvalue()
+            told = [f"{found:.2f}", int(found > self.detector.threshold)]
+            rows.append([record.file, record.label, label, f"{sure:.4f}", *(f"{x:.5f}" for x in numbers), *told])
+        return csv_text([*header, "evidence", "detected"], rows)
 
 
 _AXES = ("x", "y", "z")

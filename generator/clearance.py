@@ -57,20 +57,16 @@ def obstacles(scene: bpy.types.Scene) -> list[BVHTree]:
     """Return every rendered surface but the target's, as a tree each; instances of collections too."""
     parts = stage.target_parts(scene)
     depsgraph = bpy.context.evaluated_depsgraph_get()
-    found = [
-        (obj, obj.matrix_world)
-        for obj in scene.objects
-        if obj.type in _SURFACES and obj not in parts and not stage.unseen(scene, obj)
-    ]
+    rendered = [obj for obj in scene.objects if obj not in parts and not stage.unseen(scene, obj)]
     trees = []
-    for obj, matrix in found:
-        vertices, faces = _polygons(obj, depsgraph)
-        trees.append(BVHTree.FromPolygons([matrix @ v for v in vertices], faces))
+    for obj in rendered:
+        if obj.type in _SURFACES:
+            vertices, faces = _polygons(obj, depsgraph)
+            trees.append(BVHTree.FromPolygons([obj.matrix_world @ v for v in vertices], faces))
     for instance in depsgraph.object_instances:
         if not instance.is_instance or instance.object.type not in _SURFACES:
             continue
-        owner = instance.parent.original
-        if owner not in parts and not stage.unseen(scene, owner) and not instance.object.hide_render:
+        if instance.parent.original in rendered and not instance.object.hide_render:
             vertices, faces = _mesh_of(instance.object)
             trees.append(BVHTree.FromPolygons([instance.matrix_world @ v for v in vertices], faces))
     return trees

@@ -171,6 +171,15 @@ def write_text(path: Path, text: str) -> None:
         temporary.write_text(text, encoding="utf-8", newline="")
 
 
+def csv_text(header: Sequence[str], rows: Iterable[Sequence[object]]) -> str:
+    """Return a table as comma-separated text."""
+    text = io.StringIO()
+    writer = csv.writer(text, lineterminator="\n")
+    writer.writerow(header)
+    writer.writerows(rows)
+    return text.getvalue()
+
+
 def write_picture(path: Path, pixels: Picture, header: Mapping[str, str]) -> str:
     """Write a float32 EXR, ZIP-compressed, by temporary name and rename.
 
@@ -444,11 +453,7 @@ class Dataset:
 
     def write_manifest(self) -> None:
         """Write ``poses.csv`` by temporary name and rename."""
-        text = io.StringIO()
-        writer = csv.writer(text, lineterminator="\n")
-        writer.writerow(_COLUMNS)
-        writer.writerows(pose.row() for pose in self.poses)
-        write_text(self.path / POSES, text.getvalue())
+        write_text(self.path / POSES, csv_text(_COLUMNS, (pose.row() for pose in self.poses)))
 
     def verify(self) -> list[str]:
         """Re-read everything.

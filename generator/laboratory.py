@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import csv
-import io
 from collections.abc import Callable, Iterator, Mapping
 from functools import partial
 from pathlib import Path
@@ -13,7 +11,7 @@ import bpy
 import numpy as np
 
 from generator import experiments, figures, spec, stage
-from generator.dataset import write_picture, write_text
+from generator.dataset import csv_text, write_picture, write_text
 from generator.experiments import Experiment
 
 Open = Callable[[float], bpy.types.Scene]
@@ -83,7 +81,7 @@ def run(
         path = folder / f"experiment-{number}-{target}.png"
         _draw(path, done)
         yield f"{path}"
-    write_text(folder / "changes.csv", _csv(rows))
+    write_text(folder / "changes.csv", csv_text(_COLUMNS, rows))
     yield f"{folder / 'changes.csv'}"
 
 
@@ -154,11 +152,3 @@ def _draw(path: Path, done: Mapping[str, Experiment]) -> None:
 def _shift(number: int, steps: int) -> str:
     """What stands over a column; a step is an eighth of the voxel."""
     return f"{steps * experiments.TURN:+.3g}°" if number == 3 else f"{steps:+d}/8 voxel"
-
-
-def _csv(rows: list[list[str]]) -> str:
-    text = io.StringIO()
-    writer = csv.writer(text, lineterminator="\n")
-    writer.writerow(_COLUMNS)
-    writer.writerows(rows)
-    return text.getvalue()
