@@ -29,6 +29,8 @@ _LETTERS = (1.0, 1.0, 1.0, 1.0)
 _PROBABLE = (1.0, 0.3, 0.1)
 _MOST_LETTERS = 200
 """More would hide the scene."""
+_SETTLED = 0.15
+"""Seconds from a change until poses are planned: changes that come together are planned for once."""
 
 _handles: list[Any] = []
 _lines: dict[str, Any] | None = None
@@ -104,23 +106,44 @@ def _grid(scene: Any) -> Any:
 
 
 def _crosses(scene: Any) -> Any:
-    """A small cross for each pose; drawn anew only when what decides them has changed."""
-    global _poses
+    """A small cross for each pose; none until they are planned, which drawing does not wait for."""
+    key = _deciding(scene)
+    if _poses is None or _poses[0] != key:
+        state.once(_plan, after=_SETTLED)
+        return np.empty((0, 3))
+    places = _poses[1]
+    arm = 0.05 * min(key[0].size)
+    return np.concatenate([np.stack([places - arm * e, places + arm * e], axis=1) for e in np.eye(3)]).reshape(-1, 3)
+
+
+def _deciding(scene: Any) -> tuple[Any, ...]:
+    """All that decides where the poses are."""
     from . import properties
 
-    sweep = properties.resolved_sweep(scene)
     others = tuple(
         (o.name, o.hide_render, tuple(map(tuple, o.matrix_world))) for o in scene.objects if o.type == "MESH"
     )
     target = stage.find(scene, "target").name
     around = tuple(other for other in others if other[0] != target)
-    key = (stage.read_grid(scene), sweep, stage.hull(scene).tobytes(), around)
-    if _poses is None or _poses[0] != key:
+    return stage.read_grid(scene), properties.resolved_sweep(scene), stage.hull(scene).tobytes(), around
+
+
+def _plan() -> float | None:
+    """Plan the poses from the event loop: clearance takes longer than a frame may."""
+    global _poses
+    context: Any = bpy.context
+    if not _handles or not context.window_manager.nlos.show_poses:
+        return None
+    if state.rendering_now():
+        return _SETTLED
+    try:
+        key = _deciding(context.scene)
         _poses = key, np.empty((0, 3))  # where nothing fits, it is not tried again until something changes
-        _poses = key, outlines.sampled(scene, sweep)
-    places = _poses[1]
-    arm = 0.05 * min(key[0].size)
-    return np.concatenate([np.stack([places - arm * e, places + arm * e], axis=1) for e in np.eye(3)]).reshape(-1, 3)
+        _poses = key, outlines.sampled(context.scene, key[1])
+    except NlosError:  # the Check panel says why
+        pass
+    changed()
+    return None
 
 
 def _draw_lines() -> None:

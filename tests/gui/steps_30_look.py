@@ -27,7 +27,8 @@ def overlay():
     session = bpy.context.window_manager.nlos
     session.overlay, session.show_poses = True, True
     redraw()
-    yield 1.0
+    # Poses are planned beside drawing, and drawn when they are known.
+    yield from until(lambda: len((module("overlay")._lines or {}).get("poses", ())) > 0, "the poses are drawn")
     found = module("overlay")._lines
     check(found is not None and {"voxels", "lit", "watched", "legs", "poses"} <= set(found), "everything is drawn")
     legs = found["legs"].copy()
