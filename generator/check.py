@@ -393,7 +393,7 @@ def probe(scene: bpy.types.Scene, sweep: Sweep) -> Probe:
     voxels = stage.read(scene).grid.n_voxels
     pictures = sweep.poses * voxels
     few = min(_PROBE_SAMPLES, sweep.samples)
-    with engines.opened(scene, sweep.engine, resolution=sweep.resolution, accuracy=sweep.accuracy) as renderer:
+    with engines.opened(scene, sweep.engine, **engines.settings(sweep)) as renderer:
         exact = isinstance(renderer, engines.SurfelRenderer)
         renderer.render(samples=few, seed=0)  # what is made once is no part of a picture's time
         if not exact:

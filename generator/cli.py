@@ -225,6 +225,11 @@ def _add_engine_options(parser: argparse.ArgumentParser) -> None:
         "--samples", type=int, metavar="N", help=f"rays per pixel, of path and patch (default: {default.samples})"
     )
     parser.add_argument(
+        "--device",
+        choices=["cpu", "gpu"],
+        help=f"that path and patch render on; gpu takes what Cycles finds (default: {default.device})",
+    )
+    parser.add_argument(
         "--accuracy",
         type=float,
         metavar="A",

@@ -20,12 +20,14 @@ from mathutils import Matrix, Vector
 
 from generator import extract, stage
 from generator.dataset import Picture, read_picture
-from generator.spec import Array, NlosError
+from generator.spec import Array, NlosError, Sweep
 from generator.transport import Transport
 from generator.transport.world import LitPatch
 
 ENGINES = ("path", "patch", "surfel")
 AUTO = "auto"
+GPU_KINDS = ("OPTIX", "CUDA", "HIP", "METAL", "ONEAPI")
+"""Cycles' names of what it can reach a GPU through, the quickest first."""
 
 _LIFT = 1e-3
 """How far in front of the wall the patch lamp hovers, in its own minor radius, lest shadow rays meet the wall."""
@@ -134,6 +136,7 @@ def opened(
     threads: int = 0,
     accuracy: float = 1e-3,
     denoise: bool = False,
+    device: str = "cpu",
 ) -> Iterator[Renderer | SurfelRenderer]:
     """Make a scene ready to be rendered by an engine; on leaving, put it back as it was.
 
@@ -149,11 +152,13 @@ def opened(
         Of `surfel`.
     denoise : bool
         Clean what Cycles renders with Open Image Denoise: smooth, and biased.
+    device : {"cpu", "gpu"}
+        That Cycles renders on.
 
     Raises
     ------
     NlosError
-        The engine is unknown, or cannot honour something in the scene.
+        The engine is unknown, or cannot honour something in the scene; or there is no GPU.
     """
     if engine not in ENGINES:
         raise NlosError(f"engine {engine!r}: there is none; choose from {', '.join(ENGINES)}")
@@ -163,6 +168,9 @@ def opened(
         overrides.set(scene, "camera", camera)
         _linear_output(scene, overrides)
         _plain_cycles(scene, overrides)
+        if device == "gpu" and engine != "surfel":
+            use_gpu(overrides)
+            overrides.set(scene.cycles, "device", "GPU")
         if denoise:
             overrides.set(scene.cycles, "use_denoising", True)
             overrides.set(scene.cycles, "denoiser", "OPENIMAGEDENOISE")
@@ -177,6 +185,45 @@ def opened(
             return
         with _patch_lamp(scene, order, overrides) if engine == "patch" else contextlib.nullcontext():
             yield Renderer(scene, Path(folder))
+
+
+def settings(sweep: Sweep) -> dict[str, Any]:
+    """Return what `opened` wants to know of a sweep besides its engine."""
+    return {name: getattr(sweep, name) for name in ("resolution", "accuracy", "device")}
+
+
+def use_gpu(overrides: stage.Overrides) -> list[str]:
+    """Let Cycles render on the GPUs that Blender's preferences name, or else on all that are found.
+
+    Returns
+    -------
+    list of str
+        Their names.
+
+    Raises
+    ------
+    NlosError
+        There is none.
+    """
+    preferences = bpy.context.preferences.addons["cycles"].preferences
+    preferred = preferences.compute_device_type
+    for kind in (preferred, *GPU_KINDS):
+        if kind == "NONE":
+            continue
+        try:
+            overrides.set(preferences, "compute_device_type", kind)
+        except TypeError:  # not on this system, or not in this Blender
+            continue
+        with stage.quiet():
+            preferences.refresh_devices()
+        found = [device for device in preferences.devices if device.type == kind]
+        if kind == preferred and any(device.use for device in found):
+            return [device.name for device in found if device.use]
+        for device in preferences.devices:
+            device.use = device in found
+        if found:
+            return [device.name for device in found]
+    raise NlosError("device gpu: Cycles finds no GPU on this machine; check its driver, or render with --device cpu")
 
 
 def refuse_hidden(scene: bpy.types.Scene) -> None:

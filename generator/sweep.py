@@ -184,7 +184,7 @@ class _Made(Protocol):
 
 def check_same(dataset: _Made, scene: Path, chosen: Mapping[str, Any]) -> None:
     """Raise NlosError, naming each difference, if a data set was made from another scene or with other settings."""
-    own = dataset.settings
+    own = {"device": Sweep.device, **dataset.settings}  # older sets knew of no other
     width, height = own["resolution"]
     differences = []
     for name, value in chosen.items():

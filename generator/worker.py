@@ -75,7 +75,7 @@ def plan(scene: bpy.types.Scene, source: Path, path: Path, chosen: Mapping[str, 
     if chosen.get("engine") != engines.AUTO and any(name in chosen for name in idle):
         name = next(name for name in idle if name in chosen)
         raise NlosError(f"{name}: means nothing to the engine {sweep.engine!r}; leave it out")
-    with engines.opened(scene, sweep.engine, resolution=sweep.resolution, accuracy=sweep.accuracy) as renderer:
+    with engines.opened(scene, sweep.engine, **engines.settings(sweep)) as renderer:
         # Refuses now what it could not honour later. The camera's view depends on the resolution.
         is_free = clearance(scene, described, engine=sweep.engine)
     planned = poses.trajectory if sweep.frames else poses.plan
@@ -159,9 +159,7 @@ def render(
     """
     sweep = dataset.sweep
     with (
-        engines.opened(
-            scene, sweep.engine, resolution=sweep.resolution, threads=threads, accuracy=sweep.accuracy
-        ) as renderer,
+        engines.opened(scene, sweep.engine, threads=threads, **engines.settings(sweep)) as renderer,
         ThreadPoolExecutor(_WRITERS) as writers,
     ):
         background = _background(renderer, dataset, sweep)
@@ -215,8 +213,7 @@ def check_scene(scene: bpy.types.Scene, chosen: Mapping[str, Any]) -> list[check
 def picture(scene: bpy.types.Scene, folder: Path, chosen: Mapping[str, Any], *, denoise: bool) -> None:
     """Render the scene as it stands, with and without the target, and write both pictures into a folder."""
     sweep, _ = settled(scene, stage.read(scene), chosen)
-    size, accuracy = sweep.resolution, sweep.accuracy
-    with engines.opened(scene, sweep.engine, resolution=size, accuracy=accuracy, denoise=denoise) as renderer:
+    with engines.opened(scene, sweep.engine, denoise=denoise, **engines.settings(sweep)) as renderer:
         for name, target in (("wall", True), ("background", False)):
             pixels = renderer.render(samples=sweep.samples, seed=sweep.seed, target=target)
             write_picture(folder / f"{name}.exr", pixels, {})

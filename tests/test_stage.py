@@ -334,3 +334,27 @@ def test_scene_files_of_other_scales_read_back(tmp_path):
         reference = built(preset("room"))
         with engines.opened(reference, "patch", resolution=(8, 8)) as renderer:
             assert level == pytest.approx(renderer.render(samples=64, seed=1, target=False).mean(), rel=0.02)
+
+
+def found_gpus():
+    with stage.Overrides() as overrides:
+        try:
+            return engines.use_gpu(overrides)
+        except NlosError:
+            return []
+
+
+def test_a_machine_without_a_gpu_says_so_and_one_with_it_renders_the_same_radiance():
+    blender = built(preset("room", "sphere"))
+    if not found_gpus():
+        refused = pytest.raises(NlosError, match="finds no GPU")
+        with refused, engines.opened(blender, "patch", resolution=(8, 8), device="gpu"):
+            pass
+        assert blender.cycles.device == "CPU"
+        return
+    means = []
+    for device in ("cpu", "gpu"):
+        with engines.opened(blender, "patch", resolution=(8, 8), device=device) as renderer:
+            means.append(renderer.render(samples=256, seed=3).astype(np.float64).mean())
+    # The same random numbers, but rounding may send a ray another way.
+    assert means[1] == pytest.approx(means[0], rel=1e-2)
