@@ -49,13 +49,14 @@ def _parser() -> argparse.ArgumentParser:
         epilog="example:\n  nlos-classify features sheet/ -o sheet.h5 --set spatial-hog",
         formatter_class=_RAW,
     )
-    features.add_argument("dataset", type=Path)
+    features.add_argument("dataset", type=Path, help="folder of a data set, or of a simulated set")
     features.add_argument("-o", "--output", type=Path, required=True, metavar="FILE.h5")
     features.add_argument(
         "--set",
-        choices=["global", "spatial-hog"],
+        choices=["global", "spatial-hog", "physics"],
         default="global",
-        help="global: colour histogram, Hu moments, Haralick texture; spatial-hog: small copy, colour histogram, HOG",
+        help="global: colour histogram, Hu moments, Haralick texture; spatial-hog: small copy, colour histogram, "
+        "HOG; physics: level, shape without level, and the fit of an unknown target",
     )
     features.add_argument(
         "--input",
@@ -85,6 +86,13 @@ def _parser() -> argparse.ArgumentParser:
     )
     features.add_argument(
         "--size", type=int, default=32, metavar="N", help="average down to N pixels a side (default: 32)"
+    )
+    features.add_argument(
+        "--count",
+        type=int,
+        default=0,
+        metavar="N",
+        help="take the first N pictures of a simulated set (default: all)",
     )
     features.add_argument("--partial", action="store_true", help="take an unfinished data set as it is")
     _add_sensor_options(features, "as clean radiance")
@@ -286,7 +294,7 @@ def _progress(what: str, unit: str) -> Iterator[Callable[[int, int, str], None]]
 def _features(options: argparse.Namespace) -> int:
     from classify import models, store
     from classify.features import FeatureSettings
-    from generator.dataset import Dataset
+    from generator.simulated import opened
 
     settings = FeatureSettings(
         set=options.set,
@@ -298,7 +306,7 @@ def _features(options: argparse.Namespace) -> int:
     )
     models.check_seed(options.seed)
     sensor = None if options.sensor is None and options.frames is None else _sensor(options)
-    dataset = Dataset.open(options.dataset)
+    dataset = opened(options.dataset, options.count)
     _check_output(options.output)
     with _progress("describing", "pictures") as progress:
         features = store.extract(

@@ -1,4 +1,4 @@
-"""Picture -> named feature vector: the paper's two sets.
+"""Picture -> named feature vector: the paper's two sets, and one of physics.
 
 Pictures are averaged in linear light first and tone-mapped after, and the tone mapping's constants follow from the
 scene (the radiance of the directly lit patch), never from the pictures: nothing leaks from one fold into another, and
@@ -16,6 +16,8 @@ import mahotas
 import numpy as np
 from numpy.typing import NDArray
 
+from classify import physics
+from classify.physics import Setup
 from generator.dataset import Picture
 from generator.spec import NlosError, from_dict
 
@@ -39,9 +41,9 @@ class FeatureSettings:
 
     Attributes
     ----------
-    set : {"global", "spatial-hog"}
-        Colour histogram, Hu moments and Haralick texture (paper, 5.3.1), or down-sampled copy, colour histogram and
-        HOG (section 4).
+    set : {"global", "spatial-hog", "physics"}
+        Colour histogram, Hu moments and Haralick texture (paper, 5.3.1); down-sampled copy, colour histogram and HOG
+        (section 4); level, shape and the fit of an unknown target (`classify.physics`).
     input : {"difference", "raw"}
         Picture minus background, or the picture itself.
     tone : {"log", "linear"}
@@ -55,9 +57,11 @@ class FeatureSettings:
         Of the histogram, per channel.
     levels : int
         Grey levels of the co-occurrence matrices behind Haralick's texture.
+    setup : Setup, optional
+        Of the scene: what ``physics`` needs.
     """
 
-    set: Literal["global", "spatial-hog"] = "global"
+    set: Literal["global", "spatial-hog", "physics"] = "global"
     input: Literal["difference", "raw"] = "difference"
     tone: Literal["log", "linear"] = "log"
     floor: float = 1e-7
@@ -65,6 +69,7 @@ class FeatureSettings:
     size: int = 32
     bins: int = 32
     levels: int = 64
+    setup: Setup | None = None
 
     def __post_init__(self) -> None:
         if not 0.0 < self.floor < self.ceiling < float("inf"):
@@ -111,6 +116,8 @@ def tone_map(light: Array, settings: FeatureSettings, reference: float) -> Array
 def feature_names(settings: FeatureSettings) -> list[str]:
     """Return the names of the features, in order."""
     histogram = [f"histogram_{channel}_{i}" for channel in "rgb" for i in range(settings.bins)]
+    if settings.set == "physics":
+        return physics.names()
     if settings.set == "global":
         return [*histogram, *(f"hu_{i}" for i in range(1, 8)), *(f"haralick_{name}" for name in HARALICK)]
     steps = (_HOG_SIZE - _HOG_BLOCK) // _HOG_CELL + 1
@@ -164,6 +171,11 @@ def describe(
         _check_finite(np.asarray(background), f"{name}: its background")
         light = light - background
     light = _average(light, settings.size)
+    if settings.set == "physics":
+        if settings.setup is None:
+            raise NlosError(f"{name}: features of physics need to know the scene's setup, and there is none")
+        made = physics.PhysicsFeatures(settings.setup, reference, settings.floor).transform(light[None])
+        return np.asarray(made[0], dtype=np.float64)
     histogram = _histogram(tone_map(light, settings, reference), settings.bins)
     grey = light.mean(axis=2)
     if settings.set == "global":

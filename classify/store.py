@@ -4,21 +4,26 @@ from __future__ import annotations
 
 import contextlib
 import json
-from collections.abc import Callable, Iterator
-from dataclasses import asdict, dataclass
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any
 
 import h5py
+import joblib
 import numpy as np
 from numpy.typing import NDArray
 
 from classify.features import FeatureSettings, describe, feature_names, software
-from generator.dataset import Dataset, Picture, atomic
+from classify.physics import Setup
+from generator.dataset import Picture, PoseRecord, Readable, atomic
 from generator.sensor import Camera, Sensor
-from generator.spec import NlosError, VoxelGrid, from_dict, to_dict
+from generator.spec import NlosError, Scene, VoxelGrid, from_dict, to_dict
 
 FORMAT = 1
+
+_BLOCK, _FEW = 64, 32
+"""Pictures described at once, and blocks that one process does as fast as several."""
 
 
 @dataclass(frozen=True)
@@ -68,7 +73,7 @@ class Features:
 
 
 def extract(
-    dataset: Dataset,
+    dataset: Readable,
     settings: FeatureSettings,
     *,
     partial: bool = False,
@@ -80,8 +85,9 @@ def extract(
 
     Parameters
     ----------
-    dataset : Dataset
+    dataset : Dataset or Simulated
     settings : FeatureSettings
+        For ``physics`` without a setup, that of the data set's scene.
     partial : bool
         Take an unfinished data set as it is.
     sensor : Sensor, optional
@@ -104,21 +110,20 @@ def extract(
             f"{dataset.path}: only {len(records)} of {dataset.planned} pictures are rendered; finish the sweep, or "
             "take it as it is with --partial"
         )
+    if settings.set == "physics" and settings.setup is None:
+        settings = replace(settings, setup=Setup.of(from_dict(Scene, dataset.meta["scene"], "scene.")))
     camera = dataset if sensor is None else Camera(dataset, sensor, seed)
     background = camera.background()
-    rows = []
-    for done, record in enumerate(records):
-        name = str(dataset.path / record.file)
-        rows.append(
-            describe(
-                camera.picture(record),
-                settings,
-                reference=dataset.reference_radiance,
-                background=background,
-                name=name,
-            )
-        )
-        progress(done + 1, len(records))
+    blocks = [records[at : at + _BLOCK] for at in range(0, len(records), _BLOCK)]
+    # A process costs more to start than a few pictures to describe.
+    crew = joblib.Parallel(n_jobs=-1 if len(blocks) > _FEW else 1, return_as="generator")
+    rows: list[NDArray[np.float64]] = []
+    for made in crew(
+        joblib.delayed(_described)(camera, dataset.path, block, settings, dataset.reference_radiance, background)
+        for block in blocks
+    ):
+        rows += made
+        progress(len(rows), len(records))
     return Features(
         values=np.array(rows),
         names=feature_names(settings),
@@ -140,6 +145,27 @@ def extract(
             "software": {**dataset.meta.get("software", {}), **software()},
         },
     )
+
+
+def _described(
+    camera: Readable | Camera,
+    path: Path,
+    records: Sequence[PoseRecord],
+    settings: FeatureSettings,
+    reference: float,
+    background: Picture,
+) -> list[NDArray[np.float64]]:
+    """Features of some pictures."""
+    return [
+        describe(
+            camera.picture(record),
+            settings,
+            reference=reference,
+            background=background,
+            name=str(path / record.file),
+        )
+        for record in records
+    ]
 
 
 def write(path: Path, features: Features) -> None:

@@ -13,7 +13,7 @@ from classify.bound import median
 from classify.detect import Detector, evidence
 from classify.evaluate import Interval, wilson
 from classify.localise import Place, holds, locate
-from generator.dataset import Dataset, PoseRecord, csv_text
+from generator.dataset import PoseRecord, Readable, csv_text
 from generator.sensor import Camera
 from generator.spec import Array, NlosError
 
@@ -117,7 +117,7 @@ _AXES = ("x", "y", "z")
 
 def run(
     atlas: Atlas,
-    dataset: Dataset,
+    dataset: Readable,
     *,
     false_alarm: float = 0.01,
     seed: int = 0,
@@ -128,7 +128,7 @@ def run(
     Parameters
     ----------
     atlas : Atlas
-    dataset : Dataset
+    dataset : Dataset or Simulated
         Of the same grid and resolution; the pictures on it are clean.
     false_alarm : float
         Share of empty scenes that may be taken for something.

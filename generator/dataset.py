@@ -24,7 +24,7 @@ from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
-from typing import Any
+from typing import Any, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -248,6 +248,51 @@ def read_picture(path: Path) -> tuple[Picture, dict[str, str]]:
     if missing:
         raise NlosError(f"{path}: lacks the channels {', '.join(missing)}; it holds {', '.join(channels)}")
     return np.stack([channels[name] for name in "RGB"], axis=-1), header
+
+
+class Readable(Protocol):
+    """What pictures are read from: `Dataset`, or `generator.simulated.Simulated`."""
+
+    @property
+    def path(self) -> Path:
+        """Of the set."""
+
+    @property
+    def meta(self) -> dict[str, Any]:
+        """All of its manifest."""
+
+    @property
+    def settings(self) -> dict[str, Any]:
+        """What it was made with."""
+
+    @property
+    def grid(self) -> VoxelGrid:
+        """The voxel grid."""
+
+    @property
+    def target_kind(self) -> str:
+        """The kind of target: sheet, sphere or mesh."""
+
+    @property
+    def reference_radiance(self) -> float:
+        """Radiance of the directly lit patch around w1, W/m^2/sr."""
+
+    @property
+    def planned(self) -> int:
+        """How many pictures it has when it is finished."""
+
+    @property
+    def records(self) -> list[PoseRecord]:
+        """The poses whose pictures are there."""
+
+    def background(self) -> Picture:
+        """Return the picture without the hidden object, (height, width, 3), W/m^2/sr."""
+
+    def ambient_background(self) -> Picture | None:
+        """Return what ambient light alone adds to it, or None."""
+
+    def picture(self, record: PoseRecord) -> Picture:
+        """Return a pose's picture, (height, width, 3), W/m^2/sr."""
 
 
 class Dataset:

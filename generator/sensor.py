@@ -16,7 +16,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from generator.dataset import Dataset, Picture, PoseRecord
+from generator.dataset import Picture, PoseRecord, Readable
 from generator.spec import Array, NlosError
 
 Floats = NDArray[Any]
@@ -226,7 +226,7 @@ class Camera:
 
     Parameters
     ----------
-    dataset : Dataset
+    dataset : Dataset or Simulated
     sensor : Sensor
         Where it has no exposure, the brightest pixel of the data set fills it to ``fill``.
     seed : int
@@ -243,7 +243,7 @@ class Camera:
         The data set has no light, or a picture is broken.
     """
 
-    def __init__(self, dataset: Dataset, sensor: Sensor, seed: int = 0) -> None:
+    def __init__(self, dataset: Readable, sensor: Sensor, seed: int = 0) -> None:
         self._dataset = dataset
         self._seed = seed
         every = itertools.chain([dataset.background()], map(dataset.picture, dataset.records))

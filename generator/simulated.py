@@ -1,0 +1,121 @@
+"""A bulk set (`generator.bulk`), read as if it were a data set of pictures in files."""
+
+from __future__ import annotations
+
+from functools import cached_property
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from generator.bulk import Bulk
+from generator.dataset import Dataset, Picture, PoseRecord, Readable
+from generator.spec import NlosError, VoxelGrid
+
+
+class Simulated:
+    """The first pictures of a finished bulk set.
+
+    Parameters
+    ----------
+    bulk : Bulk
+    count : int
+        How many; 0 is all of them.
+
+    Raises
+    ------
+    NlosError
+        The set is not finished, or has fewer.
+    """
+
+    def __init__(self, bulk: Bulk, count: int = 0) -> None:
+        if missing := bulk.missing():
+            raise NlosError(f"{bulk.path}: {len(missing)} of {bulk.parts} parts are missing; finish the set first")
+        if not 0 <= count <= bulk.planned:
+            raise NlosError(f"{bulk.path}: holds {bulk.planned} pictures, so {count} cannot be taken")
+        self._bulk = bulk
+        self._count = count or bulk.planned
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        return Simulated, (self._bulk, self._count)
+
+    @property
+    def path(self) -> Path:
+        """Of the set."""
+        return self._bulk.path
+
+    @property
+    def meta(self) -> dict[str, Any]:
+        """All of ``bulk.toml``."""
+        return self._bulk.meta
+
+    @property
+    def settings(self) -> dict[str, Any]:
+        """Of the set, with how many pictures are taken."""
+        return {**self._bulk.settings, "pictures": self._count}
+
+    @property
+    def grid(self) -> VoxelGrid:
+        """The voxel grid."""
+        return self._bulk.grid
+
+    @property
+    def target_kind(self) -> str:
+        """The kind of target: sheet, sphere or mesh."""
+        return str(self.meta["scene"].get("target", {}).get("kind", "mesh"))
+
+    @property
+    def reference_radiance(self) -> float:
+        """Radiance of the directly lit patch around w1, W/m^2/sr."""
+        return self._bulk.reference_radiance
+
+    @property
+    def planned(self) -> int:
+        """How many pictures are taken."""
+        return self._count
+
+    @cached_property
+    def records(self) -> list[PoseRecord]:
+        """The pictures' poses, in their order; the files are named but do not exist."""
+        labels, n = self.grid.labels, self.grid.n_voxels
+        made = []
+        poses = zip(self._bulk.positions[: self._count], self._bulk.rotations[: self._count], strict=True)
+        for number, (position, rotation) in enumerate(poses):
+            index, voxel = divmod(number, n)
+            file = f"{labels[voxel]}/{index:04d}"
+            made.append(PoseRecord(index, voxel, labels[voxel], tuple(position), tuple(rotation), 0, file=file))
+        return made
+
+    def background(self) -> Picture:
+        """Return the picture without the hidden object, (height, width, 3), W/m^2/sr."""
+        return self._bulk.background
+
+    def ambient_background(self) -> Picture | None:
+        """Return None: the engine knows no ambient light."""
+        return None
+
+    def picture(self, record: PoseRecord) -> Picture:
+        """Return a pose's picture, (height, width, 3), W/m^2/sr."""
+        found = self._bulk.pictures[record.index * self.grid.n_voxels + record.voxel]
+        return found if found.ndim == 3 else np.repeat(found[..., None], 3, axis=2)
+
+
+def opened(path: Path, count: int = 0) -> Readable:
+    """Open a data set, or a bulk set as one.
+
+    Parameters
+    ----------
+    path : Path
+    count : int
+        Pictures to take of a bulk set; 0 is all.
+
+    Raises
+    ------
+    NlosError
+        There is neither, or a number was given for a data set.
+    """
+    if Bulk.exists(path):
+        return Simulated(Bulk.open(path), count)
+    if count:
+        raise NlosError(f"{path}: is no simulated set (nlos-generate bulk), of which a number could be taken")
+    return Dataset.open(path)
