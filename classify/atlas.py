@@ -11,7 +11,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Callable
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from functools import cached_property
 from pathlib import Path
 from typing import Any
@@ -20,11 +20,14 @@ import h5py
 import numpy as np
 from numpy.typing import NDArray
 
+from classify import strengths
 from classify.store import opened
+from classify.strengths import Strengths
 from generator.bulk import Bulk
 from generator.dataset import Picture, atomic
 from generator.sensor import Sensor
 from generator.spec import Array, NlosError, VoxelGrid, from_dict, to_dict
+from generator.transport import Transport
 
 FORMAT = 1
 
@@ -55,6 +58,9 @@ class Atlas:
         Root mean square, over the pictures, of what the basis cannot hold, in units of the noise in one direction.
     about : dict
         Target, and the set that the pictures are of.
+    hiding : ndarray of shape (n, k), float32, optional
+        Codes of what a black object would hide at the same poses: where it is given, the object's size and albedo
+        count as unknown (`classify.strengths`).
     """
 
     codes: NDArray[np.float32]
@@ -67,12 +73,52 @@ class Atlas:
     sensor: Sensor
     left_out: float
     about: dict[str, Any]
+    hiding: NDArray[np.float32] | None = None
+
+    @property
+    def unknown(self) -> bool:
+        """Whether the object's size and albedo are unknown."""
+        return self.hiding is not None
 
     @cached_property
-    def half_squares(self) -> NDArray[np.float32]:
-        """Half of each code's square, (n,)."""
+    def _half_squares(self) -> NDArray[np.float32]:
         half: NDArray[np.float32] = 0.5 * np.einsum("ij,ij->i", self.codes, self.codes)
         return half
+
+    @cached_property
+    def added(self) -> NDArray[np.float32]:
+        """Codes of the light that the object adds, (n, k)."""
+        return self.codes if self.hiding is None else self.codes - self.hiding
+
+    @cached_property
+    def _strengths(self) -> Strengths:
+        assert self.hiding is not None
+        return Strengths.of(self.added, self.hiding)
+
+    def logs(self, codes: NDArray[np.float32]) -> NDArray[np.float32]:
+        """Return how much better each pose explains pictures than an empty scene: logarithms, (..., n).
+
+        Parameters
+        ----------
+        codes : ndarray of shape (k,) or (m, k)
+            Of pictures.
+        """
+        if self.hiding is None:
+            return codes @ self.codes.T - self._half_squares
+        return self._strengths.logs(codes @ self.added.T, codes @ self.hiding.T)
+
+    def example(self, pose: int, rng: np.random.Generator) -> Array:
+        """Return the code of the object at a pose, or of a random one where it is unknown; without noise, (k,)."""
+        code: Array = self.codes[pose].astype(np.float64)
+        if self.hiding is not None:
+            first, second = rng.multivariate_normal(strengths.MEAN, strengths.COVARIANCE)
+            code = first * self.added[pose].astype(np.float64) + second * self.hiding[pose]
+        return code
+
+    def take(self, some: Any) -> Atlas:
+        """Return the atlas of some of its poses, given by their numbers or a slice."""
+        every = {name: getattr(self, name)[some] for name in ("codes", "positions", "rotations", "voxels")}
+        return replace(self, **every, hiding=None if self.hiding is None else self.hiding[some])
 
     def code(
         self, picture: Picture, background: Picture | None = None, *, name: str = "picture"
@@ -118,6 +164,7 @@ def build(
     *,
     lamp_drift: float = 0.0,
     measured_background: bool = True,
+    unknown: bool = False,
     progress: Callable[[int, int], None] = lambda done, total: None,
 ) -> Atlas:
     """Compress a simulated set to the codes of its pictures.
@@ -133,6 +180,8 @@ def build(
         answer, and what it could explain is no evidence.
     measured_background : bool
         Whether the background that pictures come with is measured too, and hence has noise of its own.
+    unknown : bool
+        Whether the object's size and albedo count as unknown.
     progress : callable
         Is told how many pictures are done, and of how many.
 
@@ -146,6 +195,7 @@ def build(
     count = bulk.planned
     background = bulk.background
     some = np.unique(np.linspace(0, count - 1, min(count, _FOR_BASIS)).astype(np.int64))
+    dark = _Black(bulk) if unknown else None
     sample = _colour(bulk.pictures[some])
     sensor = sensor.exposed([background, sample.reshape(-1, sample.shape[-2], 3)])
     empty = sensor.stabilised_mean(background)
@@ -154,7 +204,11 @@ def build(
         every = [sensor.stabilised_mean(p) - empty for p in pictures]
         return np.asarray(every, dtype=np.float32).reshape(len(every), -1)
 
-    basis, left_out = _basis(differences(sample))
+    seen = differences(sample)
+    if dark is not None:
+        hidden = differences(dark(some))
+        seen = np.concatenate([seen - hidden, hidden])
+    basis, left_out = _basis(seen)
     # What cannot be told from a change of the lamp, and the background's own noise, make the rest less certain.
     noise = np.eye(len(basis))
     if measured_background:
@@ -165,9 +219,12 @@ def build(
         noise += np.outer(along, along)
     whitened = np.linalg.solve(np.linalg.cholesky(noise), basis).astype(np.float32)
     codes = np.empty((count, len(whitened)), dtype=np.float32)
+    hiding = None if dark is None else np.empty_like(codes)
     for start in range(0, count, _BLOCK):
         block = slice(start, min(start + _BLOCK, count))
         codes[block] = differences(_colour(bulk.pictures[block])) @ whitened.T
+        if dark is not None and hiding is not None:
+            hiding[block] = differences(dark(block)) @ whitened.T
         progress(block.stop, count)
     return Atlas(
         codes=codes,
@@ -185,7 +242,24 @@ def build(
             "fingerprint": bulk.meta["fingerprint"],
             "lamp_drift": lamp_drift,
         },
+        hiding=hiding,
     )
+
+
+class _Black:
+    """The same poses of a black object, which only hides, by the engine."""
+
+    def __init__(self, bulk: Bulk) -> None:
+        world = bulk.world()
+        black = tuple(replace(body, albedo=0.0 * body.albedo) for body in world.target)
+        width, height = bulk.plan.resolution
+        world = replace(world, target=black, watched=replace(world.watched, resolution=(width, height)))
+        self._engine = Transport(world, accuracy=bulk.plan.accuracy)
+        self._bulk = bulk
+
+    def __call__(self, some: Any) -> NDArray[np.float32]:
+        """Return pictures, (n, height, width, 3)."""
+        return self._engine.pictures(self._bulk.positions[some], self._bulk.rotations[some])
 
 
 def _basis(sample: NDArray[np.float32]) -> tuple[Array, float]:
@@ -212,6 +286,8 @@ def save(path: Path, atlas: Atlas) -> None:
         file.attrs["about"] = json.dumps(atlas.about)
         for name in _ARRAYS:
             file[name] = getattr(atlas, name)
+        if atlas.hiding is not None:
+            file["hiding"] = atlas.hiding
         file["codes"].attrs["about"] = "difference pictures in units of the sensor's noise, projected on the basis"
         file["positions"].attrs["units"] = "m"
         file["rotations"].attrs["units"] = "degrees about x, y, z"
@@ -235,12 +311,15 @@ def load(path: Path) -> Atlas:
             sensor=from_dict(Sensor, json.loads(str(file.attrs["sensor"])), "sensor."),
             left_out=float(file.attrs["left_out"]),
             about=json.loads(str(file.attrs["about"])),
+            hiding=np.asarray(file["hiding"]) if "hiding" in file else None,
         )
         n, k = atlas.codes.shape
         shapes = [atlas.basis.shape, atlas.positions.shape, atlas.rotations.shape, atlas.voxels.shape]
         if shapes != [(k, atlas.empty.size), (n, 3), (n, 3), (n,)] or not n:
             raise ValueError("its codes, basis and poses differ in length")
-        if not all(np.isfinite(getattr(atlas, name)).all() for name in _ARRAYS):
+        if atlas.hiding is not None and atlas.hiding.shape != (n, k):
+            raise ValueError("its codes of light and of shadow differ in number")
+        if not all(np.isfinite(getattr(atlas, name)).all() for name in (*_ARRAYS, *["hiding"] * atlas.unknown)):
             raise ValueError("it holds NaN or infinite values")
         if atlas.voxels.min() < 0 or atlas.voxels.max() >= atlas.grid.n_voxels:
             raise ValueError(f"it names a voxel that its grid of {atlas.grid.n_voxels} lacks")

@@ -65,8 +65,8 @@ def reachable(
     chosen = rng.choice(len(atlas.codes), size=min(count, len(atlas.codes)), replace=False)
     right, errors = np.zeros(len(chosen), dtype=bool), np.zeros(len(chosen))
     for done, pose in enumerate(chosen):
-        noise = rng.normal(size=atlas.codes.shape[1])
-        found = locate(atlas, (atlas.codes[pose] + noise).astype(np.float32), without=int(pose))
+        code = atlas.example(int(pose), rng) + rng.normal(size=atlas.codes.shape[1])
+        found = locate(atlas, code.astype(np.float32), without=int(pose))
         right[done] = found.voxels.argmax() == atlas.voxels[pose]
         errors[done] = np.linalg.norm(found.position - atlas.positions[pose])
         progress(done + 1, len(chosen))

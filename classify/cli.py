@@ -170,6 +170,11 @@ def _parser() -> argparse.ArgumentParser:
         help="how much the lamp's strength may have changed since the background was taken, relative; it is fitted "
         "with every answer (default: 0)",
     )
+    atlas.add_argument(
+        "--unknown",
+        action="store_true",
+        help="size and albedo of the object are not known: its pictures stand for all objects about like it",
+    )
     atlas.set_defaults(run=_atlas)
 
     locate = commands.add_parser(
@@ -401,6 +406,7 @@ def _atlas(options: argparse.Namespace) -> int:
             Bulk.open(options.simulated),
             sensor,
             lamp_drift=options.lamp_drift,
+            unknown=options.unknown,
             progress=lambda done, total: progress(done, total, ""),
         )
     atlas.save(options.output, made)

@@ -30,10 +30,10 @@ def evidence(atlas: Atlas, codes: NDArray[np.float32]) -> Array:
         Of the pictures.
     """
     step = max(1, len(atlas.codes) // _POSES)
-    some, half = atlas.codes[::step], atlas.half_squares[::step]
+    some = atlas.take(slice(None, None, step))
     blocks = [codes[i : i + _BLOCK] for i in range(0, len(codes), _BLOCK)]
-    logs = [logsumexp(block @ some.T - half, axis=1) for block in blocks]
-    found: Array = np.concatenate(logs).astype(np.float64) - np.log(len(some))
+    logs = [logsumexp(some.logs(block), axis=1) for block in blocks]
+    found: Array = np.concatenate(logs).astype(np.float64) - np.log(len(some.codes))
     return found
 
 

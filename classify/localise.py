@@ -18,6 +18,7 @@ from scipy.spatial.transform import Rotation
 from scipy.stats import chi2
 
 from classify.atlas import Atlas
+from classify.strengths import Strengths
 from classify.track import Step
 from generator.spec import Array, NlosError, Vector
 from generator.transport import Transport, World
@@ -76,7 +77,7 @@ def locate(atlas: Atlas, code: NDArray[np.float32], *, seed: int = 0, without: i
     without : int, optional
         A pose that is left out: the one that the code was made of, where the atlas is asked about itself.
     """
-    logs = atlas.codes @ code - atlas.half_squares
+    logs = atlas.logs(code)
     if without is not None:
         logs[without] = -np.inf
     top = float(logs.max())
@@ -181,7 +182,7 @@ def polish(synthesis: Synthesis, code: NDArray[np.float32], *, starts: int = 3, 
     """
     atlas = synthesis.atlas
     turning = bool(np.ptp(atlas.rotations, axis=0).any()) if turning is None else turning
-    logs = atlas.codes @ code - atlas.half_squares
+    logs = atlas.logs(code)
     fits = [_descend(synthesis, code, start, 6 if turning else 3) for start in _apart(atlas, logs, starts)]
     return min(fits, key=lambda fit: fit.misfit)
 
@@ -264,9 +265,12 @@ def _sharpened(atlas: Atlas, code: NDArray[np.float32], logs: NDArray[np.float32
     scale = np.sqrt(np.diag(spread)) + 1e-12 * np.ptp(poses, axis=0)
     terms = _quadratic((poses - centre) / scale)
     root = np.sqrt(tempered)[:, None]
-    surface = np.linalg.lstsq(terms * root, atlas.codes[near] * root, rcond=None)[0]
+    codes = _parts(atlas, near)
+    surfaces = [np.linalg.lstsq(terms * root, part * root, rcond=None)[0] for part in codes]
     # What the surface misses is uncertainty too, beside the noise.
-    missed = tempered @ (atlas.codes[near] - terms @ surface) ** 2 / tempered.sum()
+    drawn_codes = [terms @ surface for surface in surfaces]
+    apart = _joined(codes, codes, code) - _joined(drawn_codes, codes, code)
+    missed = tempered @ apart**2 / tempered.sum()
     sharing = tempered.sum() ** 2 / (tempered @ tempered)
     noise = np.sqrt(1.0 + missed * sharing / max(1.0, sharing - terms.shape[1]))
     low, high = poses.min(axis=0), poses.max(axis=0)
@@ -280,14 +284,37 @@ def _sharpened(atlas: Atlas, code: NDArray[np.float32], logs: NDArray[np.float32
         if inside.sum() <= 2 * len(mean):  # the surface does not hold here: the neighbours' own spread has to do
             break
         drawn, normal = drawn[inside], normal[inside]
-        apart = (_quadratic((drawn - centre) / scale) @ surface - code) / noise
-        log = 0.5 * (normal**2).sum(axis=1) - 0.5 * (apart**2).sum(axis=1)
+        terms = _quadratic((drawn - centre) / scale)
+        log = 0.5 * (normal**2).sum(axis=1) + _explained([terms @ s / noise for s in surfaces], code / noise)
         mean, covariance = _moments(drawn, _tempered(log, 4.0 * len(mean)))
     placed = int(free[:3].sum())
     position, uncertain = atlas.positions[near[0]].copy(), np.zeros((3, 3))
     position[free[:3]] = mean[:placed]
     uncertain[np.ix_(free[:3], free[:3])] = covariance[:placed, :placed]
     return position, uncertain
+
+
+def _parts(atlas: Atlas, some: NDArray[np.int64]) -> list[Array]:
+    """The codes of some poses; where strengths are unknown, of what is added and of what is hidden."""
+    every = [atlas.codes] if atlas.hiding is None else [atlas.added, atlas.hiding]
+    return [part[some].astype(np.float64) for part in every]
+
+
+def _joined(parts: list[Array], like: list[Array], code: NDArray[np.float32]) -> Array:
+    """Codes of parts (n, k) at the strengths that a picture asks of others like them."""
+    if len(parts) == 1:
+        return parts[0]
+    found = Strengths.of(*like).means(like[0] @ code, like[1] @ code)
+    return found[:, :1] * parts[0] + found[:, 1:] * parts[1]
+
+
+def _explained(parts: list[Array], code: Array) -> Array:
+    """How much better each of the codes of parts (n, k) explains a picture than an empty scene, logarithms (n,)."""
+    if len(parts) == 1:
+        logs: Array = parts[0] @ code - 0.5 * (parts[0] ** 2).sum(axis=1)
+    else:
+        logs = Strengths.of(*parts).logs(parts[0] @ code, parts[1] @ code)
+    return logs
 
 
 def _tempered(logs: Array, least: float) -> Array:

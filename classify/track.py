@@ -84,8 +84,7 @@ class Filter:
         cells = np.ravel_multi_index(tuple(places.T), self._shape)
         self._order = np.argsort(cells, kind="stable")
         self._cells, self._starts, counts = np.unique(cells[self._order], return_index=True, return_counts=True)
-        self._codes = atlas.codes[self._order]
-        self._half = atlas.half_squares[self._order]
+        self._ordered = atlas.take(self._order)
         self._share = 1.0 / counts
         # The discrete Gaussian (Lindeberg 1990, equation 16) has the walk's variance however short its steps are.
         spread = (step / edge) ** 2
@@ -109,7 +108,7 @@ class Filter:
         staying = self._presence * (1.0 - self._vanish)
         there = coming + staying
         moved = (staying * moved + coming * fresh) / there
-        logs = self._codes @ code - self._half
+        logs = self._ordered.logs(code)
         top = max(float(logs.max()), 0.0)
         weights = np.exp(logs - top)
         likelihood = np.add.reduceat(weights, self._starts) * self._share
