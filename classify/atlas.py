@@ -10,6 +10,7 @@ poses answers every question: is something there, in which voxel, where.
 from __future__ import annotations
 
 import json
+import math
 from collections.abc import Callable
 from dataclasses import asdict, dataclass, replace
 from functools import cached_property
@@ -29,9 +30,11 @@ from generator.sensor import Sensor
 from generator.spec import Array, NlosError, VoxelGrid, from_dict, to_dict
 from generator.transport import Transport
 
-FORMAT = 1
+FORMAT = 2
 
 _LEFT_OUT = 0.05
+_FEWEST = 100.0
+"""Electrons in all frames of the darkest pixel, from which on a picture's code grows with the root of the frames."""
 _FOR_BASIS = 4096
 _BLOCK = 2048
 
@@ -46,8 +49,13 @@ class Atlas:
         Of unit noise.
     basis : ndarray of shape (k, height * width), float32
         What turns a stabilised difference picture into a code.
-    empty : ndarray of shape (height, width), float64
-        The empty scene, stabilised (`Sensor.stabilised_mean`).
+    background : ndarray of shape (height, width), float64
+        The empty scene, W/m^2/sr.
+    nuisances : ndarray of shape (m, k), float32
+        Codes of what may have changed since the background was taken (lamp, ambient light), each by a standard
+        deviation: it is fitted with every answer, and what it could explain is no evidence.
+    spread : float
+        Variance of a code in every direction before it was made 1: above 1 where the background has noise too.
     positions, rotations : ndarray of shape (n, 3)
         Metres and degrees.
     voxels : ndarray of shape (n,), int
@@ -65,7 +73,9 @@ class Atlas:
 
     codes: NDArray[np.float32]
     basis: NDArray[np.float32]
-    empty: Array
+    background: Array
+    nuisances: NDArray[np.float32]
+    spread: float
     positions: Array
     rotations: Array
     voxels: NDArray[np.int64]
@@ -74,6 +84,11 @@ class Atlas:
     left_out: float
     about: dict[str, Any]
     hiding: NDArray[np.float32] | None = None
+
+    @cached_property
+    def empty(self) -> Array:
+        """The empty scene on the scale of unit noise (`Sensor.stabilised_mean`), (height, width)."""
+        return self.sensor.stabilised_mean(self.background[..., None])
 
     @property
     def unknown(self) -> bool:
@@ -114,6 +129,52 @@ class Atlas:
             first, second = rng.multivariate_normal(strengths.MEAN, strengths.COVARIANCE)
             code = first * self.added[pose].astype(np.float64) + second * self.hiding[pose]
         return code
+
+    def at(self, frames: int) -> Atlas:
+        """Return the atlas of the same sensor averaging another number of frames, no more than it was made for.
+
+        A code grows with the root of the frames; directions in which nothing is left to see are dropped.
+
+        Raises
+        ------
+        NlosError
+            That are more frames, or the scene is so dark that its noise changes its form.
+        """
+        have = self.sensor.frames
+        if not 1 <= frames <= have:
+            raise NlosError(
+                f"frames {frames}: must be from 1 to the {have} that the atlas was made for; make another"
+            )
+        if frames == have:
+            return self
+        darkest = float(self.sensor.electrons(self.background[..., None]).min())
+        if darkest * frames < _FEWEST:
+            raise NlosError(
+                f"frames {frames}: collect {darkest * frames:.3g} electrons in the darkest pixel, too few to be "
+                f"derived from an atlas of {have}; make one with --frames {frames}"
+            )
+        scale = math.sqrt(frames / have)
+        spread = 1.0 + (self.spread - 1.0) * frames / have
+        old = np.linalg.cholesky(_noise(self.spread, self.nuisances))
+        new = np.linalg.cholesky(_noise(spread, scale * self.nuisances))
+        change = np.linalg.solve(new, old)
+        codes = (scale * self.codes @ change.T).astype(np.float32)
+        hiding = None if self.hiding is None else (scale * self.hiding @ change.T).astype(np.float32)
+        basis = (change @ self.basis).astype(np.float32)
+        every = codes if hiding is None else np.concatenate([codes - hiding, hiding])
+        rest = np.sqrt(np.cumsum(np.mean(every**2, axis=0)[::-1])[::-1])
+        kept = max(1, int((rest > _LEFT_OUT).sum()))
+        # The basis is in order of strength, and Cholesky's factor is triangular: what is dropped moves nothing else.
+        return replace(
+            self,
+            codes=np.ascontiguousarray(codes[:, :kept]),
+            hiding=None if hiding is None else np.ascontiguousarray(hiding[:, :kept]),
+            basis=basis[:kept],
+            nuisances=scale * self.nuisances[:, :kept],
+            spread=spread,
+            sensor=replace(self.sensor, frames=frames),
+            left_out=math.hypot(scale * self.left_out, float(rest[kept]) if kept < len(rest) else 0.0),
+        )
 
     def take(self, some: Any) -> Atlas:
         """Return the atlas of some of its poses, given by their numbers or a slice."""
@@ -163,6 +224,7 @@ def build(
     sensor: Sensor,
     *,
     lamp_drift: float = 0.0,
+    ambient_drift: float = 0.0,
     measured_background: bool = True,
     unknown: bool = False,
     progress: Callable[[int, int], None] = lambda done, total: None,
@@ -176,8 +238,9 @@ def build(
     sensor : Sensor
         Without an exposure, the brightest pixel of the background and of some thousand pictures fills it.
     lamp_drift : float
-        Standard deviation of the lamp's strength since the background was taken, relative: it is fitted with every
-        answer, and what it could explain is no evidence.
+        Standard deviation of the lamp's strength since the background was taken, relative.
+    ambient_drift : float
+        Standard deviation of uniform light on the watched wall since then, in units of the background's mean.
     measured_background : bool
         Whether the background that pictures come with is measured too, and hence has noise of its own.
     unknown : bool
@@ -209,15 +272,13 @@ def build(
         hidden = differences(dark(some))
         seen = np.concatenate([seen - hidden, hidden])
     basis, left_out = _basis(seen)
-    # What cannot be told from a change of the lamp, and the background's own noise, make the rest less certain.
-    noise = np.eye(len(basis))
-    if measured_background:
-        noise *= 1.0 + sensor.frames / sensor.background_frames
-    if lamp_drift:
-        brighter = sensor.stabilised_mean(background * (1.0 + lamp_drift)) - empty
-        along = basis @ brighter.ravel()
-        noise += np.outer(along, along)
-    whitened = np.linalg.solve(np.linalg.cholesky(noise), basis).astype(np.float32)
+    # What cannot be told from a change of the light, and the background's own noise, make the rest less certain.
+    spread = 1.0 + (sensor.frames / sensor.background_frames if measured_background else 0.0)
+    drifts = [background * (1.0 + lamp_drift)] if lamp_drift else []
+    drifts += [background + ambient_drift * background.mean()] if ambient_drift else []
+    nuisances = np.array([basis @ (sensor.stabilised_mean(lit) - empty).ravel() for lit in drifts])
+    nuisances = nuisances.reshape(len(drifts), len(basis)).astype(np.float32)
+    whitened = np.linalg.solve(np.linalg.cholesky(_noise(spread, nuisances)), basis).astype(np.float32)
     codes = np.empty((count, len(whitened)), dtype=np.float32)
     hiding = None if dark is None else np.empty_like(codes)
     for start in range(0, count, _BLOCK):
@@ -229,7 +290,9 @@ def build(
     return Atlas(
         codes=codes,
         basis=whitened,
-        empty=empty,
+        background=background.mean(axis=2, dtype=np.float64),
+        nuisances=nuisances,
+        spread=spread,
         positions=bulk.positions,
         rotations=bulk.rotations,
         voxels=bulk.voxels,
@@ -241,9 +304,16 @@ def build(
             "set": bulk.path.resolve().name,
             "fingerprint": bulk.meta["fingerprint"],
             "lamp_drift": lamp_drift,
+            "ambient_drift": ambient_drift,
         },
         hiding=hiding,
     )
+
+
+def _noise(spread: float, nuisances: NDArray[np.float32]) -> Array:
+    """Covariance of a code before it is made 1, (k, k)."""
+    covariance: Array = spread * np.eye(nuisances.shape[1]) + nuisances.T.astype(np.float64) @ nuisances
+    return covariance
 
 
 class _Black:
@@ -283,6 +353,7 @@ def save(path: Path, atlas: Atlas) -> None:
         file.attrs["grid"] = json.dumps(to_dict(atlas.grid))
         file.attrs["sensor"] = json.dumps(asdict(atlas.sensor))
         file.attrs["left_out"] = atlas.left_out
+        file.attrs["spread"] = atlas.spread
         file.attrs["about"] = json.dumps(atlas.about)
         for name in _ARRAYS:
             file[name] = getattr(atlas, name)
@@ -293,7 +364,7 @@ def save(path: Path, atlas: Atlas) -> None:
         file["rotations"].attrs["units"] = "degrees about x, y, z"
 
 
-_ARRAYS = ("codes", "basis", "empty", "positions", "rotations", "voxels")
+_ARRAYS = ("codes", "basis", "background", "nuisances", "positions", "rotations", "voxels")
 
 
 def load(path: Path) -> Atlas:
@@ -310,12 +381,14 @@ def load(path: Path) -> Atlas:
             grid=from_dict(VoxelGrid, json.loads(str(file.attrs["grid"])), "grid."),
             sensor=from_dict(Sensor, json.loads(str(file.attrs["sensor"])), "sensor."),
             left_out=float(file.attrs["left_out"]),
+            spread=float(file.attrs["spread"]),
             about=json.loads(str(file.attrs["about"])),
             hiding=np.asarray(file["hiding"]) if "hiding" in file else None,
         )
         n, k = atlas.codes.shape
         shapes = [atlas.basis.shape, atlas.positions.shape, atlas.rotations.shape, atlas.voxels.shape]
-        if shapes != [(k, atlas.empty.size), (n, 3), (n, 3), (n,)] or not n:
+        shapes += [atlas.nuisances.shape[1:]]
+        if shapes != [(k, atlas.background.size), (n, 3), (n, 3), (n,), (k,)] or not n:
             raise ValueError("its codes, basis and poses differ in length")
         if atlas.hiding is not None and atlas.hiding.shape != (n, k):
             raise ValueError("its codes of light and of shadow differ in number")

@@ -4,8 +4,10 @@ from __future__ import annotations
 
 import numpy as np
 
+from classify.atlas import Atlas
 from generator import bulk, poses, spec
 from generator.dataset import BACKGROUND, Dataset, PoseRecord
+from generator.sensor import Sensor
 from generator.spec import Sweep, preset
 from generator.transport import Sphere, Transport
 
@@ -52,11 +54,13 @@ def make_dataset(path, *, target="sheet", n=12, seed=0, noise=2e-7, grid=None, s
     return dataset
 
 
-def make_bulk(path, *, pictures=3000, seed=0, radius=0.15, room=(), rotation=(0.0, 0.0, 0.0), resolution=(16, 16)):
+def make_bulk(
+    path, *, pictures=3000, seed=0, radius=0.15, albedo=1.0, room=(), rotation=(0.0, 0.0, 0.0), resolution=(16, 16)
+):
     """Write a bulk set of a sphere before a bare wall (or a sheet, with radius 0), made by the engine itself."""
     import worlds
 
-    target = Sphere(np.zeros(3), radius, np.ones(3)) if radius else worlds.sheet(0.3)
+    target = Sphere(np.zeros(3), radius, np.full(3, albedo)) if radius else worlds.sheet(0.3)
     world = worlds.world(target, room=room, view=worlds.watched(resolution=resolution))
     grid = spec.VoxelGrid(lo=(0.3, 0.5, -0.4), hi=(1.5, 1.7, 0.6), shape=(2, 2, 1))
     plan = bulk.Settings(pictures=pictures, resolution=resolution, seed=seed, accuracy=1e-3, rotation=rotation)
@@ -73,6 +77,25 @@ def make_bulk(path, *, pictures=3000, seed=0, radius=0.15, room=(), rotation=(0.
         found.write_part(number, draw, transport)
     found.finish()
     return bulk.Bulk.open(path)
+
+
+def plain_atlas(codes, positions, voxels, grid):
+    """An atlas of given codes (n, k), as unit noise has them, whose basis nobody looks at."""
+    k = codes.shape[1]
+    return Atlas(
+        codes=codes.astype(np.float32),
+        basis=np.eye(k, dtype=np.float32),
+        background=np.zeros((1, k)),
+        nuisances=np.zeros((0, k), dtype=np.float32),
+        spread=1.0,
+        positions=np.asarray(positions, dtype=np.float64),
+        rotations=np.zeros((len(codes), 3)),
+        voxels=voxels,
+        grid=grid,
+        sensor=Sensor(exposure=1.0),
+        left_out=0.0,
+        about={},
+    )
 
 
 def make_seen(path, simulated, *, poses=3, frames=False):

@@ -6,12 +6,11 @@ import math
 
 import numpy as np
 import pytest
-from classify_helpers import make_bulk
+from classify_helpers import make_bulk, plain_atlas
 from scipy.stats import norm
 
 from classify import atlas as atlases
 from classify import bound
-from classify.atlas import Atlas
 from classify.localise import Synthesis
 from generator.sensor import Sensor
 from generator.spec import NlosError, VoxelGrid
@@ -33,9 +32,7 @@ def line(distance, copies=400):
     voxels = np.repeat([0, 1], copies)
     positions = np.stack([voxels, 0.0 * voxels, 0.0 * voxels], axis=1).astype(float)
     grid = VoxelGrid(lo=(-0.5, -0.5, -0.5), hi=(1.5, 0.5, 0.5), shape=(2, 1, 1))
-    sensor = Sensor(exposure=1.0)
-    return Atlas(codes, np.eye(3, 4, dtype=np.float32), np.zeros((2, 2)), positions, 0.0 * positions, voxels, grid,
-                 sensor, 0.0, {})  # fmt: skip
+    return plain_atlas(codes, positions, voxels, grid)
 
 
 @pytest.mark.parametrize("distance", [0.3, 1.0, 3.0, 40.0])

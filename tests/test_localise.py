@@ -8,7 +8,7 @@ from classify_helpers import make_bulk
 from scipy import stats
 
 from classify import atlas as atlases
-from classify import localise
+from classify import localise, strengths
 from generator.sensor import Sensor
 from generator.spec import NlosError
 
@@ -126,3 +126,85 @@ def test_bad_input_is_one_sentence(simulated, tmp_path):
         atlas.code(np.ones((8, 8, 3), dtype=np.float32))
     with pytest.raises(NlosError, match="holds NaN or infinite values"):
         atlas.code(np.full((16, 16, 3), np.nan, dtype=np.float32))
+
+
+@pytest.mark.parametrize("frames", [1, 10])
+def test_an_atlas_serves_fewer_frames_than_it_was_made_for(tmp_path, frames):
+    """What is derived from one of many frames explains pictures as one does that was made for few."""
+    import worlds
+
+    floor = worlds.quad((-2.0, 0.0, -1.0), (4.0, 0.0, 0.0), (0.0, 3.0, 0.0), 0.5)
+    found = make_bulk(tmp_path / "set", pictures=256, room=(floor,))
+    drifts = {"lamp_drift": 0.01, "ambient_drift": 0.02}
+    derived = atlases.build(found, Sensor(frames=40), **drifts).at(frames)
+    made = atlases.build(found, Sensor(frames=frames, exposure=derived.sensor.exposure), **drifts)
+    assert derived.sensor == made.sensor
+    assert derived.spread == pytest.approx(made.spread)
+    picture = derived.sensor.measure(colour(found.pictures[7]), np.random.default_rng(5))
+    ours, theirs = (a.logs(a.code(picture, found.background)) for a in (derived, made))
+    # Each leaves out directions that move a logarithm by a few hundredths of the noise.
+    assert np.abs(ours - theirs).max() < 0.1 + 0.005 * np.abs(theirs).max()
+    with pytest.raises(NlosError, match="frames 41: must be from 1 to the 40"):
+        atlases.build(found, Sensor(frames=40)).at(41)
+
+
+def test_a_dim_scene_needs_an_atlas_of_its_own(simulated):
+    """Where photons are few, noise changes its form, and nothing is derived."""
+    atlas = atlases.build(simulated, Sensor(frames=10))  # before a bare wall, the empty scene is dark
+    with pytest.raises(NlosError, match="electrons in the darkest pixel"):
+        atlas.at(1)
+
+
+def test_what_could_be_a_change_of_light_is_no_evidence(tmp_path):
+    """More light from lamp and sky is taken for an object, unless such a change is expected."""
+    import worlds
+
+    floor = worlds.quad((-2.0, 0.0, -1.0), (4.0, 0.0, 0.0), (0.0, 3.0, 0.0), 0.5)
+    found = make_bulk(tmp_path / "set", pictures=256, room=(floor,))
+    lit = found.background * 1.03 + 0.03 * found.background.mean()
+    told = {}
+    for drift in (0.0, 0.05):
+        atlas = atlases.build(found, Sensor(frames=10), lamp_drift=drift, ambient_drift=drift)
+        told[drift] = localise.locate(atlas, atlas.code(lit.astype(np.float32), found.background)).evidence
+    assert told[0.0] > 5.0
+    assert told[0.05] < 1.0
+
+
+def test_unknown_strengths_are_integrated_out():
+    """The closed form is the average of the likelihood over drawn strengths."""
+    rng = np.random.default_rng(0)
+    added, hiding = rng.normal(size=(2, 3, 5)) * 0.6
+    code = rng.normal(size=5)
+    drawn = rng.multivariate_normal(strengths.MEAN, strengths.COVARIANCE, size=400_000)
+    found = strengths.Strengths.of(added, hiding).logs(added @ code, hiding @ code)
+    for pose in range(3):
+        codes = drawn @ np.stack([added[pose], hiding[pose]])
+        likelihoods = np.exp(codes @ code - 0.5 * (codes**2).sum(axis=1))
+        error = likelihoods.std() / np.sqrt(len(drawn))
+        assert abs(np.exp(found[pose]) - likelihoods.mean()) < 4.0 * error
+
+
+def test_strengths_are_found():
+    """Where the picture is sharp, the posterior mean is what the picture was made with."""
+    rng = np.random.default_rng(1)
+    added, hiding = 100.0 * rng.normal(size=(2, 1, 8))
+    code = 0.3 * added[0] + 0.9 * hiding[0]
+    found = strengths.Strengths.of(added, hiding).means(added @ code, hiding @ code)
+    np.testing.assert_allclose(found[0], [0.3, 0.9], atol=1e-3)
+
+
+def test_an_object_of_another_size_and_albedo_is_found(tmp_path):
+    """A dark ball of two thirds the radius is found by an atlas of a white one that knows of neither."""
+    import worlds
+
+    floor = worlds.quad((-2.0, 0.0, -1.0), (4.0, 0.0, 0.0), (0.0, 3.0, 0.0), 0.5)
+    found = make_bulk(tmp_path / "set", pictures=2000, room=(floor,))
+    other = make_bulk(tmp_path / "other", pictures=200, seed=9, radius=0.1, albedo=0.4, room=(floor,))
+    sensor = Sensor(frames=1000, background_frames=100_000)
+    rights = {}
+    for unknown in (False, True):
+        atlas = atlases.build(found, sensor, unknown=unknown)
+        answers = places(atlas, other)
+        rights[unknown] = np.mean([p.voxels.argmax() for p in answers] == other.voxels)
+    assert rights[True] > 0.9
+    assert rights[True] > rights[False] + 0.1

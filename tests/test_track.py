@@ -7,12 +7,11 @@ import math
 
 import numpy as np
 import pytest
-from classify_helpers import make_bulk, make_seen
+from classify_helpers import make_bulk, make_seen, plain_atlas
 from scipy.linalg import expm
 
 from classify import atlas as atlases
 from classify import pursuit
-from classify.atlas import Atlas
 from classify.track import Filter
 from generator import poses
 from generator.dataset import Dataset
@@ -28,8 +27,7 @@ def lattice(count=600, scale=6.0, seed=0):
     places = rng.uniform(GRID.lo, GRID.hi, size=(count, 3))
     voxels = np.array([GRID.voxel(p) for p in places])
     codes = (scale * (places + 0.5)).astype(np.float32)
-    return Atlas(codes, np.eye(3, dtype=np.float32), np.zeros((1, 3)), places, 0.0 * places, voxels, GRID,
-                 Sensor(exposure=1.0), 0.0, {})  # fmt: skip
+    return plain_atlas(codes, places, voxels, GRID)
 
 
 def written_out(atlas, codes, *, step, appear, vanish, edge=0.1):
@@ -53,7 +51,7 @@ def written_out(atlas, codes, *, step, appear, vanish, edge=0.1):
     size = np.bincount(of)
     known, presence, told = size / size.sum(), 0.5, []
     for code in codes:
-        likely = np.exp((atlas.codes @ code - atlas.half_squares).astype(float))
+        likely = np.exp(atlas.codes @ code - 0.5 * (atlas.codes.astype(float) ** 2).sum(axis=1))
         cell = np.bincount(of, likely) / size
         left = 1.0 - presence * (1.0 - vanish)
         there = (presence * (1.0 - vanish) * (known @ moves) + left * appear / len(cells)) * cell

@@ -7,7 +7,7 @@ import csv
 import numpy as np
 import pytest
 import worlds
-from classify_helpers import make_bulk, make_dataset, make_seen
+from classify_helpers import make_bulk, make_dataset, make_seen, plain_atlas
 from scipy import stats
 
 from classify import atlas as atlases
@@ -50,8 +50,7 @@ def test_the_evidence_is_the_best_test():
     codes = np.zeros((64, 2), dtype=np.float32)
     codes[:, 0] = distance
     some = np.zeros(64, dtype=np.int64)
-    atlas = atlases.Atlas(codes, np.eye(2, dtype=np.float32), np.zeros((1, 2)), np.zeros((64, 3)), np.zeros((64, 3)),
-                          some, None, Sensor(exposure=1.0), 0.0, {})  # fmt: skip
+    atlas = plain_atlas(codes, np.zeros((64, 3)), some, None)
     detector = Detector.at(atlas, 0.05)
     rng = np.random.default_rng(2)
     there = rng.normal(size=(20_000, 2)).astype(np.float32) + codes[0]
