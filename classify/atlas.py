@@ -20,6 +20,7 @@ from typing import Any
 import h5py
 import numpy as np
 from numpy.typing import NDArray
+from sklearn.utils.extmath import randomized_svd
 
 from classify import strengths
 from classify.store import opened
@@ -36,6 +37,7 @@ _LEFT_OUT = 0.05
 _FEWEST = 100.0
 """Electrons in all frames of the darkest pixel, from which on a picture's code grows with the root of the frames."""
 _FOR_BASIS = 4096
+_FIRST = 64
 _BLOCK = 2048
 
 
@@ -269,7 +271,7 @@ def build(
 
     seen = differences(sample)
     if dark is not None:
-        hidden = differences(dark(some))
+        hidden = differences(dark(some, sample))
         seen = np.concatenate([seen - hidden, hidden])
     basis, left_out = _basis(seen)
     # What cannot be told from a change of the light, and the background's own noise, make the rest less certain.
@@ -283,9 +285,10 @@ def build(
     hiding = None if dark is None else np.empty_like(codes)
     for start in range(0, count, _BLOCK):
         block = slice(start, min(start + _BLOCK, count))
-        codes[block] = differences(_colour(bulk.pictures[block])) @ whitened.T
+        pictures = _colour(bulk.pictures[block])
+        codes[block] = differences(pictures) @ whitened.T
         if dark is not None and hiding is not None:
-            hiding[block] = differences(dark(block)) @ whitened.T
+            hiding[block] = differences(dark(block, pictures)) @ whitened.T
         progress(block.stop, count)
     return Atlas(
         codes=codes,
@@ -317,27 +320,41 @@ def _noise(spread: float, nuisances: NDArray[np.float32]) -> Array:
 
 
 class _Black:
-    """The same poses of a black object, which only hides, by the engine."""
+    """The same poses of a black object, which only hides."""
 
     def __init__(self, bulk: Bulk) -> None:
-        world = bulk.world()
-        black = tuple(replace(body, albedo=0.0 * body.albedo) for body in world.target)
         width, height = bulk.plan.resolution
-        world = replace(world, target=black, watched=replace(world.watched, resolution=(width, height)))
+        world = bulk.world()
+        world = replace(world, watched=replace(world.watched, resolution=(width, height)))
         self._engine = Transport(world, accuracy=bulk.plan.accuracy)
         self._bulk = bulk
 
-    def __call__(self, some: Any) -> NDArray[np.float32]:
-        """Return pictures, (n, height, width, 3)."""
-        return self._engine.pictures(self._bulk.positions[some], self._bulk.rotations[some])
+    def __call__(self, some: Any, pictures: NDArray[np.float32]) -> NDArray[np.float32]:
+        """Return the black object's pictures for the white one's, (n, height, width, 3)."""
+        bulk = self._bulk
+        # What an object adds takes the engine far less time than what it hides, which is the rest of its picture.
+        lit = self._engine.pictures(bulk.positions[some], bulk.rotations[some], shadows=False)
+        return pictures - (lit - bulk.background)
 
 
 def _basis(sample: NDArray[np.float32]) -> tuple[Array, float]:
-    """The fewest orthonormal directions (k, pixels) that hold pictures (n, pixels), and what they leave out."""
-    _, strengths, directions = np.linalg.svd(sample.astype(np.float64), full_matrices=False)
-    rest = np.sqrt(np.cumsum(strengths[::-1] ** 2)[::-1] / len(sample))
+    """The fewest orthonormal directions (k, pixels) that hold pictures (n, pixels), and what they leave out.
+
+    By sampling the pictures' range at random (Halko, Martinsson and Tropp 2011, algorithm 4.4): all directions would
+    take minutes, and but for the first few hundred there is nothing in them.
+    """
+    pictures = sample.astype(np.float64)
+    total, most = float((pictures**2).sum()), min(pictures.shape)
+    count = min(_FIRST, most)
+    while True:
+        _, strengths, directions = randomized_svd(pictures, count, n_iter=4, random_state=0)
+        beyond = max(total - float((strengths**2).sum()), 0.0)
+        rest = np.sqrt((np.cumsum(strengths[::-1] ** 2)[::-1] + beyond) / len(pictures))
+        if count == most or beyond <= len(pictures) * _LEFT_OUT**2:
+            break
+        count = min(2 * count, most)
     kept = max(1, int((rest > _LEFT_OUT).sum()))
-    return directions[:kept], float(rest[kept]) if kept < len(rest) else 0.0
+    return directions[:kept], float(rest[kept] if kept < len(rest) else math.sqrt(beyond / len(pictures)))
 
 
 def _colour(pictures: NDArray[np.float32]) -> NDArray[np.float32]:
