@@ -60,14 +60,15 @@ class Atlas:
         Variance of a code in every direction before it was made 1: above 1 where the background has noise too.
     positions, rotations : ndarray of shape (n, 3)
         Metres and degrees.
-    voxels : ndarray of shape (n,), int
+    voxels, kinds : ndarray of shape (n,), int
+        Which voxel, and which of the ``about["targets"]`` stands there.
     grid : VoxelGrid
     sensor : Sensor
         With its exposure.
     left_out : float
         Root mean square, over the pictures, of what the basis cannot hold, in units of the noise in one direction.
     about : dict
-        Target, and the set that the pictures are of.
+        Targets, and the sets that the pictures are of.
     hiding : ndarray of shape (n, k), float32, optional
         Codes of what a black object would hide at the same poses: where it is given, the object's size and albedo
         count as unknown (`classify.strengths`).
@@ -81,6 +82,7 @@ class Atlas:
     positions: Array
     rotations: Array
     voxels: NDArray[np.int64]
+    kinds: NDArray[np.int64]
     grid: VoxelGrid
     sensor: Sensor
     left_out: float
@@ -180,7 +182,7 @@ class Atlas:
 
     def take(self, some: Any) -> Atlas:
         """Return the atlas of some of its poses, given by their numbers or a slice."""
-        every = {name: getattr(self, name)[some] for name in ("codes", "positions", "rotations", "voxels")}
+        every = {name: getattr(self, name)[some] for name in ("codes", "positions", "rotations", "voxels", "kinds")}
         return replace(self, **every, hiding=None if self.hiding is None else self.hiding[some])
 
     def code(
@@ -224,19 +226,21 @@ class Atlas:
 def build(
     bulk: Bulk,
     sensor: Sensor,
-    *,
+    *others: Bulk,
     lamp_drift: float = 0.0,
     ambient_drift: float = 0.0,
     measured_background: bool = True,
     unknown: bool = False,
     progress: Callable[[int, int], None] = lambda done, total: None,
 ) -> Atlas:
-    """Compress a simulated set to the codes of its pictures.
+    """Compress simulated sets to the codes of their pictures.
 
     Parameters
     ----------
     bulk : Bulk
         Finished.
+    *others : Bulk
+        The same scene with other objects: what is looked for may be any of them.
     sensor : Sensor
         Without an exposure, the brightest pixel of the background and of some thousand pictures fills it.
     lamp_drift : float
@@ -253,15 +257,16 @@ def build(
     Raises
     ------
     NlosError
-        The set is not finished, or has no light.
+        A set is not finished, or has no light, or they are not of one scene.
     """
-    if missing := bulk.missing():
-        raise NlosError(f"{bulk.path}: {len(missing)} of {bulk.parts} parts are missing; finish the set first")
-    count = bulk.planned
+    bulks = [bulk, *others]
     background = bulk.background
-    some = np.unique(np.linspace(0, count - 1, min(count, _FOR_BASIS)).astype(np.int64))
-    dark = _Black(bulk) if unknown else None
-    sample = _colour(bulk.pictures[some])
+    _check_alike(bulks)
+    share = math.ceil(_FOR_BASIS / len(bulks))
+    some = [np.unique(np.linspace(0, b.planned - 1, min(b.planned, share)).astype(np.int64)) for b in bulks]
+    dark = [_Black(b) for b in bulks] if unknown else []
+    samples = [_colour(b.pictures[numbers]) for b, numbers in zip(bulks, some, strict=True)]
+    sample = np.concatenate(samples)
     sensor = sensor.exposed([background, sample.reshape(-1, sample.shape[-2], 3)])
     empty = sensor.stabilised_mean(background)
 
@@ -270,8 +275,9 @@ def build(
         return np.asarray(every, dtype=np.float32).reshape(len(every), -1)
 
     seen = differences(sample)
-    if dark is not None:
-        hidden = differences(dark(some, sample))
+    if dark:
+        black = [d(numbers, pictures) for d, numbers, pictures in zip(dark, some, samples, strict=True)]
+        hidden = differences(np.concatenate(black))
         seen = np.concatenate([seen - hidden, hidden])
     basis, left_out = _basis(seen)
     # What cannot be told from a change of the light, and the background's own noise, make the rest less certain.
@@ -281,36 +287,54 @@ def build(
     nuisances = np.array([basis @ (sensor.stabilised_mean(lit) - empty).ravel() for lit in drifts])
     nuisances = nuisances.reshape(len(drifts), len(basis)).astype(np.float32)
     whitened = np.linalg.solve(np.linalg.cholesky(_noise(spread, nuisances)), basis).astype(np.float32)
-    codes = np.empty((count, len(whitened)), dtype=np.float32)
-    hiding = None if dark is None else np.empty_like(codes)
-    for start in range(0, count, _BLOCK):
-        block = slice(start, min(start + _BLOCK, count))
-        pictures = _colour(bulk.pictures[block])
-        codes[block] = differences(pictures) @ whitened.T
-        if dark is not None and hiding is not None:
-            hiding[block] = differences(dark(block, pictures)) @ whitened.T
-        progress(block.stop, count)
+    count = sum(b.planned for b in bulks)
+    codes: list[NDArray[np.float32]] = []
+    hiding: list[NDArray[np.float32]] = []
+    done = 0
+    for number, one in enumerate(bulks):
+        for start in range(0, one.planned, _BLOCK):
+            block = slice(start, min(start + _BLOCK, one.planned))
+            pictures = _colour(one.pictures[block])
+            codes.append(differences(pictures) @ whitened.T)
+            if dark:
+                hiding.append(differences(dark[number](block, pictures)) @ whitened.T)
+            done += len(pictures)
+            progress(done, count)
+    targets = [str(b.meta["scene"].get("target", {}).get("kind", "mesh")) for b in bulks]
     return Atlas(
-        codes=codes,
+        codes=np.concatenate(codes),
         basis=whitened,
         background=background.mean(axis=2, dtype=np.float64),
         nuisances=nuisances,
         spread=spread,
-        positions=bulk.positions,
-        rotations=bulk.rotations,
-        voxels=bulk.voxels,
+        positions=np.concatenate([b.positions for b in bulks]),
+        rotations=np.concatenate([b.rotations for b in bulks]),
+        voxels=np.concatenate([b.voxels for b in bulks]),
+        kinds=np.repeat(np.arange(len(bulks)), [b.planned for b in bulks]),
         grid=bulk.grid,
         sensor=sensor,
         left_out=left_out,
         about={
-            "target": str(bulk.meta["scene"].get("target", {}).get("kind", "mesh")),
-            "set": bulk.path.resolve().name,
-            "fingerprint": bulk.meta["fingerprint"],
+            "targets": targets,
+            "sets": [b.path.resolve().name for b in bulks],
+            "fingerprints": [b.meta["fingerprint"] for b in bulks],
             "lamp_drift": lamp_drift,
             "ambient_drift": ambient_drift,
         },
-        hiding=hiding,
+        hiding=np.concatenate(hiding) if hiding else None,
     )
+
+
+def _check_alike(bulks: list[Bulk]) -> None:
+    """Raise NlosError unless all sets are finished and of one scene."""
+    first = bulks[0]
+    for bulk in bulks:
+        if missing := bulk.missing():
+            raise NlosError(f"{bulk.path}: {len(missing)} of {bulk.parts} parts are missing; finish the set first")
+        if bulk.grid != first.grid or bulk.picture_shape != first.picture_shape:
+            raise NlosError(f"{bulk.path} and {first.path}: have different voxel grids or pictures of another size")
+        if not np.allclose(bulk.background, first.background, rtol=0.02, atol=0.0):
+            raise NlosError(f"{bulk.path} and {first.path}: show different scenes; only the object may differ")
 
 
 def _noise(spread: float, nuisances: NDArray[np.float32]) -> Array:
@@ -381,7 +405,7 @@ def save(path: Path, atlas: Atlas) -> None:
         file["rotations"].attrs["units"] = "degrees about x, y, z"
 
 
-_ARRAYS = ("codes", "basis", "background", "nuisances", "positions", "rotations", "voxels")
+_ARRAYS = ("codes", "basis", "background", "nuisances", "positions", "rotations", "voxels", "kinds")
 
 
 def load(path: Path) -> Atlas:
@@ -404,13 +428,15 @@ def load(path: Path) -> Atlas:
         )
         n, k = atlas.codes.shape
         shapes = [atlas.basis.shape, atlas.positions.shape, atlas.rotations.shape, atlas.voxels.shape]
-        shapes += [atlas.nuisances.shape[1:]]
-        if shapes != [(k, atlas.background.size), (n, 3), (n, 3), (n,), (k,)] or not n:
+        shapes += [atlas.nuisances.shape[1:], atlas.kinds.shape]
+        if shapes != [(k, atlas.background.size), (n, 3), (n, 3), (n,), (k,), (n,)] or not n:
             raise ValueError("its codes, basis and poses differ in length")
         if atlas.hiding is not None and atlas.hiding.shape != (n, k):
             raise ValueError("its codes of light and of shadow differ in number")
         if not all(np.isfinite(getattr(atlas, name)).all() for name in (*_ARRAYS, *["hiding"] * atlas.unknown)):
             raise ValueError("it holds NaN or infinite values")
+        if not set(np.unique(atlas.kinds)) <= set(range(len(atlas.about["targets"]))):
+            raise ValueError("it names a target that it does not describe")
         if atlas.voxels.min() < 0 or atlas.voxels.max() >= atlas.grid.n_voxels:
             raise ValueError(f"it names a voxel that its grid of {atlas.grid.n_voxels} lacks")
     return atlas

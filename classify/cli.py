@@ -15,6 +15,7 @@ from generator.cli import LineProgress, guarded
 from generator.spec import NlosError
 
 if TYPE_CHECKING:
+    from classify.atlas import Atlas
     from generator.sensor import Sensor
 
 _EXAMPLES = """\
@@ -159,7 +160,13 @@ def _parser() -> argparse.ArgumentParser:
         "  nlos-classify atlas simulated/ -o room.atlas --frames 10",
         formatter_class=_RAW,
     )
-    atlas.add_argument("simulated", type=Path, metavar="SET", help="folder of the simulated set")
+    atlas.add_argument(
+        "simulated",
+        type=Path,
+        nargs="+",
+        metavar="SET",
+        help="folder of a simulated set; of several, each with another object, any of them may be there",
+    )
     atlas.add_argument("-o", "--output", type=Path, required=True, metavar="FILE.atlas")
     _add_sensor_options(atlas)
     atlas.add_argument(
@@ -169,6 +176,14 @@ def _parser() -> argparse.ArgumentParser:
         metavar="D",
         help="how much the lamp's strength may have changed since the background was taken, relative; it is fitted "
         "with every answer (default: 0)",
+    )
+    atlas.add_argument(
+        "--ambient-drift",
+        type=float,
+        default=0.0,
+        metavar="D",
+        help="how much uniform light on the wall may have come or gone since then, in units of the background's mean "
+        "(default: 0)",
     )
     atlas.add_argument(
         "--unknown",
@@ -186,11 +201,23 @@ def _parser() -> argparse.ArgumentParser:
         formatter_class=_RAW,
     )
     locate.add_argument("atlas", type=Path, metavar="FILE.atlas")
-    locate.add_argument("dataset", type=Path, help="folder of the data set; its pictures are clean, noise is added")
+    locate.add_argument(
+        "dataset", type=Path, help="folder of a data set, or a simulated one; its pictures are clean, noise is added"
+    )
+    locate.add_argument(
+        "--count",
+        type=int,
+        default=0,
+        metavar="N",
+        help="take the first N pictures of a simulated set (default: all)",
+    )
     locate.add_argument("-o", "--output", type=Path, metavar="FOLDER", help="for answers.csv")
     locate.add_argument("--seed", type=int, default=0, metavar="N", help="of the sensor's noise (default: 0)")
     locate.add_argument(
         "--false-alarm", type=float, default=0.01, metavar="P", help="share of empty scenes (default: 0.01)"
+    )
+    locate.add_argument(
+        "--frames", type=int, metavar="N", help="to average, no more than the atlas was made for (default: as many)"
     )
     locate.set_defaults(run=_locate)
 
@@ -230,7 +257,35 @@ def _parser() -> argparse.ArgumentParser:
         help="while the trajectory is being rendered: wait S seconds for the next frame (default: 0)",
     )
     track.add_argument("--seed", type=int, default=0, metavar="N", help="of the sensor's noise (default: 0)")
+    track.add_argument(
+        "--frames", type=int, metavar="N", help="to average, no more than the atlas was made for (default: as many)"
+    )
     track.set_defaults(run=_track)
+
+    detect = commands.add_parser(
+        "detect",
+        help="say how often an object is found, against exposure and distance",
+        description="Say how often the atlas' object is found at a chosen rate of false alarms, voxel by voxel and "
+        "for several exposures: where and how long one has to look.",
+        epilog="example:\n  nlos-classify atlas simulated/ -o room.atlas --frames 1000 --sensor long.toml\n"
+        "  nlos-classify detect room.atlas -o detect/ --exposures 1 10 100 1000",
+        formatter_class=_RAW,
+    )
+    detect.add_argument("atlas", type=Path, metavar="FILE.atlas")
+    detect.add_argument("-o", "--output", type=Path, metavar="FOLDER", help="for detect.csv and detect.png")
+    detect.add_argument(
+        "--exposures",
+        type=int,
+        nargs="+",
+        metavar="N",
+        help="frames averaged, no more than the atlas was made for (default: 1, 3, 10, ... up to these)",
+    )
+    detect.add_argument(
+        "--false-alarm", type=float, default=0.01, metavar="P", help="share of empty scenes (default: 0.01)"
+    )
+    detect.add_argument("--count", type=int, default=300, metavar="N", help="pictures in each voxel (default: 300)")
+    detect.add_argument("--seed", type=int, default=0, metavar="N", help="of poses and noise (default: 0)")
+    detect.set_defaults(run=_detect)
 
     bound = commands.add_parser(
         "bound",
@@ -244,6 +299,9 @@ def _parser() -> argparse.ArgumentParser:
     bound.add_argument("simulated", type=Path, metavar="SET", help="folder of the simulated set that it is of")
     bound.add_argument("--count", type=int, default=3000, metavar="N", help="pictures to try (default: 3000)")
     bound.add_argument("--seed", type=int, default=0, metavar="N", help="of pictures and noise (default: 0)")
+    bound.add_argument(
+        "--frames", type=int, metavar="N", help="to average, no more than the atlas was made for (default: as many)"
+    )
     bound.set_defaults(run=_bound)
     return parser
 
@@ -401,32 +459,36 @@ def _atlas(options: argparse.Namespace) -> int:
 
     sensor = _sensor(options)
     _check_output(options.output)
+    first, *others = map(Bulk.open, options.simulated)
     with _progress("compressing", "pictures") as progress:
         made = atlas.build(
-            Bulk.open(options.simulated),
+            first,
             sensor,
+            *others,
             lamp_drift=options.lamp_drift,
+            ambient_drift=options.ambient_drift,
             unknown=options.unknown,
             progress=lambda done, total: progress(done, total, ""),
         )
     atlas.save(options.output, made)
     n, k = made.codes.shape
     print(
-        f"{options.output}: {n} pictures of a {made.about['target']}, {k} numbers each; what they leave out is "
-        f"{made.left_out:.2f} of the noise"
+        f"{options.output}: {n} pictures of a {' or a '.join(made.about['targets'])}, {k} numbers each; what they "
+        f"leave out is {made.left_out:.2f} of the noise"
     )
     return 0
 
 
 def _locate(options: argparse.Namespace) -> int:
-    from classify import atlas, models, trial
-    from generator.dataset import Dataset, write_text
+    from classify import models, trial
+    from generator.dataset import write_text
+    from generator.simulated import opened
 
     models.check_seed(options.seed)
     if options.output:
         _check_output(options.output, folder=True)
-    found = atlas.load(options.atlas)
-    dataset = Dataset.open(options.dataset)
+    found = _loaded(options)
+    dataset = opened(options.dataset, options.count)
     with _progress("locating", "pictures") as progress:
         answers = trial.run(
             found,
@@ -447,8 +509,16 @@ def _locate(options: argparse.Namespace) -> int:
     return 0
 
 
+def _loaded(options: argparse.Namespace) -> Atlas:
+    """The atlas that was named, for as many frames as were asked for."""
+    from classify import atlas
+
+    found = atlas.load(options.atlas)
+    return found if options.frames is None else found.at(options.frames)
+
+
 def _track(options: argparse.Namespace) -> int:
-    from classify import atlas, models, pursuit
+    from classify import models, pursuit
     from generator.dataset import Dataset, write_text
 
     models.check_seed(options.seed)
@@ -463,7 +533,7 @@ def _track(options: argparse.Namespace) -> int:
         where = f"{label} at {x:.2f}, {y:.2f}, {z:.2f} m" if step.found else "nothing"
         print(f"frame {record.index}: {where} (presence {step.presence:.0%})", flush=True)
 
-    found = atlas.load(options.atlas)
+    found = _loaded(options)
     followed = pursuit.run(
         found,
         Dataset.open(options.dataset),
@@ -493,16 +563,50 @@ def _gap(text: str) -> tuple[int, int]:
     return gap
 
 
+def _detect(options: argparse.Namespace) -> int:
+    from classify import atlas, detect, models
+    from generator.dataset import csv_text, write_text
+
+    models.check_seed(options.seed)
+    if options.count < 1:
+        raise NlosError(f"--count {options.count}: must be 1 or more")
+    if options.output:
+        _check_output(options.output, folder=True)
+    found = atlas.load(options.atlas)
+    most = found.sensor.frames
+    exposures = options.exposures or sorted({n for n in (*_LADDER, most) if n <= most})
+    with _progress("looking", "exposures") as progress:
+        made = detect.detections(
+            found,
+            exposures,
+            false_alarm=options.false_alarm,
+            count=options.count,
+            seed=options.seed,
+            progress=lambda done, total: progress(done, total, ""),
+        )
+    headings = ["voxel", "from the wall", *(f"{n} frame{'s' if n > 1 else ''}" for n in exposures)]
+    table = detect.rows(found, made)
+    _print_table(f"{options.atlas}: found, at {100.0 * options.false_alarm:g} % false alarms", headings, table)
+    if options.output:
+        write_text(options.output / "detect.csv", csv_text(headings, table))
+        detect.draw(options.output / "detect.png", found, made, options.false_alarm)
+        print(options.output / "detect.png")
+    return 0
+
+
+_LADDER = [n * 10**k for k in range(7) for n in (1, 3)]
+
+
 def _bound(options: argparse.Namespace) -> int:
-    from classify import atlas, bound, models
+    from classify import bound, models
     from classify.localise import Synthesis
     from generator.bulk import Bulk
 
     models.check_seed(options.seed)
     if options.count < 1:
         raise NlosError(f"--count {options.count}: must be 1 or more")
-    found, simulated = atlas.load(options.atlas), Bulk.open(options.simulated)
-    if found.about.get("fingerprint") != simulated.meta["fingerprint"]:
+    found, simulated = _loaded(options), Bulk.open(options.simulated)
+    if found.about.get("fingerprints") != [simulated.meta["fingerprint"]]:
         raise NlosError(f"{options.atlas}: is not an atlas of {options.simulated}; make it anew")
     with _progress("asking", "pictures") as progress:
         best = bound.reachable(

@@ -253,7 +253,9 @@ def _moments(points: Array, weights: Array) -> tuple[Array, Array]:
 
 def _sharpened(atlas: Atlas, code: NDArray[np.float32], logs: NDArray[np.float32], seed: int) -> tuple[Array, Array]:
     """Mean and covariance of the position between the atlas' poses."""
-    count = min(_NEAR, len(logs))
+    kind = atlas.kinds[np.argmax(logs)]  # between objects of two kinds there is nothing to interpolate
+    logs = np.where(atlas.kinds == kind, logs, -np.inf)
+    count = min(_NEAR, int(np.isfinite(logs).sum()))
     near = np.argpartition(logs, len(logs) - count)[-count:]
     near = near[np.argsort(-logs[near])]
     poses = _aligned(atlas, near)
@@ -334,7 +336,7 @@ def _tempered(logs: Array, least: float) -> Array:
 def _aligned(atlas: Atlas, near: NDArray[np.int64]) -> Array:
     """Poses (n, 6) of a few members; a sheet's, which looks the same from behind, all from the side of the first."""
     rotations = atlas.rotations[near].copy()
-    if atlas.about.get("target") == "sheet":
+    if atlas.about.get("targets", [""])[atlas.kinds[near[0]]] == "sheet":
         # Half a turn about z maps the sheet on itself, and turns x and y around.
         behind = np.rint((rotations[:, 2] - rotations[0, 2]) / 180.0)
         rotations[:, 2] -= 180.0 * behind

@@ -7,6 +7,7 @@ quantisation. The camera is monochrome: it sees the mean of a picture's three ch
 
 from __future__ import annotations
 
+import hashlib
 import itertools
 import math
 from collections.abc import Iterable
@@ -230,7 +231,8 @@ class Camera:
     sensor : Sensor
         Where it has no exposure, the brightest pixel of the data set fills it to ``fill``.
     seed : int
-        Of all noise; a picture's own follows from it, the voxel and the pose's index, so no order changes it.
+        Of all noise; a picture's own follows from it, the data set, the voxel and the pose's index. So no order
+        changes it, and no two data sets share it: what is trained on one could know the other's by heart.
 
     Attributes
     ----------
@@ -246,6 +248,8 @@ class Camera:
     def __init__(self, dataset: Readable, sensor: Sensor, seed: int = 0) -> None:
         self._dataset = dataset
         self._seed = seed
+        digest = hashlib.sha256(str(dataset.meta["fingerprint"]).encode()).digest()
+        self._set = int.from_bytes(digest[:8], "big")
         every = itertools.chain([dataset.background()], map(dataset.picture, dataset.records))
         self.sensor = sensor.exposed(every)
 
@@ -254,12 +258,12 @@ class Camera:
         sensor, clean = self.sensor, self._dataset.background()
         if sensor.drift and (ambient := self._dataset.ambient_background()) is not None:
             clean = clean - ambient * np.float32(sensor.drift / (1.0 + sensor.drift))
-        rng = np.random.default_rng([self._seed, 0])
+        rng = np.random.default_rng([self._seed, 0, self._set])
         return sensor.measure(clean, rng, frames=sensor.background_frames, pattern=self._seed)
 
     def picture(self, record: PoseRecord) -> Picture:
         """Return a measured picture, (height, width, 3), W/m^2/sr."""
-        rng = np.random.default_rng([self._seed, 1, record.voxel, record.index])
+        rng = np.random.default_rng([self._seed, 1, self._set, record.voxel, record.index])
         return self.sensor.measure(self._dataset.picture(record), rng, pattern=self._seed)
 
 

@@ -91,10 +91,11 @@ def plain_atlas(codes, positions, voxels, grid):
         positions=np.asarray(positions, dtype=np.float64),
         rotations=np.zeros((len(codes), 3)),
         voxels=voxels,
+        kinds=np.zeros(len(codes), dtype=np.int64),
         grid=grid,
         sensor=Sensor(exposure=1.0),
         left_out=0.0,
-        about={},
+        about={"targets": ["sphere"]},
     )
 
 

@@ -131,3 +131,17 @@ def test_what_overflows_is_taken_for_full():
     """Light beyond the full well is no evidence of anything but a full well."""
     sensor = Sensor(exposure=10_500.0)
     assert np.array_equal(sensor.stabilised_mean(flat(3.0)), sensor.stabilised_mean(flat(1.0)))
+
+
+def test_two_data_sets_share_no_noise(tmp_path):
+    """Or what is trained on the pictures of one would know the other's noise by heart."""
+    sets = [make_dataset(tmp_path / str(seed), n=2, seed=seed, noise=0.0) for seed in (0, 1)]
+    sensor = Sensor(exposure=1e7)
+    noise = []
+    for one in sets:
+        camera = Camera(one, sensor, seed=0)
+        again = Camera(one, sensor, seed=0)
+        record = one.records[3]
+        assert np.array_equal(camera.picture(record), again.picture(record))
+        noise.append((camera.picture(record) - one.picture(record)).mean(axis=2).ravel())
+    assert abs(np.corrcoef(*noise)[0, 1]) < 4.0 / np.sqrt(len(noise[0]))

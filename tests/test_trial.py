@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import csv
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -12,9 +13,10 @@ from scipy import stats
 
 from classify import atlas as atlases
 from classify import trial
-from classify.detect import Detector, evidence
+from classify.cli import main
+from classify.detect import Detector, detections, evidence
 from generator.sensor import Sensor
-from generator.spec import NlosError
+from generator.spec import NlosError, VoxelGrid
 
 FLOOR = worlds.quad((-2.0, 0.0, -1.0), (4.0, 0.0, 0.0), (0.0, 3.0, 0.0), 0.5)
 DIM = Sensor(full_well=300.0, bits=10)
@@ -137,3 +139,50 @@ def test_an_unfinished_set_makes_no_atlas(simulated, tmp_path):
     next(copy.glob("part-*.h5")).unlink()
     with pytest.raises(NlosError, match=r"1 of \d+ parts are missing; finish the set first"):
         atlases.build(type(simulated).open(copy), DIM)
+
+
+def test_longer_exposures_find_what_short_ones_miss_as_two_normal_variables_would():
+    """One pose and a known code: detections follow the normal distribution (Kay 1998, section 4.3)."""
+    codes = np.zeros((64, 2), dtype=np.float32)
+    codes[:, 0] = 3.0
+    grid = VoxelGrid(lo=(0.0, 0.0, 0.0), hi=(1.0, 1.0, 1.0), shape=(1, 1, 1))
+    atlas = plain_atlas(codes, np.zeros((64, 3)), np.zeros(64, dtype=np.int64), grid)
+    atlas = replace(atlas, background=np.full((1, 2), 1e4), sensor=replace(atlas.sensor, frames=4))
+    many = np.repeat(np.arange(64), 40)
+    for found, strength in zip(
+        detections(atlas.take(many), [1, 4], false_alarm=0.05, count=2560), (1.5, 3.0), strict=True
+    ):
+        truth = stats.norm.sf(stats.norm.isf(0.05) - strength)
+        assert abs(found.found[0].value - truth) < 4.0 * np.sqrt(truth * (1 - truth) / 2560) + 0.01
+        alarms, told = found.roc(0)
+        at = np.searchsorted(alarms, 0.05)
+        assert told[at] == pytest.approx(truth, abs=0.05)
+
+
+def test_detection_from_the_shell(tmp_path, capsys):
+    """A table, a picture and a file; exposures that the atlas cannot have are one sentence."""
+    floor = worlds.quad((-2.0, 0.0, -1.0), (4.0, 0.0, 0.0), (0.0, 3.0, 0.0), 0.5)
+    found = make_bulk(tmp_path / "set", pictures=200, room=(floor,))
+    smaller = make_bulk(tmp_path / "smaller", pictures=200, radius=0.1, room=(floor,))
+    made = [str(tmp_path / "a.atlas")]
+    assert main(["atlas", str(found.path), str(smaller.path), "-o", *made, "--frames", "10", "--unknown"]) == 0
+    assert "400 pictures of a sphere or a sphere" in capsys.readouterr().out
+    assert main(["detect", *made, "-o", str(tmp_path / "out"), "--count", "40"]) == 0
+    out = capsys.readouterr().out
+    assert "10 frames" in out
+    assert (tmp_path / "out" / "detect.png").stat().st_size > 5000
+    lines = list(csv.reader((tmp_path / "out" / "detect.csv").read_text().splitlines()))
+    assert lines[0] == ["voxel", "from the wall", "1 frame", "3 frames", "10 frames"]
+    assert [line[0] for line in lines[1:]] == list(found.grid.labels)
+    assert main(["detect", *made, "--exposures", "11"]) == 2
+    assert "frames 11: must be from 1 to the 10" in capsys.readouterr().err
+    assert main(["locate", *made, str(smaller.path), "--count", "20", "--frames", "5"]) == 0
+    assert "right voxel" in capsys.readouterr().out
+
+
+def test_sets_of_other_scenes_do_not_make_one_atlas(tmp_path):
+    floor = worlds.quad((-2.0, 0.0, -1.0), (4.0, 0.0, 0.0), (0.0, 3.0, 0.0), 0.5)
+    darker = worlds.quad((-2.0, 0.0, -1.0), (4.0, 0.0, 0.0), (0.0, 3.0, 0.0), 0.3)
+    one, other = (make_bulk(tmp_path / name, pictures=8, room=(f,)) for name, f in (("a", floor), ("b", darker)))
+    with pytest.raises(NlosError, match="show different scenes; only the object may differ"):
+        atlases.build(one, Sensor(), other)
