@@ -10,13 +10,21 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from dataclasses import dataclass
+from pathlib import Path
 
+import matplotlib
 import numpy as np
+
+matplotlib.use("Agg")
+
+from matplotlib import pyplot as plt
+from matplotlib.colors import LogNorm
 from scipy.stats import norm
 
 from classify.atlas import Atlas
 from classify.evaluate import Interval, wilson
 from classify.localise import Synthesis, locate
+from generator.dataset import atomic
 from generator.spec import Array, NlosError
 
 _RESAMPLES = 2000
@@ -188,6 +196,85 @@ def rows(synthesis: Synthesis, best: Reachable) -> list[tuple[str, ...]]:
             cells = ["-"] * 8
         made.append((label, best.by_voxel[voxel].percent(), *cells))
     return [*made, ("all", best.accuracy.percent(), *[""] * 8)]
+
+
+@dataclass(frozen=True)
+class Map:
+    """The bounds over a level cut through the hidden volume.
+
+    Attributes
+    ----------
+    x, y : ndarray of shape (nx,) and (ny,)
+        Places, metres.
+    presence, position, movement : ndarray of shape (ny, nx)
+        As of `Limits`, the last two of all three directions together: root of the summed squares, and the longest,
+        metres; NaN where no object can be or the engine knows no derivatives.
+    """
+
+    x: Array
+    y: Array
+    presence: Array
+    position: Array
+    movement: Array
+
+
+def over_volume(
+    synthesis: Synthesis, *, across: int = 16, progress: Callable[[int, int], None] = lambda done, total: None
+) -> Map:
+    """Return the bounds at half the volume's height, for an object that is not turned.
+
+    Parameters
+    ----------
+    synthesis : Synthesis
+    across : int
+        Places along x, and as close along y.
+    progress : callable
+        Is told how many places are done, and of how many.
+    """
+    lo, hi = np.asarray(synthesis.atlas.grid.lo), np.asarray(synthesis.atlas.grid.hi)
+    deep = max(2, round(across * (hi[1] - lo[1]) / (hi[0] - lo[0])))
+    x, y = (a + (np.arange(n) + 0.5) / n * (b - a) for a, b, n in zip(lo[:2], hi[:2], (across, deep), strict=True))
+    presence, position, movement = np.full((3, deep, across), np.nan)
+    for row in range(deep):
+        for column in range(across):
+            place = np.array([x[column], y[row], 0.5 * (lo[2] + hi[2])])
+            try:
+                found = limits(synthesis, place, np.zeros(3))
+            except NlosError:  # something stands in the way there
+                continue
+            presence[row, column] = found.presence
+            position[row, column] = float(np.linalg.norm(found.position))
+            movement[row, column] = float(found.movement.max())
+        progress((row + 1) * across, deep * across)
+    return Map(x, y, presence, position, movement)
+
+
+def draw(path: Path, atlas: Atlas, found: Map) -> None:
+    """Write a picture of the bounds over the hidden volume, seen from above."""
+    figure, axes = plt.subplots(1, 3, figsize=(14.0, 4.3), layout="constrained")
+    panels = (
+        ("distance from the empty scene, standard deviations", found.presence, "viridis"),
+        ("least error of the position, cm", 100.0 * found.position, "viridis_r"),
+        ("least movement that is noticed, in the worst direction, cm", 100.0 * found.movement, "viridis_r"),
+    )
+    lo, hi = atlas.grid.lo, atlas.grid.hi
+    for axis, (title, values, colours) in zip(axes, panels, strict=True):
+        shown = np.where(np.isfinite(values) & (values > 0.0), values, np.nan)
+        image = axis.imshow(
+            shown, origin="lower", extent=(lo[0], hi[0], lo[1], hi[1]), cmap=colours, norm=LogNorm(), aspect="equal"
+        )
+        figure.colorbar(image, ax=axis, shrink=0.85)
+        for voxel, label in enumerate(atlas.grid.labels):
+            low, high = atlas.grid.bounds(voxel)
+            axis.text(*(0.5 * (low + high))[:2], label, ha="center", va="center", color="white", fontsize=9)
+        axis.set_title(title, fontsize=9)
+        axis.set_xlabel("x, along the wall (m)")
+    axes[0].set_ylabel("y, from the wall (m)")
+    frames = atlas.sensor.frames
+    figure.suptitle(f"What a picture can tell at most, {frames} frame{'s' if frames > 1 else ''}", fontsize=10)
+    with atomic(path) as temporary:
+        figure.savefig(temporary, format="png", dpi=110)
+    plt.close(figure)
 
 
 def _short(length: float) -> str:

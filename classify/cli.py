@@ -297,6 +297,9 @@ def _parser() -> argparse.ArgumentParser:
     )
     bound.add_argument("atlas", type=Path, metavar="FILE.atlas")
     bound.add_argument("simulated", type=Path, metavar="SET", help="folder of the simulated set that it is of")
+    bound.add_argument(
+        "--map", type=Path, metavar="FILE.png", help="draw the bounds over the hidden volume, seen from above"
+    )
     bound.add_argument("--count", type=int, default=3000, metavar="N", help="pictures to try (default: 3000)")
     bound.add_argument("--seed", type=int, default=0, metavar="N", help="of pictures and noise (default: 0)")
     bound.add_argument(
@@ -605,6 +608,8 @@ def _bound(options: argparse.Namespace) -> int:
     models.check_seed(options.seed)
     if options.count < 1:
         raise NlosError(f"--count {options.count}: must be 1 or more")
+    if options.map:
+        _check_output(options.map)
     found, simulated = _loaded(options), Bulk.open(options.simulated)
     if found.about.get("fingerprints") != [simulated.meta["fingerprint"]]:
         raise NlosError(f"{options.atlas}: is not an atlas of {options.simulated}; make it anew")
@@ -615,7 +620,8 @@ def _bound(options: argparse.Namespace) -> int:
             seed=options.seed,
             progress=lambda done, total: progress(done, total, ""),
         )
-    rows = bound.rows(Synthesis(found, simulated.world()), best)
+    synthesis = Synthesis(found, simulated.world())
+    rows = bound.rows(synthesis, best)
     _print_table(
         f"{options.atlas}: the best that any method can do",
         ("voxel", "right voxel", "presence", "x cm", "y cm", "z cm", "turn unknown", "noticed: x cm", "y cm", "z cm"),
@@ -627,6 +633,11 @@ def _bound(options: argparse.Namespace) -> int:
         "by Cramer and Rao, and of all three together where the turn is unknown too; noticed: least movement that "
         "shows between two pictures, at 1 % false alarms and 99 % detections"
     )
+    if options.map:
+        with _progress("mapping", "places") as progress:
+            drawn = bound.over_volume(synthesis, progress=lambda done, total: progress(done, total, ""))
+        bound.draw(options.map, found, drawn)
+        print(options.map)
     return 0
 
 

@@ -92,3 +92,18 @@ def test_rates_that_cannot_be_are_one_sentence(simulated):
     """Fewer detections than false alarms are no detection."""
     with pytest.raises(NlosError, match="must be 0 < false < detected < 1"):
         bound.limits(None, PLACE, TURN, false_alarm=0.5, detection=0.4)
+
+
+def test_the_map_holds_the_bounds_of_its_places(simulated, tmp_path):
+    """Each field of the map is the bound there; a picture of it is drawn."""
+    synthesis = Synthesis(atlases.build(simulated, Sensor()), simulated.world())
+    found = bound.over_volume(synthesis, across=3)
+    grid = synthesis.atlas.grid
+    assert found.presence.shape == (len(found.y), 3)
+    place = np.array([found.x[2], found.y[0], 0.5 * (grid.lo[2] + grid.hi[2])])
+    there = bound.limits(synthesis, place, np.zeros(3))
+    assert found.presence[0, 2] == pytest.approx(there.presence)
+    assert found.position[0, 2] == pytest.approx(np.linalg.norm(there.position))
+    assert found.movement[0, 2] == pytest.approx(there.movement.max())
+    bound.draw(tmp_path / "map.png", synthesis.atlas, found)
+    assert (tmp_path / "map.png").stat().st_size > 5000
