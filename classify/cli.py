@@ -211,7 +211,7 @@ def _parser() -> argparse.ArgumentParser:
         metavar="N",
         help="take the first N pictures of a simulated set (default: all)",
     )
-    locate.add_argument("-o", "--output", type=Path, metavar="FOLDER", help="for answers.csv")
+    locate.add_argument("-o", "--output", type=Path, metavar="FOLDER", help="for report.html and answers.csv")
     locate.add_argument("--seed", type=int, default=0, metavar="N", help="of the sensor's noise (default: 0)")
     locate.add_argument(
         "--false-alarm", type=float, default=0.01, metavar="P", help="share of empty scenes (default: 0.01)"
@@ -234,7 +234,7 @@ def _parser() -> argparse.ArgumentParser:
         "atlas", type=Path, metavar="FILE.atlas", help="of poses that fill the volume: --inside centre"
     )
     track.add_argument("dataset", type=Path, help="folder of the trajectory")
-    track.add_argument("-o", "--output", type=Path, metavar="FOLDER", help="for track.csv and track.png")
+    track.add_argument("-o", "--output", type=Path, metavar="FOLDER", help="for report.html, track.csv and track.png")
     track.add_argument(
         "--step",
         type=float,
@@ -272,7 +272,9 @@ def _parser() -> argparse.ArgumentParser:
         formatter_class=_RAW,
     )
     detect.add_argument("atlas", type=Path, metavar="FILE.atlas")
-    detect.add_argument("-o", "--output", type=Path, metavar="FOLDER", help="for detect.csv and detect.png")
+    detect.add_argument(
+        "-o", "--output", type=Path, metavar="FOLDER", help="for report.html, detect.csv and detect.png"
+    )
     detect.add_argument(
         "--exposures",
         type=int,
@@ -483,7 +485,7 @@ def _atlas(options: argparse.Namespace) -> int:
 
 
 def _locate(options: argparse.Namespace) -> int:
-    from classify import models, trial
+    from classify import models, page, trial
     from generator.dataset import write_text
     from generator.simulated import opened
 
@@ -500,15 +502,25 @@ def _locate(options: argparse.Namespace) -> int:
             seed=options.seed,
             progress=lambda done, total: progress(done, total, ""),
         )
-    _print_table(
-        f"{options.dataset}, each with its 95 % interval",
-        ("voxel", "pictures", "right voxel", "median error", "within 95 % region", "detected"),
-        answers.rows(),
-    )
-    print(f"in empty scenes, something is found in {answers.false_alarms().percent()}")
+    title = f"{options.dataset}, each with its 95 % interval"
+    headings = ("voxel", "pictures", "right voxel", "median error", "within 95 % region", "detected")
+    table = answers.rows()
+    _print_table(title, headings, table)
+    alarms = f"in empty scenes, something is found in {answers.false_alarms().percent()}"
+    print(alarms)
     if options.output:
         write_text(options.output / "answers.csv", answers.csv())
-        print(options.output / "answers.csv")
+        answers.draw(options.output / "answers.png", dataset.target_kind)
+        _, count, right, error, held, detected = table[-1]
+        lead = [
+            f"Of {count} pictures, {right} are put into the right voxel; the position is off by {error} (median).",
+            f"The stated 95 % regions hold the truth in {held}.",
+            f"Something is found in {detected}; {alarms}.",
+        ]
+        figures = {"answers.png": "What is taken for what, how far off, and whether the stated uncertainty is true."}
+        sources = {"data set": options.dataset, **page.of_atlas(found), "seed of the noise": options.seed}
+        tables = [page.Table(title, headings, table)]
+        print(page.write(options.output, "Where is the hidden object?", lead, figures, tables, sources))
     return 0
 
 
@@ -521,7 +533,7 @@ def _loaded(options: argparse.Namespace) -> Atlas:
 
 
 def _track(options: argparse.Namespace) -> int:
-    from classify import models, pursuit
+    from classify import models, page, pursuit
     from generator.dataset import Dataset, write_text
 
     models.check_seed(options.seed)
@@ -551,7 +563,9 @@ def _track(options: argparse.Namespace) -> int:
     if options.output:
         write_text(options.output / "track.csv", followed.csv())
         followed.draw(options.output / "track.png", str(options.dataset))
-        print(options.output / "track.png")
+        figures = {"track.png": "The path with its uncertainty, and the error over time."}
+        sources = {"trajectory": options.dataset, **page.of_atlas(found), "seed of the noise": options.seed}
+        print(page.write(options.output, "How does it move?", followed.words(), figures, [], sources))
     return 0
 
 
@@ -567,7 +581,7 @@ def _gap(text: str) -> tuple[int, int]:
 
 
 def _detect(options: argparse.Namespace) -> int:
-    from classify import atlas, detect, models
+    from classify import atlas, detect, models, page
     from generator.dataset import csv_text, write_text
 
     models.check_seed(options.seed)
@@ -593,7 +607,16 @@ def _detect(options: argparse.Namespace) -> int:
     if options.output:
         write_text(options.output / "detect.csv", csv_text(headings, table))
         detect.draw(options.output / "detect.png", found, made, options.false_alarm)
-        print(options.output / "detect.png")
+        last = made[-1]
+        least = min(range(len(last.found)), key=lambda voxel: last.found[voxel].value)
+        lead = [
+            f"At {100.0 * options.false_alarm:g} % false alarms and {last.frames} frames, something in voxel "
+            f"{found.grid.labels[least]} is found least often: {last.found[least].percent()}."
+        ]
+        figures = {"detect.png": "Left: against exposure, with 95 % intervals. Right: against false alarms."}
+        sources = {**page.of_atlas(found), "pictures in each voxel": options.count, "seed": options.seed}
+        tables = [page.Table("Found, with its 95 % interval", headings, table)]
+        print(page.write(options.output, "Is there something?", lead, figures, tables, sources))
     return 0
 
 

@@ -4,20 +4,28 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from pathlib import Path
 
+import matplotlib
 import numpy as np
+
+matplotlib.use("Agg")
+
+from matplotlib import pyplot as plt
 from numpy.typing import NDArray
+from scipy.stats import chi2
 
 from classify.atlas import Atlas
 from classify.bound import median
 from classify.detect import Detector, evidence
 from classify.evaluate import Interval, wilson
 from classify.localise import Place, holds, locate
-from generator.dataset import PoseRecord, Readable, csv_text
+from generator.dataset import PoseRecord, Readable, atomic, csv_text
 from generator.sensor import Camera
 from generator.spec import Array, NlosError
 
 _EMPTY = 1000
+_MOST_LABELS = 30
 
 
 @dataclass(frozen=True)
@@ -92,6 +100,51 @@ class Trial:
             ]
             made.append((label, str(int(some.sum())), *cells))
         return made
+
+    def calibration(self, levels: Array) -> Array:
+        """Return the share of true positions that lie in the regions stated to hold them with given probabilities."""
+        apart = np.array(
+            [np.subtract(r.position, p.position) for p, r in zip(self.places, self.records, strict=True)]
+        )
+        inverse = np.array([np.linalg.pinv(p.covariance, hermitian=True) for p in self.places])
+        distance = np.einsum("ni,nij,nj->n", apart, inverse, apart)
+        held: Array = (distance[:, None] <= chi2.ppf(levels, 3)).mean(axis=0)
+        return held
+
+    def draw(self, path: Path, title: str) -> None:
+        """Write a picture: what is taken for what, how far off, and whether stated regions hold what they should."""
+        figure, (left, middle, right) = plt.subplots(1, 3, figsize=(14.0, 4.4), layout="constrained")
+        count = len(self.labels)
+        truth = np.array([r.voxel for r in self.records])
+        told = np.array([p.voxels.argmax() for p in self.places])
+        table = np.zeros((count, count))
+        np.add.at(table, (truth, told), 1.0)
+        share = 100.0 * table / np.maximum(table.sum(axis=1, keepdims=True), 1.0)
+        left.imshow(share, cmap="Blues", vmin=0.0, vmax=100.0)
+        if count <= _MOST_LABELS:
+            left.set_xticks(range(count), self.labels)
+            left.set_yticks(range(count), self.labels)
+            for i, j in np.argwhere(share >= 0.5):
+                colour = "white" if share[i, j] > 55.0 else "black"
+                left.text(j, i, f"{share[i, j]:.0f}", ha="center", va="center", fontsize=8, color=colour)
+        left.set_xlabel("found in")
+        left.set_ylabel("stands in")
+        left.set_title(f"{title}: voxels, % of the pictures of each", fontsize=9)
+        present = [v for v in range(count) if (truth == v).any()]
+        middle.boxplot([100.0 * self.errors[truth == v] for v in present], showfliers=False)
+        middle.set_xticks(range(1, len(present) + 1), [self.labels[v] for v in present])
+        middle.set_ylim(bottom=0.0)
+        middle.set_ylabel("distance from the true position, cm")
+        middle.set_title("errors by voxel: quartiles, and whiskers of 1.5 times their distance", fontsize=9)
+        levels = np.linspace(0.02, 0.98, 49)
+        right.plot(levels, levels, color="#57606a", lw=0.8, ls=":")
+        right.plot(levels, self.calibration(levels), color="#1f6feb", lw=1.6)
+        right.set_xlabel("stated probability of a region")
+        right.set_ylabel("share of true positions that it holds")
+        right.set_title("stated uncertainty against what it was", fontsize=9)
+        with atomic(path) as temporary:
+            figure.savefig(temporary, format="png", dpi=110)
+        plt.close(figure)
 
     def csv(self) -> str:
         """Return every answer as a table, comma-separated."""

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import csv
+import re
 from dataclasses import replace
 
 import numpy as np
@@ -66,6 +67,7 @@ def test_a_data_set_is_answered(simulated, seen):
     answers = trial.run(atlases.build(simulated, DIM), seen, seed=1)
     assert answers.accuracy().value > 0.6
     held = int(answers.inside.sum())
+    assert answers.calibration(np.array([0.95]))[0] == pytest.approx(held / len(answers.records))
     assert stats.binom.cdf(held, len(answers.records), 0.93) > 1e-3
     low, high = stats.binom.interval(0.9999, len(answers.empty), 0.01)
     assert low <= (answers.empty > answers.detector.threshold).sum() <= high + 8
@@ -90,6 +92,13 @@ def test_the_command_line(simulated, seen, tmp_path, command):
     assert located.returncode == 0, located.stderr
     assert "in empty scenes, something is found in" in located.stdout
     assert (tmp_path / "answers" / "answers.csv").is_file()
+    page = (tmp_path / "answers" / "report.html").read_text(encoding="utf-8")
+    assert "Where is the hidden object?" in page
+    assert "data:image/png;base64," in page
+    assert "nlos-classify locate" in page or "cli.py locate" in page  # the command that made it
+    rows = [re.findall(r"<td>(.*?)</td>", line) for line in page.splitlines() if line.startswith("<tr><td>")]
+    assert rows[-1][0] == "all"
+    assert rows[-1][2] in page.split("<table>")[0]  # what the lead says is what the table says
     bound = command("classify", "bound", file, simulated.path, "--count", 100)
     assert bound.returncode == 0, bound.stderr
     assert "the best that any method can do" in bound.stdout
@@ -171,6 +180,7 @@ def test_detection_from_the_shell(tmp_path, capsys):
     out = capsys.readouterr().out
     assert "10 frames" in out
     assert (tmp_path / "out" / "detect.png").stat().st_size > 5000
+    assert "Is there something?" in (tmp_path / "out" / "report.html").read_text(encoding="utf-8")
     lines = list(csv.reader((tmp_path / "out" / "detect.csv").read_text().splitlines()))
     assert lines[0] == ["voxel", "from the wall", "1 frame", "3 frames", "10 frames"]
     assert [line[0] for line in lines[1:]] == list(found.grid.labels)
