@@ -238,9 +238,10 @@ def _parser() -> argparse.ArgumentParser:
     track.add_argument(
         "--step",
         type=float,
-        default=0.03,
+        default=0.06,
         metavar="M",
-        help="standard deviation of its walk along each axis from frame to frame, metres (default: 0.03)",
+        help="standard deviation of its walk along each axis from frame to frame, metres: about twice its pace if it "
+        "keeps its way for a while (default: 0.06)",
     )
     track.add_argument(
         "--gap",

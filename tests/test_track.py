@@ -4,14 +4,18 @@ from __future__ import annotations
 
 import csv
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
 from classify_helpers import make_bulk, make_seen, plain_atlas
 from scipy.linalg import expm
+from scipy.spatial import cKDTree
+from scipy.stats import binom, multivariate_normal
 
 from classify import atlas as atlases
 from classify import pursuit
+from classify.localise import holds, locate
 from classify.track import Filter
 from generator import poses
 from generator.dataset import Dataset
@@ -31,7 +35,7 @@ def lattice(count=600, scale=6.0, seed=0):
 
 
 def written_out(atlas, codes, *, step, appear, vanish, edge=0.1):
-    """Presence, frame by frame, by the forward recursion with every transition in a matrix of its own."""
+    """Presence and place, frame by frame: the forward recursion, every transition and covariance in a full matrix."""
     shape = np.array([15, 6, 2])
     places = np.minimum((atlas.positions / edge).astype(int), shape - 1)
     cells, of = np.unique(places, axis=0, return_inverse=True)
@@ -49,34 +53,47 @@ def written_out(atlas, codes, *, step, appear, vanish, edge=0.1):
         moves *= np.where(np.abs(apart) <= reach, kernel[np.clip(apart + reach, 0, 2 * reach)], 0.0)
     moves /= moves.sum(axis=1, keepdims=True)
     size = np.bincount(of)
+    tree = cKDTree(atlas.positions)
+    joint = []  # mean and covariance of place and code in each cell
+    for cell in range(len(cells)):
+        some = np.flatnonzero(of == cell)
+        if len(some) < 12:
+            some = tree.query(atlas.positions[some].mean(axis=0), 12)[1]
+        both = np.hstack([atlas.positions[some], atlas.codes[some].astype(float)])
+        joint.append((both.mean(axis=0), np.cov(both.T)))
     known, presence, told = size / size.sum(), 0.5, []
     for code in codes:
-        likely = np.exp(atlas.codes @ code - 0.5 * (atlas.codes.astype(float) ** 2).sum(axis=1))
-        cell = np.bincount(of, likely) / size
+        nothing = multivariate_normal(np.zeros(3)).pdf(code)
+        cell = np.array([multivariate_normal(m[3:], np.eye(3) + c[3:, 3:]).pdf(code) for m, c in joint]) / nothing
+        gains = [c[:3, 3:] @ np.linalg.inv(np.eye(3) + c[3:, 3:]) for _, c in joint]
+        places = np.array([m[:3] + g @ (code - m[3:]) for (m, _), g in zip(joint, gains, strict=True)])
+        lefts = np.array([c[:3, :3] - g @ c[3:, :3] for (_, c), g in zip(joint, gains, strict=True)])
         left = 1.0 - presence * (1.0 - vanish)
         there = (presence * (1.0 - vanish) * (known @ moves) + left * appear / len(cells)) * cell
         gone = left * (1.0 - appear)
         presence = there.sum() / (there.sum() + gone)
         known = there / there.sum()
-        told.append((presence, known @ (np.array([np.bincount(of, likely * x) for x in atlas.positions.T]) / size /
-                                        cell).T))  # fmt: skip
+        mean = known @ places
+        apart = places - mean
+        told.append((presence, mean, np.einsum("n,nab->ab", known, lefts) + (apart * known[:, None]).T @ apart))
     return told
 
 
 @pytest.mark.parametrize("step", [0.04, 0.15])
 def test_the_filter_is_the_hidden_markov_models(step):
-    """Presence and mean position equal those of the recursion with a full transition matrix."""
+    """Presence, mean and covariance equal those of the recursion written out."""
     atlas = lattice()
     rng = np.random.default_rng(1)
     codes = [(atlas.codes[i] + rng.normal(size=3)).astype(np.float32) for i in (3, 70, 200, 41, 333, 8)]
     codes[2:4] = [rng.normal(size=3).astype(np.float32) for _ in range(2)]  # nothing there
     tracker = Filter(atlas, step=step, appear=0.05, vanish=0.1)
-    for code, (presence, place) in zip(
+    for code, (presence, place, covariance) in zip(
         codes, written_out(atlas, codes, step=step, appear=0.05, vanish=0.1), strict=True
     ):
         found = tracker.update(code)
         assert found.presence == pytest.approx(presence, rel=1e-4)
         assert found.position == pytest.approx(place, abs=2e-4)
+        np.testing.assert_allclose(found.covariance, covariance, atol=1e-5)
         assert found.voxels.sum() == pytest.approx(1.0)
 
 
@@ -86,8 +103,6 @@ def test_past_frames_help():
     rng = np.random.default_rng(2)
     place, apart, alone, stated = np.array([0.7, 0.3, 0.1]), [], [], []
     tracker = Filter(atlas, step=0.03)
-    from classify.localise import locate
-
     for _ in range(400):
         place = np.clip(place + rng.normal(scale=0.03, size=3), GRID.lo, GRID.hi)
         code = (4.0 * (place + 0.5) + rng.normal(size=3)).astype(np.float32)
@@ -97,6 +112,25 @@ def test_past_frames_help():
         alone.append(((locate(atlas, code).position - place) ** 2).sum())
     assert np.mean(apart) < 0.6 * np.mean(alone)
     assert np.mean(apart) / np.mean(stated) == pytest.approx(1.0, abs=0.35)
+
+
+def test_few_poses_are_enough_where_pictures_are_sharp():
+    """Between poses that are ten times as far apart as a picture tells, regions hold what they state."""
+    atlas = lattice(600, scale=200.0)
+    rng = np.random.default_rng(6)
+    tracker, inside = Filter(atlas, step=0.5), 0
+    for _ in range(300):
+        place = rng.uniform(GRID.lo, GRID.hi)
+        code = (200.0 * (place + 0.5) + rng.normal(size=3)).astype(np.float32)
+        inside += holds(tracker.update(code), tuple(place))
+    assert binom.cdf(inside, 300, 0.9) > 1e-3
+
+
+def test_an_object_of_unknown_size_is_not_tracked_yet():
+    atlas = lattice()
+    unknown = replace(atlas, hiding=0.0 * atlas.codes)
+    with pytest.raises(NlosError, match="track follows one made without --unknown"):
+        Filter(unknown, step=0.1)
 
 
 @pytest.mark.parametrize(
