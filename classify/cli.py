@@ -486,6 +486,8 @@ def _atlas(options: argparse.Namespace) -> int:
 
 
 def _locate(options: argparse.Namespace) -> int:
+    import numpy as np
+
     from classify import models, page, trial
     from generator.dataset import write_text
     from generator.simulated import opened
@@ -509,6 +511,7 @@ def _locate(options: argparse.Namespace) -> int:
     _print_table(title, headings, table)
     alarms = f"in empty scenes, something is found in {answers.false_alarms().percent()}"
     print(alarms)
+    print(f"an answer takes {1000.0 * float(np.median(answers.seconds)):.1f} ms (median)")
     if options.output:
         write_text(options.output / "answers.csv", answers.csv())
         answers.draw(options.output / "answers.png", dataset.target_kind)

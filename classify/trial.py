@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import time
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
@@ -43,6 +44,8 @@ class Trial:
     detector : Detector
     labels : tuple of str
         Of the voxels.
+    seconds : ndarray of shape (n,)
+        From measured picture to place.
     """
 
     records: list[PoseRecord]
@@ -51,6 +54,7 @@ class Trial:
     empty: Array
     detector: Detector
     labels: tuple[str, ...]
+    seconds: Array
 
     @property
     def right(self) -> NDArray[np.bool_]:
@@ -202,17 +206,22 @@ def run(
         raise NlosError(f"{dataset.path}: holds no finished picture yet")
     camera = Camera(dataset, atlas.sensor, seed)
     background, clean = camera.background(), dataset.background()
-    codes = []
+    codes, places, seconds = [], [], []
     for done, record in enumerate(records):
-        codes.append(atlas.code(camera.picture(record), background, name=str(dataset.path / record.file)))
+        picture = camera.picture(record)
+        start = time.perf_counter()
+        codes.append(atlas.code(picture, background, name=str(dataset.path / record.file)))
+        places.append(locate(atlas, codes[-1], seed=seed))
+        seconds.append(time.perf_counter() - start)
         progress(done + 1, len(records))
     rng = np.random.default_rng([seed, 5])
     empty = [atlas.code(atlas.sensor.measure(clean, rng, pattern=seed), background) for _ in range(_EMPTY)]
     return Trial(
         records=records,
-        places=[locate(atlas, code, seed=seed) for code in codes],
+        places=places,
         evidence=evidence(atlas, np.array(codes)),
         empty=evidence(atlas, np.array(empty)),
         detector=Detector.at(atlas, false_alarm, seed=seed),
         labels=tuple(atlas.grid.labels),
+        seconds=np.array(seconds),
     )

@@ -1,0 +1,51 @@
+"""Cycles' pictures of a data set beside the engine's at the same poses.
+
+``python benchmarks/set_against_engine.py DATASET SIMULATED`` takes the scene from a simulated set of the same object
+(``nlos-generate bulk``) and says, voxel by voxel, how much of the engine's difference picture is in Cycles' (the
+projection, 1 if they agree), with its 95 % interval over the poses, and how noisy Cycles' pixels are.
+"""
+
+from __future__ import annotations
+
+import argparse
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+
+from generator.bulk import Bulk
+from generator.dataset import Dataset
+from generator.transport import Transport
+
+
+def main() -> None:
+    """Compare, and print a line for each voxel."""
+    parser = argparse.ArgumentParser(description="Compare a data set by Cycles with the engine, voxel by voxel.")
+    parser.add_argument("dataset", type=Path)
+    parser.add_argument("simulated", type=Path, help="simulated set of the same scene and object")
+    parser.add_argument("--poses", type=int, default=40, help="of each voxel (default: 40)")
+    options = parser.parse_args()
+    dataset = Dataset.open(options.dataset)
+    world = Bulk.open(options.simulated).world()
+    background = dataset.background().mean(axis=2, dtype=np.float64)
+    height, width = background.shape
+    engine = Transport(replace(world, watched=replace(world.watched, resolution=(width, height))), accuracy=1e-3)
+    ratio = background.mean() / engine.background().mean()
+    print(f"background: Cycles / engine = {ratio:.5f}")
+    for voxel, label in enumerate(dataset.grid.labels):
+        records = [r for r in dataset.records if r.voxel == voxel][: options.poses]
+        if len(records) < 2:
+            continue
+        theirs = np.array([dataset.picture(r).mean(axis=2, dtype=np.float64) - background for r in records])
+        ours = np.array([engine.difference(r.position, r.rotation).mean(axis=2) for r in records])
+        shares = (theirs * ours).sum(axis=(1, 2)) / (ours**2).sum(axis=(1, 2))
+        half = 1.96 * shares.std(ddof=1) / np.sqrt(len(shares))
+        noise = (theirs - shares[:, None, None] * ours).std() / background.mean()
+        print(
+            f"{label}: {shares.mean():.4f} +- {half:.4f} over {len(shares)} poses; "
+            f"noise of a pixel {noise:.1e} of the background"
+        )
+
+
+if __name__ == "__main__":
+    main()
