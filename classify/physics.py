@@ -102,7 +102,7 @@ def _shapes() -> list[tuple[int, int]]:
     return [(i, j) for i in range(_SHAPE + 1) for j in range(_SHAPE + 1 - i)]
 
 
-class PhysicsFeatures(TransformerMixin, BaseEstimator):  # type: ignore[misc]
+class PhysicsFeatures(TransformerMixin, BaseEstimator):  # type: ignore[misc]  # scikit-learn has no types
     """Turns difference pictures into features, as a step of any scikit-learn pipeline.
 
     Parameters

@@ -291,8 +291,16 @@ def run(version: str, arguments: argparse.Namespace, package: Path) -> Outcome:
     return outcome
 
 
+def summarise(outcomes: list[Outcome]) -> None:
+    """Say how each Blender did, also where the next one could not be started."""
+    print()
+    for one in outcomes:
+        print(f"Blender {one.version}: {one.passed} passed, {one.failed} failed in {one.seconds:.0f} s", flush=True)
+
+
 def main() -> int:
     """Run from the command line."""
+    outcomes: list[Outcome] = []
     parser = argparse.ArgumentParser(description="Test the extension in real windows of Blender.")
     parser.add_argument(
         "--root",
@@ -314,15 +322,15 @@ def main() -> int:
         arguments.output.mkdir(parents=True, exist_ok=True)
         with tempfile.TemporaryDirectory(prefix="nlos-gui-") as folder:
             package = build(Path(folder))
-            outcomes = [run(version, arguments, package) for version in arguments.blender]
+            for version in arguments.blender:
+                outcomes.append(run(version, arguments, package))
     except roots.MissingError as error:
+        summarise(outcomes)
         print(f"error: {error}", file=sys.stderr)
         return 2
     except KeyboardInterrupt:
         return 128 + signal.SIGINT
-    print()
-    for one in outcomes:
-        print(f"Blender {one.version}: {one.passed} passed, {one.failed} failed in {one.seconds:.0f} s")
+    summarise(outcomes)
     return int(any(one.failed or not one.ended for one in outcomes))
 
 
