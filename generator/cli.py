@@ -100,7 +100,9 @@ def _parser() -> argparse.ArgumentParser:
     )
     sweep.add_argument("scene", type=Path, help="the .blend file")
     _add_sweep_options(sweep)
-    sweep.add_argument("--workers", type=int, default=0, metavar="W", help="processes (default: one per core)")
+    sweep.add_argument(
+        "--workers", type=int, default=0, metavar="W", help="processes (default: one per core; on a GPU four)"
+    )
     sweep.set_defaults(run=_sweep)
 
     trajectory = commands.add_parser(
@@ -113,7 +115,9 @@ def _parser() -> argparse.ArgumentParser:
     )
     trajectory.add_argument("scene", type=Path, help="the .blend file")
     _add_sweep_options(trajectory, frames=True)
-    trajectory.add_argument("--workers", type=int, default=0, metavar="W", help="processes (default: one per core)")
+    trajectory.add_argument(
+        "--workers", type=int, default=0, metavar="W", help="processes (default: one per core; on a GPU four)"
+    )
     trajectory.set_defaults(run=_trajectory)
 
     bulk = commands.add_parser(

@@ -30,6 +30,9 @@ _HOME = str(Path(__file__).resolve().parents[1])
 TRIES = 3
 """How often a unit of work is given to a worker before it is listed as failed."""
 
+_ON_GPU = 4
+"""Workers that share a GPU, if none are asked for: more gain little, and each takes memory there."""
+
 _BATCH, _BATCH_PIXELS = 32, 2**17
 """Most poses that `surfel` renders at once, and most pixels: more gain nothing, but memory and an uneven end."""
 
@@ -91,7 +94,7 @@ def run(
         Fields of `Sweep` that the user chose. What is left out follows from the data set if there is one, else from
         the scene and the defaults. The engine may be ``auto``: the data set's, or the cheapest that the scene allows.
     workers : int
-        Processes; 0 is one per core.
+        Processes; 0 is one per core, or four that share a GPU.
     shard : (int, int)
         ``(i, n)``: render the i-th of n parts only, i from 0.
     progress : callable
@@ -125,7 +128,8 @@ def run(
         )
         try:
             first = "" if _has_backgrounds(dataset) else "the background"
-            crew.work(pending, workers, first=first, batch=batch_size(dataset))
+            shared = _ON_GPU if dataset.sweep.device == "gpu" else 0
+            crew.work(pending, workers or shared, first=first, batch=batch_size(dataset))
         finally:
             dataset.gather()
         outcome.failed = crew.failed
