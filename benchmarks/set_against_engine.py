@@ -8,7 +8,6 @@ projection, 1 if they agree), with its 95 % interval over the poses, and how noi
 from __future__ import annotations
 
 import argparse
-from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -29,7 +28,7 @@ def main() -> None:
     world = Bulk.open(options.simulated).world()
     background = dataset.background().mean(axis=2, dtype=np.float64)
     height, width = background.shape
-    engine = Transport(replace(world, watched=replace(world.watched, resolution=(width, height))), accuracy=1e-3)
+    engine = Transport(world.seen_by(width, height), accuracy=1e-3)
     ratio = background.mean() / engine.background().mean()
     print(f"background: Cycles / engine = {ratio:.5f}")
     for voxel, label in enumerate(dataset.grid.labels):

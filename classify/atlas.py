@@ -300,7 +300,6 @@ def build(
                 hiding.append(differences(dark[number](block, pictures)) @ whitened.T)
             done += len(pictures)
             progress(done, count)
-    targets = [str(b.meta["scene"].get("target", {}).get("kind", "mesh")) for b in bulks]
     return Atlas(
         codes=np.concatenate(codes),
         basis=whitened,
@@ -315,7 +314,7 @@ def build(
         sensor=sensor,
         left_out=left_out,
         about={
-            "targets": targets,
+            "targets": [b.target_kind for b in bulks],
             "sets": [b.path.resolve().name for b in bulks],
             "fingerprints": [b.meta["fingerprint"] for b in bulks],
             "lamp_drift": lamp_drift,
@@ -329,8 +328,7 @@ def _check_alike(bulks: list[Bulk]) -> None:
     """Raise NlosError unless all sets are finished and of one scene."""
     first = bulks[0]
     for bulk in bulks:
-        if missing := bulk.missing():
-            raise NlosError(f"{bulk.path}: {len(missing)} of {bulk.parts} parts are missing; finish the set first")
+        bulk.refuse_unfinished()
         if bulk.grid != first.grid or bulk.picture_shape != first.picture_shape:
             raise NlosError(f"{bulk.path} and {first.path}: have different voxel grids or pictures of another size")
         if not np.allclose(bulk.background, first.background, rtol=0.02, atol=0.0):
@@ -347,10 +345,7 @@ class _Black:
     """The same poses of a black object, which only hides."""
 
     def __init__(self, bulk: Bulk) -> None:
-        width, height = bulk.plan.resolution
-        world = bulk.world()
-        world = replace(world, watched=replace(world.watched, resolution=(width, height)))
-        self._engine = Transport(world, accuracy=bulk.plan.accuracy)
+        self._engine = Transport(bulk.world().seen_by(*bulk.plan.resolution), accuracy=bulk.plan.accuracy)
         self._bulk = bulk
 
     def __call__(self, some: Any, pictures: NDArray[np.float32]) -> NDArray[np.float32]:

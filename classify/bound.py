@@ -12,11 +12,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 
-import matplotlib
 import numpy as np
-
-matplotlib.use("Agg")
-
 from matplotlib import pyplot as plt
 from matplotlib.colors import LogNorm
 from scipy.stats import norm
@@ -24,7 +20,7 @@ from scipy.stats import norm
 from classify.atlas import Atlas
 from classify.evaluate import Interval, wilson
 from classify.localise import Synthesis, locate
-from generator.dataset import atomic
+from generator import figures
 from generator.spec import Array, NlosError
 
 _RESAMPLES = 2000
@@ -272,9 +268,7 @@ def draw(path: Path, atlas: Atlas, found: Map) -> None:
     axes[0].set_ylabel("y, from the wall (m)")
     frames = atlas.sensor.frames
     figure.suptitle(f"What a picture can tell at most, {frames} frame{'s' if frames > 1 else ''}", fontsize=10)
-    with atomic(path) as temporary:
-        figure.savefig(temporary, format="png", dpi=110)
-    plt.close(figure)
+    figures.save(path, figure)
 
 
 def _short(length: float) -> str:

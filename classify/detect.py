@@ -7,18 +7,14 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
-import matplotlib
 import numpy as np
-
-matplotlib.use("Agg")
-
 from matplotlib import pyplot as plt
 from numpy.typing import NDArray
 from scipy.special import logsumexp
 
 from classify.atlas import Atlas
 from classify.evaluate import Interval, wilson
-from generator.dataset import atomic
+from generator import figures
 from generator.spec import Array, NlosError
 
 _POSES = 8192
@@ -210,6 +206,4 @@ def draw(path: Path, atlas: Atlas, made: Sequence[Detection], false_alarm: float
     right.set_xlabel(f"false alarms, {made[0].frames} frame{'s' if made[0].frames > 1 else ''}")
     right.set_ylabel("found")
     right.legend(fontsize=8, title="voxel", ncols=2)
-    with atomic(path) as temporary:
-        figure.savefig(temporary, format="png", dpi=110)
-    plt.close(figure)
+    figures.save(path, figure)

@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import math
 import warnings
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
@@ -132,7 +132,7 @@ class Synthesis:
     def __init__(self, atlas: Atlas, world: World, *, accuracy: float = 1e-3) -> None:
         self.atlas = atlas
         height, width = atlas.empty.shape
-        world = replace(world, watched=replace(world.watched, resolution=(width, height)))
+        world = world.seen_by(width, height)
         self._engine = Transport(world, accuracy=accuracy)
         # A step needs no more than the direction, and derivatives cost a hundred times as much at a tenth of this.
         self._leaning = Transport(world, accuracy=max(accuracy, _LEANING))
@@ -336,7 +336,7 @@ def _tempered(logs: Array, least: float) -> Array:
 def _aligned(atlas: Atlas, near: NDArray[np.int64]) -> Array:
     """Poses (n, 6) of a few members; a sheet's, which looks the same from behind, all from the side of the first."""
     rotations = atlas.rotations[near].copy()
-    if atlas.about.get("targets", [""])[atlas.kinds[near[0]]] == "sheet":
+    if atlas.about["targets"][atlas.kinds[near[0]]] == "sheet":
         # Half a turn about z maps the sheet on itself, and turns x and y around.
         behind = np.rint((rotations[:, 2] - rotations[0, 2]) / 180.0)
         rotations[:, 2] -= 180.0 * behind

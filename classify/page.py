@@ -72,8 +72,8 @@ def of_atlas(atlas: Atlas) -> dict[str, object]:
     """Return what is to be known of an atlas."""
     sensor = ", ".join(f"{name} {value:g}" for name, value in asdict(atlas.sensor).items())
     return {
-        "simulated sets": ", ".join(atlas.about.get("sets", [])),
-        "objects looked for": ", ".join(atlas.about.get("targets", []))
+        "simulated sets": ", ".join(atlas.about["sets"]),
+        "objects looked for": ", ".join(atlas.about["targets"])
         + (", of unknown size and albedo" if atlas.unknown else ""),
         "poses": len(atlas.codes),
         "sensor": sensor,

@@ -190,15 +190,15 @@ class PhysicsFeatures(TransformerMixin, BaseEstimator):  # type: ignore[misc]  #
         along = drawn.pictures @ measured  # of unit pictures
         strength = np.maximum(along, 1e-6) * math.sqrt(energy) / drawn.sizes
         usual = _USUAL * self.setup.face * self.setup.lit_area / math.pi
-        unusual = np.log(np.maximum(strength, _SMALLEST) / usual) / _SPREAD
-        logs = 0.5 * np.maximum(along, 0.0) ** 2 / variance - 0.5 * unusual**2
+        unusual = np.log(np.maximum(strength, _SMALLEST) / usual)
+        logs = 0.5 * np.maximum(along, 0.0) ** 2 / variance - 0.5 * (unusual / _SPREAD) ** 2
         top = float(logs.max())
         weights = np.exp(logs - top)
         weights /= weights.sum()
         share = float(weights @ along**2)  # of the picture's energy
         mean = weights @ drawn.poses
         spread = math.sqrt(max(float(weights @ (drawn.poses[:, :3] ** 2).sum(axis=1) - (mean[:3] ** 2).sum()), 0.0))
-        log = float(weights @ np.log(np.maximum(strength, _SMALLEST) / usual))
+        log = float(weights @ unusual)
         faint = _signed_log(energy / max(noise, _SMALLEST)) if energy else 0.0
         return [*mean, max(log, -50.0), share, min(spread, 1e3), min(faint, 700.0)]
 

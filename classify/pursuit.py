@@ -7,11 +7,7 @@ from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 
-import matplotlib
 import numpy as np
-
-matplotlib.use("Agg")
-
 from matplotlib import pyplot as plt
 from matplotlib.axes import Axes
 from matplotlib.patches import Ellipse
@@ -21,7 +17,8 @@ from classify.bound import median
 from classify.evaluate import Interval, wilson
 from classify.localise import holds
 from classify.track import Filter, Step
-from generator.dataset import Dataset, PoseRecord, atomic, csv_text
+from generator import figures
+from generator.dataset import Dataset, PoseRecord, csv_text
 from generator.sensor import Camera
 from generator.spec import Array, NlosError
 
@@ -146,9 +143,7 @@ class Pursuit:
         over.set_ylabel("cm")
         over.set_ylim(bottom=0.0)
         over.legend(loc="best", fontsize=8)
-        with atomic(path) as temporary:
-            figure.savefig(temporary, format="png", dpi=110)
-        plt.close(figure)
+        figures.save(path, figure)
 
 
 def _ellipse(axis: Axes, step: Step) -> None:

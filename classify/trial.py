@@ -7,11 +7,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 
-import matplotlib
 import numpy as np
-
-matplotlib.use("Agg")
-
 from matplotlib import pyplot as plt
 from numpy.typing import NDArray
 from scipy.stats import chi2
@@ -21,7 +17,8 @@ from classify.bound import median
 from classify.detect import Detector, evidence
 from classify.evaluate import Interval, wilson
 from classify.localise import Place, holds, locate
-from generator.dataset import PoseRecord, Readable, atomic, csv_text
+from generator import figures
+from generator.dataset import PoseRecord, Readable, csv_text
 from generator.sensor import Camera
 from generator.spec import Array, NlosError
 
@@ -146,9 +143,7 @@ class Trial:
         right.set_xlabel("stated probability of a region")
         right.set_ylabel("share of true positions that it holds")
         right.set_title("stated uncertainty against what it was", fontsize=9)
-        with atomic(path) as temporary:
-            figure.savefig(temporary, format="png", dpi=110)
-        plt.close(figure)
+        figures.save(path, figure)
 
     def csv(self) -> str:
         """Return every answer as a table, comma-separated."""

@@ -383,6 +383,11 @@ class Bulk:
         return float(self.meta["reference_radiance"])
 
     @property
+    def target_kind(self) -> str:
+        """The kind of target: sheet, sphere or mesh."""
+        return str(self.meta["scene"].get("target", {}).get("kind", "mesh"))
+
+    @property
     def planned(self) -> int:
         """How many pictures the set has when it is finished."""
         return self.plan.pictures
@@ -452,6 +457,11 @@ class Bulk:
     def missing(self) -> list[int]:
         """Return the parts that are not there; a part that was renamed into place is believed to be whole."""
         return [number for number in range(self.parts) if not self._is_there(number)]
+
+    def refuse_unfinished(self) -> None:
+        """Raise NlosError if parts are missing."""
+        if missing := self.missing():
+            raise NlosError(f"{self.path}: {len(missing)} of {self.parts} parts are missing; finish the set first")
 
     def _is_there(self, number: int) -> bool:
         try:

@@ -11,11 +11,19 @@ matplotlib.use("Agg")
 
 import numpy as np
 from matplotlib import pyplot as plt
+from matplotlib.figure import Figure
 
 from generator.dataset import atomic
 from generator.spec import Array
 
 _QUANTILE = 0.995
+
+
+def save(path: Path, figure: Figure) -> None:
+    """Write a figure as a PNG, by temporary name and rename, and let go of it."""
+    with atomic(path) as temporary:
+        figure.savefig(temporary, format="png", dpi=110)
+    plt.close(figure)
 
 
 def experiment(
@@ -53,6 +61,4 @@ def experiment(
                 at.set_xlabel(f"×{full / top:.3g}" if top else "no change", fontsize=8, labelpad=2)
         for at, column in zip(axes[0], columns, strict=True):
             at.set_title(column, fontsize=8)
-    with atomic(path) as temporary:
-        figure.savefig(temporary, format="png", dpi=110)
-    plt.close(figure)
+    save(path, figure)

@@ -29,8 +29,7 @@ class Simulated:
     """
 
     def __init__(self, bulk: Bulk, count: int = 0) -> None:
-        if missing := bulk.missing():
-            raise NlosError(f"{bulk.path}: {len(missing)} of {bulk.parts} parts are missing; finish the set first")
+        bulk.refuse_unfinished()
         if not 0 <= count <= bulk.planned:
             raise NlosError(f"{bulk.path}: holds {bulk.planned} pictures, so {count} cannot be taken")
         self._bulk = bulk
@@ -62,7 +61,7 @@ class Simulated:
     @property
     def target_kind(self) -> str:
         """The kind of target: sheet, sphere or mesh."""
-        return str(self.meta["scene"].get("target", {}).get("kind", "mesh"))
+        return self._bulk.target_kind
 
     @property
     def reference_radiance(self) -> float:

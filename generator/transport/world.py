@@ -6,7 +6,7 @@ are three channels, albedos 0 to 1. All surfaces are Lambertian and reflect from
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -155,3 +155,7 @@ class World:
     target: tuple[Body, ...]
     room: tuple[Mesh, ...] = ()
     order: int = 3
+
+    def seen_by(self, width: int, height: int) -> World:
+        """Return the world with a picture of so many pixels."""
+        return replace(self, watched=replace(self.watched, resolution=(width, height)))
