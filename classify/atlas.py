@@ -25,11 +25,10 @@ from sklearn.utils.extmath import randomized_svd
 from classify import strengths
 from classify.store import opened
 from classify.strengths import Strengths
-from generator.bulk import Bulk
+from generator.bulk import Bulk, Engine
 from generator.dataset import Picture, atomic
 from generator.sensor import Sensor
 from generator.spec import Array, NlosError, VoxelGrid, from_dict, to_dict
-from generator.transport import Transport
 
 FORMAT = 2
 
@@ -297,7 +296,8 @@ def build(
             pictures = _colour(one.pictures[block])
             codes.append(differences(pictures) @ whitened.T)
             if dark:
-                hiding.append(differences(dark[number](block, pictures)) @ whitened.T)
+                rows = np.arange(block.start, block.stop)
+                hiding.append(differences(dark[number](rows, pictures)) @ whitened.T)
             done += len(pictures)
             progress(done, count)
     return Atlas(
@@ -345,14 +345,14 @@ class _Black:
     """The same poses of a black object, which only hides."""
 
     def __init__(self, bulk: Bulk) -> None:
-        self._engine = Transport(bulk.world().seen_by(*bulk.plan.resolution), accuracy=bulk.plan.accuracy)
+        self._engine = Engine(bulk)
         self._bulk = bulk
 
-    def __call__(self, some: Any, pictures: NDArray[np.float32]) -> NDArray[np.float32]:
+    def __call__(self, some: NDArray[np.int64], pictures: NDArray[np.float32]) -> NDArray[np.float32]:
         """Return the black object's pictures for the white one's, (n, height, width, 3)."""
         bulk = self._bulk
         # What an object adds takes the engine far less time than what it hides, which is the rest of its picture.
-        lit = self._engine.pictures(bulk.positions[some], bulk.rotations[some], shadows=False)
+        lit = self._engine.pictures(some, bulk.positions[some], bulk.rotations[some], shadows=False)
         return pictures - (lit - bulk.background)
 
 

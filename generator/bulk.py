@@ -33,7 +33,7 @@ import math
 import os
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
-from functools import cached_property
+from functools import cached_property, partial
 from pathlib import Path
 from typing import Any, Literal, Protocol
 
@@ -45,6 +45,7 @@ from generator import dataset
 from generator.dataset import BACKGROUND, SCENE, Picture, atomic, fingerprint, read_picture, write_picture, write_text
 from generator.poses import Pose
 from generator.spec import Array, NlosError, Sweep, Vector, VoxelGrid, dump_toml, from_dict, read_toml, to_dict
+from generator.strangers import stranger
 from generator.sweep import Crew, Progress, Worker, check_same, compiling_words
 from generator.transport.store import load_world, save_world, world_hash
 from generator.transport.world import Mesh, World
@@ -79,10 +80,13 @@ Pictures = NDArray[np.float32]
 
 
 class Renderer(Protocol):
-    """What renders the pictures: `generator.transport.Transport`, or a stand-in."""
+    """What renders the pictures: `Engine`, or a stand-in."""
 
-    def pictures(self, positions: Array, rotations: Array) -> Pictures:
-        """Return pictures (n, height, width, 3) of poses: positions (n, 3), metres, and rotations (n, 3), degrees."""
+    def pictures(self, numbers: NDArray[np.int64], positions: Array, rotations: Array) -> Pictures:
+        """Return pictures (n, height, width, 3), given their numbers (n,), in order, and poses.
+
+        Positions (n, 3) are in metres, rotations (n, 3) in degrees.
+        """
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -101,6 +105,9 @@ class Settings:
         Pictures per file; 0 chooses.
     compress : bool
         Smaller files (gzip, which every HDF5 reader knows), slower to write and to read.
+    unknown : bool
+        Whether another object stands in for the scene's target at every pose index (`generator.strangers`), so that
+        the set shows what an object that nobody knows may look like.
     """
 
     pictures: int
@@ -111,6 +118,7 @@ class Settings:
     rotation: Vector = (0.0, 0.0, 0.0)
     part: int = 0
     compress: bool = False
+    unknown: bool = False
 
     def __post_init__(self) -> None:
         if not 1 <= self.pictures <= 10**9:
@@ -384,7 +392,9 @@ class Bulk:
 
     @property
     def target_kind(self) -> str:
-        """The kind of target: sheet, sphere or mesh."""
+        """The kind of target: sheet, sphere or mesh; or box, where it is unknown."""
+        if self.plan.unknown:
+            return "box"
         return str(self.meta["scene"].get("target", {}).get("kind", "mesh"))
 
     @property
@@ -546,7 +556,8 @@ class Bulk:
             pictures = file.create_dataset("pictures", shape, "<f4", chunks=(chunk, *self.picture_shape), **packed)
             for start in range(0, len(numbers), batch):
                 some = slice(start, start + batch)
-                made = self._checked(renderer.pictures(position[some], rotation[some]), numbers[some])
+                made = renderer.pictures(numbers[some], position[some], rotation[some])
+                made = self._checked(made, numbers[some])
                 digest.update(made.tobytes())
                 pictures[some] = made
             for name, column in zip(COLUMNS, (position, rotation, voxel, index), strict=True):
@@ -657,6 +668,50 @@ class Bulk:
         if not finite:
             return f"{path}: holds NaN or infinite pixels"
         return "" if order else f"{path}: its voxels and indices are not those of this part"
+
+
+class Engine:
+    """The engine that a set's pictures are of.
+
+    Parameters
+    ----------
+    bulk : Bulk
+    threads : int
+        0 takes all cores.
+    """
+
+    def __init__(self, bulk: Bulk, *, threads: int = 0) -> None:
+        from generator.transport import Transport  # readers of sets need no compiler
+
+        plan = bulk.plan
+        self._bulk = bulk
+        self._make = partial(Transport, accuracy=plan.accuracy, threads=threads)
+        self._world = bulk.world().seen_by(*plan.resolution)
+        self._known = None if plan.unknown else self._make(self._world)
+
+    def pictures(
+        self, numbers: NDArray[np.int64], positions: Array, rotations: Array, *, shadows: bool = True
+    ) -> Pictures:
+        """Return pictures (n, height, width, 3), W/m^2/sr.
+
+        Parameters
+        ----------
+        numbers : ndarray of shape (n,), int
+            Of the pictures, in order.
+        positions, rotations : ndarray of shape (n, 3)
+            Metres, degrees.
+        shadows : bool
+            As of `generator.transport.Transport.pictures`.
+        """
+        if self._known is not None:
+            return self._known.pictures(positions, rotations, shadows=shadows)
+        bulk = self._bulk
+        index = numbers // bulk.grid.n_voxels
+        made = []
+        for some in np.split(np.arange(len(numbers)), np.flatnonzero(np.diff(index)) + 1):
+            one = replace(self._world, target=(stranger(bulk.grid, bulk.plan.sweep, int(index[some[0]])),))
+            made.append(self._make(one).pictures(positions[some], rotations[some], shadows=shadows))
+        return np.concatenate(made)
 
 
 _FIELDS = frozenset(Settings.__dataclass_fields__)

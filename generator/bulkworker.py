@@ -9,7 +9,9 @@ from __future__ import annotations
 import itertools
 import json
 import sys
-from collections.abc import Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping
+from dataclasses import replace
+from functools import lru_cache
 from pathlib import Path
 from typing import Any
 
@@ -17,10 +19,11 @@ import bpy
 import numpy as np
 
 from generator import bulk, extract, poses, spec, stage, worker
-from generator.bulk import Bulk, Settings
-from generator.clearance import clearance
+from generator.bulk import Bulk, Engine, Settings
+from generator.clearance import Surroundings, clearance
 from generator.dataset import SCENE, scene_hash
 from generator.spec import NlosError
+from generator.strangers import stranger
 from generator.transport import Transport
 
 
@@ -44,6 +47,8 @@ def plan(scene: bpy.types.Scene, source: Path, path: Path, chosen: Mapping[str, 
     """
     bulk.check_free(path)
     described = stage.read(scene)
+    if chosen.get("unknown"):
+        chosen = {"rotation": list(worker.TURNS["mesh"]), **chosen}
     settings: Settings = spec.from_dict(Settings, worker.with_defaults(described, chosen), "")
     world, reasons = extract.world(scene, resolution=settings.resolution)
     if world is None:
@@ -51,9 +56,9 @@ def plan(scene: bpy.types.Scene, source: Path, path: Path, chosen: Mapping[str, 
             f"{source}: a bulk set is made by the engine 'surfel', which cannot honour that "
             f"{', nor that '.join(reasons)}; use nlos-generate sweep"
         )
-    sampler = _sampler(scene, settings)
+    draw = _poses(scene, settings)
     for voxel in range(min(described.grid.n_voxels, settings.pictures)):
-        sampler.draw(voxel, 0)  # refuses now a target that fits nowhere
+        draw(voxel, 0)  # refuses now a target that fits nowhere
     background = Transport(world, accuracy=settings.accuracy).background().astype(np.float32)
     stage.save_file(path / SCENE)
     meta = {
@@ -69,18 +74,30 @@ def plan(scene: bpy.types.Scene, source: Path, path: Path, chosen: Mapping[str, 
     return Bulk.create(path, settings, meta, world, background, scene_hash(source))
 
 
-def _sampler(scene: bpy.types.Scene, settings: Settings) -> poses.Sampler:
+def _poses(scene: bpy.types.Scene, settings: Settings) -> Callable[[int, int], poses.Pose]:
+    """What draws the pose of (voxel, index)."""
     described = stage.read(scene)
-    is_free = clearance(scene, described, engine="surfel")
-    return poses.Sampler(described.grid, settings.sweep, stage.hull(scene), is_free)
+    if not settings.unknown:
+        is_free = clearance(scene, described, engine="surfel")
+        return poses.Sampler(described.grid, settings.sweep, stage.hull(scene), is_free).draw
+    around = Surroundings(scene, described, engine="surfel")
+    sweep = replace(settings.sweep, rotation=(0.0, 0.0, 0.0))  # they come turned
+
+    @lru_cache(maxsize=2)
+    def sampler(index: int) -> poses.Sampler:
+        corners = stranger(described.grid, settings.sweep, index).triangles.reshape(-1, 3)
+        faces = np.arange(len(corners)).reshape(-1, 3).tolist()
+        return poses.Sampler(described.grid, sweep, corners, around.free(corners, faces))
+
+    return lambda voxel, index: sampler(index).draw(voxel, index)
 
 
 def render(found: Bulk, parts: Iterable[int], *, threads: int = 0) -> None:
     """Make parts of a set, telling of each."""
     worker.check_blender(found)
     scene = stage.open_file(found.path / SCENE)
-    draw = _sampler(scene, found.plan).draw
-    renderer = Transport(found.world(), accuracy=found.plan.accuracy, threads=threads)
+    draw = _poses(scene, found.plan)
+    renderer = Engine(found, threads=threads)
     for number in parts:
         found.write_part(number, draw, renderer)
         worker.answer(part=number)

@@ -21,36 +21,53 @@ _RIM = 32
 _SURFACES = ("MESH", "CURVE", "SURFACE", "META", "FONT")
 
 
-def clearance(
-    scene: bpy.types.Scene, described: spec.Scene, *, engine: str
-) -> Callable[[spec.Vector, spec.Vector], bool]:
+Free = Callable[[spec.Vector, spec.Vector], bool]
+"""Whether an object at a position and rotation cuts no other surface and is hidden from lamp and camera."""
+
+
+def clearance(scene: bpy.types.Scene, described: spec.Scene, *, engine: str) -> Free:
     """Return the test whether the target at a pose cuts no other surface and is hidden from lamp and camera.
 
     The engine `path` renders a target in the lamp's cone or in the camera's view too, so it may stand there.
     """
     target = stage.find(scene, "target")
-    surfaces = obstacles(scene)
-    depsgraph = bpy.context.evaluated_depsgraph_get()
-    vertices, faces = _polygons(target, depsgraph)
+    vertices, faces = _polygons(target, bpy.context.evaluated_depsgraph_get())
     scale = Matrix.LocRotScale(None, None, target.matrix_world.to_scale())
-    vertices = [scale @ v for v in vertices]
-    shape = np.array(vertices).reshape(-1, 3)
-    radius = max((v.length for v in vertices), default=0.0)
-    hidden_from = [] if engine == "path" else sights(scene, described.spot)
+    return Surroundings(scene, described, engine=engine).free(np.array([scale @ v for v in vertices]), faces)
 
-    def is_free(position: spec.Vector, rotation: spec.Vector) -> bool:
-        near = [tree for tree in surfaces if tree.find_nearest(Vector(position), radius)[0] is not None]
-        sighted = [sight for sight in hidden_from if sight.may_hold(position, radius)]
-        if not near and not sighted:
-            return True
-        turn = spec.rotation_matrix(rotation)
-        corners = shape @ turn.T + position
-        if any(sight.holds(corners) for sight in sighted):
-            return False
-        placed = BVHTree.FromPolygons(corners.tolist(), faces)
-        return not any(placed.overlap(tree) for tree in [*near, *(sight.sides for sight in sighted)])
 
-    return is_free
+class Surroundings:
+    """What an object must be clear of.
+
+    Parameters
+    ----------
+    scene : bpy.types.Scene
+    described : spec.Scene
+    engine : str
+    """
+
+    def __init__(self, scene: bpy.types.Scene, described: spec.Scene, *, engine: str) -> None:
+        self._surfaces = obstacles(scene)
+        self._hidden_from = [] if engine == "path" else sights(scene, described.spot)
+
+    def free(self, vertices: Array, faces: Sequence[Sequence[int]]) -> Free:
+        """Return the test for an object of some vertices (n, 3), in its own frame, and faces."""
+        shape = vertices.reshape(-1, 3)
+        radius = float(np.linalg.norm(shape, axis=1).max(initial=0.0))
+
+        def is_free(position: spec.Vector, rotation: spec.Vector) -> bool:
+            near = [tree for tree in self._surfaces if tree.find_nearest(Vector(position), radius)[0] is not None]
+            sighted = [sight for sight in self._hidden_from if sight.may_hold(position, radius)]
+            if not near and not sighted:
+                return True
+            turn = spec.rotation_matrix(rotation)
+            corners = shape @ turn.T + position
+            if any(sight.holds(corners) for sight in sighted):
+                return False
+            placed = BVHTree.FromPolygons(corners.tolist(), faces)
+            return not any(placed.overlap(tree) for tree in [*near, *(sight.sides for sight in sighted)])
+
+        return is_free
 
 
 def obstacles(scene: bpy.types.Scene) -> list[BVHTree]:

@@ -139,6 +139,11 @@ def _parser() -> argparse.ArgumentParser:
         action=argparse.BooleanOptionalAction,
         help="smaller files, several times slower to write and to read (default: off)",
     )
+    bulk.add_argument(
+        "--unknown",
+        action=argparse.BooleanOptionalAction,
+        help="at every pose another box or sheet in place of the target, for an object that nobody knows",
+    )
     bulk.add_argument("--part", type=int, metavar="N", help="pictures per file (default: about 64 MiB)")
     bulk.add_argument("--shard", default="0/1", metavar="i/n", help="make the i-th of n shares only (from 0)")
     bulk.add_argument("--workers", type=int, default=0, metavar="W", help="processes (default: one per core)")

@@ -73,8 +73,9 @@ def make_bulk(
     reach = radius or 0.3 / np.sqrt(2.0)
     hull = np.concatenate([reach * np.eye(3), -reach * np.eye(3)])
     draw = poses.Sampler(grid, plan.sweep, hull).draw
+    engine = bulk.Engine(found)
     for number in found.missing():
-        found.write_part(number, draw, transport)
+        found.write_part(number, draw, engine)
     found.finish()
     return bulk.Bulk.open(path)
 

@@ -48,7 +48,8 @@ class Fake:
         self.colour = np.asarray(colour, dtype=np.float32)
         self.delay = delay
 
-    def pictures(self, positions, rotations):
+    def pictures(self, numbers, positions, rotations):
+        assert numbers.tolist() == list(range(numbers[0], numbers[0] + len(positions)))
         time.sleep(self.delay)
         level = positions @ [1.0, 2.0, 4.0] + rotations @ [0.1, 0.2, 0.4]
         ramp = np.arange(1, 65, dtype=np.float32).reshape(8, 8)
@@ -103,7 +104,7 @@ def test_the_poses_are_a_sweeps(whole):
 
 
 def test_every_picture_is_its_poses(whole):
-    wanted = Fake().pictures(whole.positions, whole.rotations)[..., 0]
+    wanted = Fake().pictures(np.arange(40), whole.positions, whole.rotations)[..., 0]
     assert whole.pictures.shape == (40, 8, 8)
     np.testing.assert_array_equal(whole.pictures[:], wanted)
     np.testing.assert_array_equal(np.asarray(whole.pictures), wanted)

@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 import math
+from functools import cache
 from typing import Any
 
 import numpy as np
-from numpy.polynomial.legendre import leggauss
+from numpy.polynomial import legendre
 from numpy.typing import NDArray
 
 from generator.transport import elements, kernel
@@ -21,6 +22,9 @@ FRONT, BACK, ON = 1, 2, 4
 """Sides of a face, and that its light goes on beyond its horizon (`kernel.BEYOND`)."""
 
 _STACK = 512
+
+# A set of many objects makes a setting for each, and the rules are most of the work of it.
+leggauss = cache(legendre.leggauss)
 
 
 def patch_rules(patch: Floats) -> Floats:
@@ -44,6 +48,7 @@ def patch_rules(patch: Floats) -> Floats:
     return rules
 
 
+@cache
 def chord_rules() -> Floats:
     """Return Gauss points and weights on [0, 1], (PATCH_ORDERS + 1, 2, PATCH_ORDERS), for `elements.clip_patch`."""
     rules = np.zeros((PATCH_ORDERS + 1, 2, PATCH_ORDERS))

@@ -1,0 +1,79 @@
+"""Objects that stand in for one nobody knows, and sets of them."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from generator.bulk import Bulk
+from generator.poses import Sampler
+from generator.spec import NlosError, Sweep, VoxelGrid, preset
+from generator.strangers import DARKEST, FLAT, stranger
+from generator.transport import Transport
+from generator.transport.elements import cells, is_convex_solid
+
+GRID = preset("room").grid
+TURNED = Sweep(rotation=(15.0, 15.0, 90.0))
+
+
+def test_they_are_convex_and_fit_into_a_voxel():
+    flat = 0
+    for index in range(200):
+        mesh = stranger(GRID, TURNED, index)
+        corners = mesh.triangles.reshape(-1, 3)
+        assert (np.ptp(corners, axis=0) < GRID.size).all()
+        Sampler(GRID, replace(TURNED, rotation=(0.0, 0.0, 0.0)), corners).draw(0, index)
+        sheet = len(mesh.triangles) == 2
+        assert sheet or is_convex_solid(mesh.triangles)
+        assert len(cells((mesh,))[0]) == (1 if sheet else 6), "its triangles are joined to parallelograms"
+        assert DARKEST <= mesh.albedo.min() == mesh.albedo.max() <= 1.0
+        flat += sheet
+    # What fits is chosen from among sheets and boxes, of which sheets fit more often.
+    assert 200 * FLAT - 3 * math.sqrt(200 * FLAT * (1 - FLAT)) < flat < 120
+
+
+def test_each_follows_from_its_seed_and_index_alone():
+    one = stranger(GRID, TURNED, 7)
+    assert (stranger(GRID, TURNED, 7).triangles == one.triangles).all()
+    others = [stranger(GRID, TURNED, 8), stranger(GRID, replace(TURNED, seed=1), 7)]
+    assert all(len(o.triangles) != len(one.triangles) or (o.triangles != one.triangles).any() for o in others)
+
+
+def test_what_does_not_turn_stands_straight():
+    for index in range(20):
+        edges = np.diff(stranger(GRID, Sweep(), index).triangles, axis=1).reshape(-1, 3)
+        off_axis = np.sort(np.abs(edges), axis=1)[:, :-1]
+        # Edges of a box run along one axis, diagonals of its faces along two.
+        assert (off_axis[:, 0] < 1e-12).all()
+
+
+def test_only_centres_inside_leaves_no_size_out():
+    centre = replace(TURNED, inside="centre")
+    widest = max(np.ptp(stranger(GRID, centre, i).triangles.reshape(-1, 3), axis=0)[:2].max() for i in range(200))
+    assert widest > min(GRID.size[:2])
+
+
+def test_a_grid_that_holds_none_is_one_sentence():
+    narrow = VoxelGrid(lo=(0.0, 0.0, 0.0), hi=(1.0, 1.0, 0.05), shape=(1, 1, 1))
+    with pytest.raises(NlosError, match="hold none of the unknown objects; keep only their centres inside"):
+        stranger(narrow, TURNED, 0)
+
+
+def test_a_set_of_unknown_objects(tmp_path, scene_file, command):
+    path = tmp_path / "unknown"
+    made = ("bulk", scene_file, "-o", path, "--pictures", "22", "--part", "8", "--resolution", "8")
+    result = command("generator", *made, "--accuracy", "0.01", "--unknown")
+    assert result.returncode == 0, result.stderr
+    found = Bulk.open(path)
+    assert (found.target_kind, found.rotations.any()) == ("box", False)
+    for number in (3, 13, 21):  # of the first, second and third index
+        mesh = stranger(found.grid, found.plan.sweep, number // 9)
+        one = Transport(replace(found.world(), target=(mesh,)), accuracy=0.01)
+        alone = one.pictures([found.positions[number]], [found.rotations[number]])[0, :, :, 0]
+        np.testing.assert_array_equal(found.pictures[number], alone)
+    other = command("generator", "bulk", scene_file, "-o", path, "--no-unknown")
+    assert other.returncode == 2
+    assert "unknown is True there and False here" in other.stderr
