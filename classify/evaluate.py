@@ -201,7 +201,7 @@ def compare(
             else:
                 splits = [(np.arange(len(train.labels)), np.arange(len(test.labels)))]
             fits = parallel(
-                joblib.delayed(_fit_and_test)(
+                joblib.delayed(fit_and_test)(
                     models.make(classifier, setting, train.settings.set, len(a), seed=seed),
                     train.values[a],
                     train.labels[a],
@@ -226,7 +226,8 @@ def _classes(*sets: Features) -> list[str]:
     return [label for label in sets[0].grid.labels if label in present]
 
 
-def _fit_and_test(model: Any, x: Array, y: Any, x_test: Array, y_test: Any) -> dict[str, Any]:
+def fit_and_test(model: Any, x: Array, y: Any, x_test: Array, y_test: Any) -> dict[str, Any]:
+    """Fit a classifier to some pictures and ask it about others; return both, the times, and what the fit chose."""
     with warnings.catch_warnings(record=True) as caught:
         warnings.simplefilter("always")
         start = time.perf_counter()

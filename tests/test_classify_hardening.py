@@ -162,7 +162,7 @@ def test_a_model_of_other_features_is_refused(features, tmp_path):
         models.load(tmp_path / "m.skops")
 
 
-@pytest.mark.parametrize("name", models.NAMES)
+@pytest.mark.parametrize("name", models.ALL)
 def test_every_tuned_model_is_saved_and_loaded(features, tmp_path, name):
     model = models.train(features, name, "tuned")
     models.save(tmp_path / "m.skops", model)
