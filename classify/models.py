@@ -237,9 +237,12 @@ def check_folds(labels: NDArray[np.str_], folds: int, settings: Sequence[Setting
 
 
 def check_varied(features: Features) -> None:
-    """Raise NlosError if nothing tells the pictures apart."""
-    if not np.ptp(features.values, axis=0).any():
+    """Raise NlosError if nothing tells the pictures apart, or those of each voxel are copies of one another."""
+    values, labels = features.values, features.labels
+    if not np.ptp(values, axis=0).any():
         raise NlosError("every picture has the same features, so nothing tells the voxels apart")
+    if not any(np.ptp(values[labels == label], axis=0).any() for label in np.unique(labels)):
+        raise NlosError("the pictures of each voxel all have the same features, so how they vary cannot be learnt")
 
 
 def check_seed(seed: int) -> None:

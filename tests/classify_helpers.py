@@ -54,26 +54,58 @@ def make_dataset(path, *, target="sheet", n=12, seed=0, noise=2e-7, grid=None, s
     return dataset
 
 
+def colour(picture):
+    """A grey picture in three channels."""
+    return np.repeat(np.asarray(picture)[..., None], 3, axis=2)
+
+
+class UnderLight:
+    """The engine, with uniform light on the wall besides."""
+
+    def __init__(self, engine, ambient):
+        self.engine, self.ambient = engine, np.float32(ambient)
+
+    def pictures(self, *pose):
+        return self.engine.pictures(*pose) + self.ambient
+
+
 def make_bulk(
-    path, *, pictures=3000, seed=0, radius=0.15, albedo=1.0, room=(), rotation=(0.0, 0.0, 0.0), resolution=(16, 16)
+    path,
+    *,
+    pictures=3000,
+    seed=0,
+    radius=0.15,
+    albedo=1.0,
+    room=(),
+    rotation=(0.0, 0.0, 0.0),
+    resolution=(16, 16),
+    inside="whole",
+    shape=(2, 2, 1),
+    power=1000.0,
+    scale=1.0,
+    ambient=0.0,
 ):
     """Write a bulk set of a sphere before a bare wall (or a sheet, with radius 0), made by the engine itself."""
     import worlds
 
     target = Sphere(np.zeros(3), radius, np.full(3, albedo)) if radius else worlds.sheet(0.3)
-    world = worlds.world(target, room=room, view=worlds.watched(resolution=resolution))
-    grid = spec.VoxelGrid(lo=(0.3, 0.5, -0.4), hi=(1.5, 1.7, 0.6), shape=(2, 2, 1))
-    plan = bulk.Settings(pictures=pictures, resolution=resolution, seed=seed, accuracy=1e-3, rotation=rotation)
+    view = worlds.watched(resolution=resolution)
+    world = worlds.world(target, room=room, view=view, patch=worlds.lit_patch(power=power))
+    world = worlds.scaled(world, scale)
+    lo, hi = (tuple(scale * x for x in corner) for corner in ((0.3, 0.5, -0.4), (1.5, 1.7, 0.6)))
+    grid = spec.VoxelGrid(lo=lo, hi=hi, shape=shape)
+    chosen = {"pictures": pictures, "resolution": resolution, "seed": seed, "rotation": rotation, "inside": inside}
+    plan = bulk.Settings(**chosen, accuracy=1e-3)
     scene = {**spec.to_dict(preset("room", "sphere" if radius else "sheet")), "grid": spec.to_dict(grid)}
     transport = Transport(world, accuracy=1e-3)
     meta = {"scene": scene, "reference_radiance": 1.0, "software": {"blender": "none"}}
     path.mkdir()
-    background = transport.background().astype(np.float32)
+    background = transport.background().astype(np.float32) + np.float32(ambient)
     found = bulk.Bulk.create(path, plan, meta, world, background, "0" * 64)
-    reach = radius or 0.3 / np.sqrt(2.0)
+    reach = scale * (radius or 0.3 / np.sqrt(2.0))
     hull = np.concatenate([reach * np.eye(3), -reach * np.eye(3)])
     draw = poses.Sampler(grid, plan.sweep, hull).draw
-    engine = bulk.Engine(found)
+    engine = UnderLight(bulk.Engine(found), ambient)
     for number in found.missing():
         found.write_part(number, draw, engine)
     found.finish()

@@ -102,7 +102,7 @@ def test_scaler_and_search_see_the_training_part_only(pair, monkeypatch):
     monkeypatch.setattr(models.MinMaxScaler, "fit", spy)
     train = pair[0].values[:90]
     for settings in ("paper", "tuned"):
-        evaluate._fit_and_test(
+        evaluate.fit_and_test(
             models.make("KNN", settings, "global", 90),
             train,
             pair[0].labels[:90],

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from classify_helpers import make_bulk
+from classify_helpers import colour, make_bulk
 from scipy import stats
 
 from classify import atlas as atlases
@@ -23,11 +23,6 @@ def simulated(tmp_path_factory):
 def unseen(tmp_path_factory):
     """The same sphere at other poses."""
     return make_bulk(tmp_path_factory.mktemp("bulk") / "unseen", pictures=600, seed=9)
-
-
-def colour(picture):
-    """A grey picture in three channels."""
-    return np.repeat(np.asarray(picture)[..., None], 3, axis=2)
 
 
 def places(atlas, unseen, seed=0):

@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 
 import numpy as np
 from numpy.polynomial.legendre import leggauss
 
 from generator.spec import rotation_matrix
-from generator.transport import LitPatch, Mesh, Watched, World
+from generator.transport import LitPatch, Mesh, Sphere, Watched, World
 
 WALL = 0.8
 
@@ -54,6 +55,26 @@ def quad(corner, first, second, albedo):
 def world(target, *, room=(), **changes):
     """A world with that target."""
     return World(changes.pop("patch", lit_patch()), changes.pop("view", watched()), (target,), tuple(room), **changes)
+
+
+def scaled(world, factor):
+    """The same world, larger or smaller, its lamp so much brighter or dimmer that the picture stays the same."""
+    patch, view = world.patch, world.watched
+    longer = {name: factor * getattr(patch, name) for name in ("centre", "major", "minor", "lamp", "height")}
+    wide = np.array([[factor], [factor], [factor], [1.0]])
+
+    def larger(body):
+        if isinstance(body, Mesh):
+            return Mesh(factor * body.triangles, body.albedo)
+        return Sphere(factor * body.centre, factor * body.radius, body.albedo)
+
+    return World(
+        replace(patch, **longer, intensity=factor**2 * patch.intensity),
+        replace(view, to_wall=wide * view.to_wall, eye=np.append(factor * view.eye[:3], view.eye[3])),
+        tuple(map(larger, world.target)),
+        tuple(map(larger, world.room)),
+        world.order,
+    )
 
 
 def patch_points(patch, n=24, turns=48):
