@@ -179,6 +179,11 @@ class Atlas:
             left_out=math.hypot(scale * self.left_out, float(rest[kept]) if kept < len(rest) else 0.0),
         )
 
+    def cut(self, shape: tuple[int, int, int]) -> Atlas:
+        """Return the atlas of the same volume, cut into other voxels, along x, y and z."""
+        grid = replace(self.grid, shape=shape)
+        return replace(self, grid=grid, voxels=grid.voxels(self.positions))
+
     def take(self, some: Any) -> Atlas:
         """Return the atlas of some of its poses, given by their numbers or a slice."""
         every = {name: getattr(self, name)[some] for name in ("codes", "positions", "rotations", "voxels", "kinds")}
@@ -259,6 +264,8 @@ def build(
         A set is not finished, or has no light, or they are not of one scene.
     """
     bulks = [bulk, *others]
+    if unknown and (many := [b for b in bulks if b.plan.unknown]):
+        raise NlosError(f"--unknown: {many[0].path} is of objects of all sizes and albedos already; leave it out")
     background = bulk.background
     _check_alike(bulks)
     share = math.ceil(_FOR_BASIS / len(bulks))

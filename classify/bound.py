@@ -178,11 +178,22 @@ def deviations(information: Array) -> Array:
     return least
 
 
-def rows(synthesis: Synthesis, best: Reachable) -> list[tuple[str, ...]]:
-    """Return a table of the bounds: a row for each voxel, with the object unturned in its middle, and one for all."""
-    grid = synthesis.atlas.grid
-    made = []
+def rows(atlas: Atlas, best: Reachable, synthesis: Synthesis | None = None) -> list[tuple[str, ...]]:
+    """Return a table of the bounds: a row for each voxel, and one for all.
+
+    Parameters
+    ----------
+    atlas : Atlas
+    best : Reachable
+    synthesis : Synthesis, optional
+        For what can be known of the object, unturned, in the middle of each voxel.
+    """
+    grid = atlas.grid
+    made: list[tuple[str, ...]] = []
     for voxel, label in enumerate(grid.labels):
+        if synthesis is None:
+            made.append((label, best.by_voxel[voxel].percent()))
+            continue
         middle = np.mean(grid.bounds(voxel), axis=0)
         try:
             found = limits(synthesis, middle, np.zeros(3))
@@ -191,7 +202,7 @@ def rows(synthesis: Synthesis, best: Reachable) -> list[tuple[str, ...]]:
         except NlosError:  # something stands in the way there
             cells = ["-"] * 8
         made.append((label, best.by_voxel[voxel].percent(), *cells))
-    return [*made, ("all", best.accuracy.percent(), *[""] * 8)]
+    return [*made, ("all", best.accuracy.percent(), *[""] * (8 if synthesis else 0))]
 
 
 @dataclass(frozen=True)

@@ -241,6 +241,13 @@ def _parser() -> argparse.ArgumentParser:
     locate.add_argument(
         "--frames", type=int, metavar="N", help="to average, no more than the atlas was made for (default: as many)"
     )
+    locate.add_argument(
+        "--voxels",
+        type=int,
+        nargs=3,
+        metavar=("NX", "NY", "NZ"),
+        help="cut the volume into others than the scene's; for sets with --inside centre, which leave no gaps",
+    )
     locate.set_defaults(run=_locate)
 
     track = commands.add_parser(
@@ -329,6 +336,13 @@ def _parser() -> argparse.ArgumentParser:
     bound.add_argument("--seed", type=int, default=0, metavar="N", help="of pictures and noise (default: 0)")
     bound.add_argument(
         "--frames", type=int, metavar="N", help="to average, no more than the atlas was made for (default: as many)"
+    )
+    bound.add_argument(
+        "--voxels",
+        type=int,
+        nargs=3,
+        metavar=("NX", "NY", "NZ"),
+        help="cut the volume into others than the scene's; for sets with --inside centre, which leave no gaps",
     )
     bound.set_defaults(run=_bound)
     return parser
@@ -585,11 +599,13 @@ def _locate(options: argparse.Namespace) -> int:
 
 
 def _loaded(options: argparse.Namespace) -> Atlas:
-    """The atlas that was named, for as many frames as were asked for."""
+    """The atlas that was named, for as many frames and cut into the voxels that were asked for."""
     from classify import atlas
 
     found = atlas.load(options.atlas)
-    return found if options.frames is None else found.at(options.frames)
+    found = found if options.frames is None else found.at(options.frames)
+    voxels = getattr(options, "voxels", None)
+    return found if voxels is None else found.cut(tuple(voxels))
 
 
 def _track(options: argparse.Namespace) -> int:
@@ -696,6 +712,9 @@ def _bound(options: argparse.Namespace) -> int:
     found, simulated = _loaded(options), Bulk.open(options.simulated)
     if found.about.get("fingerprints") != [simulated.meta["fingerprint"]]:
         raise NlosError(f"{options.atlas}: is not an atlas of {options.simulated}; make it anew")
+    one = not simulated.plan.unknown  # Cramer and Rao ask about a known object
+    if options.map and not one:
+        raise NlosError(f"--map: draws what can be known of one object, and {options.simulated} is of many")
     with _progress("asking", "pictures") as progress:
         best = bound.reachable(
             found,
@@ -703,14 +722,15 @@ def _bound(options: argparse.Namespace) -> int:
             seed=options.seed,
             progress=lambda done, total: progress(done, total, ""),
         )
-    synthesis = Synthesis(found, simulated.world())
-    rows = bound.rows(synthesis, best)
-    _print_table(
-        f"{options.atlas}: the best that any method can do",
-        ("voxel", "right voxel", "presence", "x cm", "y cm", "z cm", "turn unknown", "noticed: x cm", "y cm", "z cm"),
-        rows,
-    )
+    synthesis = Synthesis(found, simulated.world()) if one else None
+    headings = ["voxel", "right voxel"]
+    if one:
+        headings += ["presence", "x cm", "y cm", "z cm", "turn unknown", "noticed: x cm", "y cm", "z cm"]
+    title = f"{options.atlas}: the best that any method can do"
+    _print_table(title, headings, bound.rows(found, best, synthesis))
     print(f"median error of the position, wherever the object is: {best.error.centimetres()}")
+    if synthesis is None:
+        return 0
     print(
         "presence: in standard deviations of the noise; x, y, z: least standard deviation in the middle of the voxel "
         "by Cramer and Rao, and of all three together where the turn is unknown too; noticed: least movement that "

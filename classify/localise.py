@@ -85,12 +85,14 @@ def locate(atlas: Atlas, code: NDArray[np.float32], *, seed: int = 0, without: i
     by_voxel = np.bincount(atlas.voxels, weights, atlas.grid.n_voxels).astype(np.float64)
     total = float(by_voxel.sum())
     poses = total**2 / float(weights @ weights)
+    voxels = by_voxel / total
     if poses >= ENOUGH:
         some = np.flatnonzero(weights > weights.max() * 1e-7)
         position, covariance = _moments(atlas.positions[some], weights[some])
     else:
-        position, covariance = _sharpened(atlas, code, logs, seed)
-    return Place(by_voxel / total, position, covariance, top + math.log(total / len(logs)), poses)
+        position, covariance, between = _sharpened(atlas, code, logs, seed)
+        voxels = voxels if between is None else between
+    return Place(voxels, position, covariance, top + math.log(total / len(logs)), poses)
 
 
 @dataclass(frozen=True)
@@ -251,8 +253,10 @@ def _moments(points: Array, weights: Array) -> tuple[Array, Array]:
     return mean, (apart * share[:, None]).T @ apart
 
 
-def _sharpened(atlas: Atlas, code: NDArray[np.float32], logs: NDArray[np.float32], seed: int) -> tuple[Array, Array]:
-    """Mean and covariance of the position between the atlas' poses."""
+def _sharpened(
+    atlas: Atlas, code: NDArray[np.float32], logs: NDArray[np.float32], seed: int
+) -> tuple[Array, Array, Array | None]:
+    """Mean and covariance of the position between the atlas' poses, and the voxels' probabilities if it has any."""
     kind = atlas.kinds[np.argmax(logs)]  # between objects of two kinds there is nothing to interpolate
     logs = np.where(atlas.kinds == kind, logs, -np.inf)
     count = min(_NEAR, int(np.isfinite(logs).sum()))
@@ -277,7 +281,7 @@ def _sharpened(atlas: Atlas, code: NDArray[np.float32], logs: NDArray[np.float32
     noise = np.sqrt(1.0 + missed * sharing / max(1.0, sharing - terms.shape[1]))
     low, high = poses.min(axis=0), poses.max(axis=0)
     rng = np.random.default_rng(seed)
-    mean, covariance = centre, spread
+    mean, covariance, voxels = centre, spread, None
     for _ in range(_ROUNDS):
         factor = _WIDER * np.linalg.cholesky(covariance + np.diag((1e-6 * scale) ** 2))
         normal = rng.normal(size=(_DRAWS, len(mean)))
@@ -288,12 +292,16 @@ def _sharpened(atlas: Atlas, code: NDArray[np.float32], logs: NDArray[np.float32
         drawn, normal = drawn[inside], normal[inside]
         terms = _quadratic((drawn - centre) / scale)
         log = 0.5 * (normal**2).sum(axis=1) + _explained([terms @ s / noise for s in surfaces], code / noise)
-        mean, covariance = _moments(drawn, _tempered(log, 4.0 * len(mean)))
+        shares = _tempered(log, 4.0 * len(mean))
+        mean, covariance = _moments(drawn, shares)
+        places = np.tile(atlas.positions[near[0]], (len(drawn), 1))
+        places[:, free[:3]] = drawn[:, : int(free[:3].sum())]
+        voxels = np.bincount(atlas.grid.voxels(places), shares, atlas.grid.n_voxels) / shares.sum()
     placed = int(free[:3].sum())
     position, uncertain = atlas.positions[near[0]].copy(), np.zeros((3, 3))
     position[free[:3]] = mean[:placed]
     uncertain[np.ix_(free[:3], free[:3])] = covariance[:placed, :placed]
-    return position, uncertain
+    return position, uncertain, voxels
 
 
 def _parts(atlas: Atlas, some: NDArray[np.int64]) -> list[Array]:

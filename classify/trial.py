@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -194,7 +194,8 @@ def run(
     NlosError
         Grid or resolution differ, or the data set is empty or broken.
     """
-    if dataset.grid != atlas.grid:
+    grid = atlas.grid
+    if (dataset.grid.lo, dataset.grid.hi) != (grid.lo, grid.hi):
         raise NlosError(f"{dataset.path}: has another voxel grid than the atlas; make both of one scene")
     records = dataset.records
     if not records:
@@ -211,6 +212,9 @@ def run(
         progress(done + 1, len(records))
     rng = np.random.default_rng([seed, 5])
     empty = [atlas.code(atlas.sensor.measure(clean, rng, pattern=seed), background) for _ in range(_EMPTY)]
+    if dataset.grid != grid:  # the same volume, cut otherwise
+        own = grid.voxels(np.array([record.position for record in records]))
+        records = [replace(r, voxel=int(v), label=grid.labels[v]) for r, v in zip(records, own, strict=True)]
     return Trial(
         records=records,
         places=places,

@@ -203,9 +203,14 @@ class VoxelGrid:
 
     def voxel(self, place: Array) -> int:
         """Return which voxel a place (3,), metres, is in, or which of those at the rim is next to it."""
-        steps = (np.asarray(place) - self.lo) / np.asarray(self.size)
-        i, j, k = np.clip(np.floor(steps).astype(int), 0, np.array(self.shape) - 1)
-        return int(i + self.shape[0] * (j + self.shape[1] * k))
+        return int(self.voxels(np.asarray(place)[None])[0])
+
+    def voxels(self, places: Array) -> NDArray[np.int64]:
+        """Return which voxel each of places (n, 3) is in, as `voxel` does."""
+        steps = np.floor((places - self.lo) / np.asarray(self.size)).astype(np.int64)
+        i, j, k = np.clip(steps, 0, np.array(self.shape) - 1).T
+        number: NDArray[np.int64] = i + self.shape[0] * (j + self.shape[1] * k)
+        return number
 
 
 def voxel_label(index: int) -> str:
