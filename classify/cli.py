@@ -7,11 +7,11 @@ import contextlib
 import json
 import os
 import sys
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from generator.cli import LineProgress, guarded
+from generator.cli import LineProgress, guarded, print_table
 from generator.spec import NlosError
 
 if TYPE_CHECKING:
@@ -250,6 +250,26 @@ def _parser() -> argparse.ArgumentParser:
     )
     locate.set_defaults(run=_locate)
 
+    trade = commands.add_parser(
+        "tradeoff",
+        help="say what better pictures are worth",
+        description="Answer the pictures that nlos-generate tradeoff rendered in every way, through the atlas' "
+        "sensor: from which samples on the sensor's noise decides, and rendering no longer.",
+        epilog="example:\n  nlos-generate tradeoff room.blend -o trade/\n  nlos-classify tradeoff trade/ room.atlas",
+        formatter_class=_RAW,
+    )
+    trade.add_argument("folder", type=Path, help="of nlos-generate tradeoff")
+    trade.add_argument("atlas", type=Path, metavar="FILE.atlas")
+    trade.add_argument("--noises", type=int, default=5, metavar="N", help="looks at each picture (default: 5)")
+    trade.add_argument("--seed", type=int, default=0, metavar="N", help="of the sensor's noise (default: 0)")
+    trade.add_argument(
+        "--false-alarm", type=float, default=0.01, metavar="P", help="share of empty scenes (default: 0.01)"
+    )
+    trade.add_argument(
+        "--frames", type=int, metavar="N", help="to average, no more than the atlas was made for (default: as many)"
+    )
+    trade.set_defaults(run=_tradeoff)
+
     track = commands.add_parser(
         "track",
         help="follow an object that moves, frame by frame",
@@ -452,7 +472,7 @@ def _compare(options: argparse.Namespace) -> int:
             sets, names, settings=chosen, folds=options.folds, seed=options.seed, progress=progress
         )
     page = report.write(options.output, results, sets, names, options.folds)
-    _print_table(
+    print_table(
         "accuracy with its 95 % interval",
         ("scenario", "classifier", "paper's", "its settings, here", "tuned, here"),
         report.text_table(results),
@@ -485,7 +505,7 @@ def _learn(options: argparse.Namespace) -> int:
     table = learning.rows(points)
     where = options.test or f"{100 * learning.HELD_OUT:.0f} % of it, held out"
     title = f"{options.features}, tested on {where}"
-    _print_table(title, learning.HEADINGS, table)
+    print_table(title, learning.HEADINGS, table)
     best = max(points, key=lambda point: point.accuracy.value)
     lead = [f"{best.classifier} on {best.count} pictures is right most often: {best.accuracy.percent()}."]
     print(lead[0])
@@ -578,7 +598,7 @@ def _locate(options: argparse.Namespace) -> int:
     title = f"{options.dataset}, each with its 95 % interval"
     headings = ("voxel", "pictures", "right voxel", "median error", "within 95 % region", "detected")
     table = answers.rows()
-    _print_table(title, headings, table)
+    print_table(title, headings, table)
     alarms = f"in empty scenes, something is found in {answers.false_alarms().percent()}"
     print(alarms)
     print(f"an answer takes {1000.0 * float(np.median(answers.seconds)):.1f} ms (median)")
@@ -606,6 +626,38 @@ def _loaded(options: argparse.Namespace) -> Atlas:
     found = found if options.frames is None else found.at(options.frames)
     voxels = getattr(options, "voxels", None)
     return found if voxels is None else found.cut(tuple(voxels))
+
+
+def _tradeoff(options: argparse.Namespace) -> int:
+    from classify import models, page, tradeoff
+
+    models.check_seed(options.seed)
+    if options.noises < 1:
+        raise NlosError(f"--noises {options.noises}: must be 1 or more")
+    if not options.folder.is_dir():
+        raise NlosError(f"{options.folder}: no such folder")
+    atlas = _loaded(options)
+    with _progress("answering", "ways to render") as progress:
+        found = tradeoff.worths(
+            options.folder,
+            atlas,
+            false_alarm=options.false_alarm,
+            noises=options.noises,
+            seed=options.seed,
+            progress=progress,
+        )
+    table, lead = tradeoff.rows(found), tradeoff.enough(found)
+    frames = atlas.sensor.frames
+    title = f"{options.folder}: {found[0].count} answers each, {frames} frame{'s' if frames > 1 else ''}"
+    print_table(title, tradeoff.HEADINGS, table)
+    for line in lead:
+        print(line)
+    tradeoff.draw(options.folder / "worth.png", found, title)
+    drawn = {"worth.png": "Against the time that a picture takes to render, with 95 % intervals."}
+    sources = {"pictures": options.folder, **page.of_atlas(atlas), "seed of the noise": options.seed}
+    tables = [page.Table(title, tradeoff.HEADINGS, table)]
+    print(page.write(options.folder, "What are better pictures worth?", lead, drawn, tables, sources))
+    return 0
 
 
 def _track(options: argparse.Namespace) -> int:
@@ -679,7 +731,7 @@ def _detect(options: argparse.Namespace) -> int:
         )
     headings = ["voxel", "from the wall", *(f"{n} frame{'s' if n > 1 else ''}" for n in exposures)]
     table = detect.rows(found, made)
-    _print_table(f"{options.atlas}: found, at {100.0 * options.false_alarm:g} % false alarms", headings, table)
+    print_table(f"{options.atlas}: found, at {100.0 * options.false_alarm:g} % false alarms", headings, table)
     if options.output:
         write_text(options.output / "detect.csv", csv_text(headings, table))
         detect.draw(options.output / "detect.png", found, made, options.false_alarm)
@@ -727,7 +779,7 @@ def _bound(options: argparse.Namespace) -> int:
     if one:
         headings += ["presence", "x cm", "y cm", "z cm", "turn unknown", "noticed: x cm", "y cm", "z cm"]
     title = f"{options.atlas}: the best that any method can do"
-    _print_table(title, headings, bound.rows(found, best, synthesis))
+    print_table(title, headings, bound.rows(found, best, synthesis))
     print(f"median error of the position, wherever the object is: {best.error.centimetres()}")
     if synthesis is None:
         return 0
@@ -742,26 +794,6 @@ def _bound(options: argparse.Namespace) -> int:
         bound.draw(options.map, found, drawn)
         print(options.map)
     return 0
-
-
-def _print_table(title: str, headings: Sequence[str], rows: Sequence[Sequence[str]]) -> None:
-    """Print a table; what its first column repeats is written once, and ends with a line."""
-    from rich.console import Console
-    from rich.table import Table
-
-    table = Table(title=title, title_justify="left")
-    for heading in headings:
-        table.add_column(heading, no_wrap=True)
-    repeated = len({row[0] for row in rows}) < len(rows)
-    last = ""
-    for first, *cells in rows:
-        if repeated and last and first != last:
-            table.add_section()
-        table.add_row("" if first == last else first, *cells)
-        last = first
-    console = Console()
-    # In a log or a pipe the table must not be squeezed into 80 columns.
-    Console(width=None if console.is_terminal else 160).print(table)
 
 
 if __name__ == "__main__":

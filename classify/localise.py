@@ -34,6 +34,8 @@ _DRAWS = 1500
 _ROUNDS = 2
 _LEANING = 1e-2
 _MOST_STEPS, _SETTLED, _STUCK = 30, 1e-2, 1e4
+_ALONE = 3.0
+"""Poses (effective number) below which what lies between them decides on the voxel too: more may be apart."""
 _WIDER = 1.5
 """Standard deviations of what is drawn, in those of what is sought."""
 
@@ -91,7 +93,7 @@ def locate(atlas: Atlas, code: NDArray[np.float32], *, seed: int = 0, without: i
         position, covariance = _moments(atlas.positions[some], weights[some])
     else:
         position, covariance, between = _sharpened(atlas, code, logs, seed)
-        voxels = voxels if between is None else between
+        voxels = between if between is not None and poses < _ALONE else voxels
     return Place(voxels, position, covariance, top + math.log(total / len(logs)), poses)
 
 

@@ -173,6 +173,7 @@ def run(
     *,
     false_alarm: float = 0.01,
     seed: int = 0,
+    empty: int = _EMPTY,
     progress: Callable[[int, int], None] = lambda done, total: None,
 ) -> Trial:
     """Answer every picture of a data set, as the atlas' sensor would have seen it.
@@ -186,6 +187,8 @@ def run(
         Share of empty scenes that may be taken for something.
     seed : int
         Of the sensor's noise.
+    empty : int
+        How many pictures of the empty scene are looked at for false alarms.
     progress : callable
         Is told how many pictures are done, and of how many.
 
@@ -211,7 +214,7 @@ def run(
         seconds.append(time.perf_counter() - start)
         progress(done + 1, len(records))
     rng = np.random.default_rng([seed, 5])
-    empty = [atlas.code(atlas.sensor.measure(clean, rng, pattern=seed), background) for _ in range(_EMPTY)]
+    codes_of_empty = [atlas.code(atlas.sensor.measure(clean, rng, pattern=seed), background) for _ in range(empty)]
     if dataset.grid != grid:  # the same volume, cut otherwise
         own = grid.voxels(np.array([record.position for record in records]))
         records = [replace(r, voxel=int(v), label=grid.labels[v]) for r, v in zip(records, own, strict=True)]
@@ -219,7 +222,7 @@ def run(
         records=records,
         places=places,
         evidence=evidence(atlas, np.array(codes)),
-        empty=evidence(atlas, np.array(empty)),
+        empty=evidence(atlas, np.array(codes_of_empty)) if empty else np.zeros(0),
         detector=Detector.at(atlas, false_alarm, seed=seed),
         labels=tuple(atlas.grid.labels),
         seconds=np.array(seconds),

@@ -4,15 +4,16 @@ from __future__ import annotations
 
 import argparse
 import contextlib
+import functools
 import math
 import sys
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import fields
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from generator import spec
+from generator import budget, spec
 from generator.dataset import Dataset
 from generator.spec import NlosError, Sweep
 from generator.sweep import clock
@@ -102,6 +103,13 @@ def _parser() -> argparse.ArgumentParser:
     _add_sweep_options(sweep)
     sweep.add_argument(
         "--workers", type=int, default=0, metavar="W", help="processes (default: one per core; on a GPU four)"
+    )
+    sweep.add_argument(
+        "--budget",
+        type=_told(budget.seconds),
+        metavar="T",
+        help="90s, 10min, 2h: take the engine, and the samples or accuracy, with which a new set ends in that time, "
+        "measured on this scene and machine",
     )
     sweep.set_defaults(run=_sweep)
 
@@ -195,6 +203,30 @@ def _parser() -> argparse.ArgumentParser:
     )
     experiment.set_defaults(run=_experiment)
 
+    trade = commands.add_parser(
+        "tradeoff",
+        help="measure what a picture costs and how wrong it is, for engines and settings",
+        description="Render the same poses by a ladder of engines, samples and accuracies, with and without denoiser "
+        "and pairing, and say what each costs on this machine and how far it is from the reference. Interrupt it "
+        "at any time: the same command goes on.",
+        epilog="example:\n  nlos-generate tradeoff room.blend -o trade/\n  nlos-classify tradeoff trade/ room.atlas",
+        formatter_class=argparse.RawDescriptionHelpFormatter,
+    )
+    trade.add_argument("scene", type=Path, help="the .blend file")
+    trade.add_argument("-o", "--output", type=Path, required=True, metavar="FOLDER", help="a data set for each way")
+    trade.add_argument("--poses", type=int, default=3, metavar="N", help="per voxel (default: 3)")
+    trade.add_argument("--seed", type=int, default=0, metavar="N", help="of all poses and all noise (default: 0)")
+    trade.add_argument("--resolution", metavar="R", help="64 or 64x48 (default: the scene's)")
+    trade.add_argument(
+        "--most",
+        type=_told(budget.seconds),
+        default=600.0,
+        metavar="T",
+        help="leave out what would take longer, judged by the cheaper (default: 10min)",
+    )
+    trade.add_argument("--workers", type=int, default=0, metavar="W", help="processes (default: one per core)")
+    trade.set_defaults(run=_tradeoff)
+
     verify = commands.add_parser(
         "verify",
         help="re-read a whole data set and list what is wrong",
@@ -220,6 +252,18 @@ def _add_sweep_options(parser: argparse.ArgumentParser, *, frames: bool = False)
     parser.add_argument("--shard", default="0/1", metavar="i/n", help="render the i-th of n parts only (from 0)")
 
 
+def _told(read: Callable[[str], float]) -> Callable[[str], float]:
+    """A reader of a number whose own words are shown when it refuses."""
+
+    def reader(text: str) -> float:
+        try:
+            return read(text)
+        except NlosError as error:
+            raise argparse.ArgumentTypeError(str(error)) from None
+
+    return reader
+
+
 def _add_engine_options(parser: argparse.ArgumentParser) -> None:
     default = Sweep()
     parser.add_argument(
@@ -240,9 +284,15 @@ def _add_engine_options(parser: argparse.ArgumentParser) -> None:
     )
     parser.add_argument(
         "--accuracy",
-        type=float,
+        type=_told(budget.fraction),
         metavar="A",
-        help=f"relative error of surfel's pictures (default: {default.accuracy:g})",
+        help=f"error relative to what the object changes, 0.01 or 1%%, of surfel (default: {default.accuracy:g}); "
+        "with sweep, of path and patch too, which then take as many samples as that needs",
+    )
+    parser.add_argument(
+        "--denoise",
+        action=argparse.BooleanOptionalAction,
+        help="clean what path and patch render with Open Image Denoise: smooth, and biased (default: off)",
     )
     parser.add_argument(
         "--paired",
@@ -347,6 +397,26 @@ class LineProgress:
         print(f"{done} of {total} {self._what}{left}", flush=True)
 
 
+def print_table(title: str, headings: Sequence[str], rows: Sequence[Sequence[str]]) -> None:
+    """Print a table; what its first column repeats is written once, and ends with a line."""
+    from rich.console import Console
+    from rich.table import Table
+
+    table = Table(title=title, title_justify="left")
+    for heading in headings:
+        table.add_column(heading, no_wrap=True)
+    repeated = len({row[0] for row in rows}) < len(rows)
+    last = ""
+    for first, *cells in rows:
+        if repeated and last and first != last:
+            table.add_section()
+        table.add_row("" if first == last else first, *cells)
+        last = first
+    console = Console()
+    # In a log or a pipe the table must not be squeezed into 80 columns.
+    Console(width=None if console.is_terminal else 160).print(table)
+
+
 @contextlib.contextmanager
 def _progress() -> Iterator[Callable[[int, int], None]]:
     if not sys.stderr.isatty():
@@ -392,10 +462,47 @@ def _scene(options: argparse.Namespace) -> int:
 def _sweep(options: argparse.Namespace) -> int:
     from generator import sweep
 
+    limit, accuracy = getattr(options, "budget", None), None
+    if limit and options.shard != "0/1":
+        raise NlosError("--budget: is one machine's; leave --shard out, or name the samples")
+    if limit or options.engine in ("path", "patch"):
+        accuracy, options.accuracy = options.accuracy, None  # decides on settings, and is none itself
     chosen = chosen_settings(options)
+    if (limit or accuracy) and not Dataset.exists(options.output):
+        chosen = budget.choose(
+            options.scene,
+            chosen,
+            budget=limit or math.inf,
+            accuracy=accuracy or 0.0,
+            workers=options.workers,
+            tell=print,
+        )
     with _progress() as progress:
         outcome = sweep.run(options.scene, options.output, chosen, progress=progress, tell=print, **_farm(options))
     return _report(outcome.dataset, outcome.rendered, outcome.remaining, outcome.failed)
+
+
+def _tradeoff(options: argparse.Namespace) -> int:
+    from generator import tradeoff
+
+    if not 1 <= options.poses <= Sweep.poses:
+        raise NlosError(f"--poses {options.poses}: must be from 1 to {Sweep.poses}")
+    if options.output.exists() and not options.output.is_dir():
+        raise NlosError(f"{options.output}: is a file; name a folder")
+    names = ("poses", "seed", "resolution", "most", "workers")
+    found = tradeoff.run(
+        options.scene,
+        options.output,
+        **{name: getattr(options, name) for name in names},
+        tell=functools.partial(print, flush=True),
+    )
+    title = f"{options.scene.name}, {options.poses} poses a voxel, seed {options.seed}"
+    print_table(f"{title}; intervals of 95 %", tradeoff.HEADINGS, tradeoff.rows(found))
+    for line in tradeoff.advice(found):
+        print(line)
+    for path in tradeoff.write(options.output, found, title):
+        print(path)
+    return 0
 
 
 def _trajectory(options: argparse.Namespace) -> int:

@@ -189,7 +189,7 @@ def opened(
 
 def settings(sweep: Sweep) -> dict[str, Any]:
     """Return what `opened` wants to know of a sweep besides its engine."""
-    return {name: getattr(sweep, name) for name in ("resolution", "accuracy", "device")}
+    return {name: getattr(sweep, name) for name in ("resolution", "accuracy", "device", "denoise")}
 
 
 def use_gpu(overrides: stage.Overrides) -> list[str]:

@@ -350,6 +350,8 @@ class Sweep:
         Camera rays per pixel, of `path` and `patch`.
     device : {"cpu", "gpu"}
         That `path` and `patch` render on. A GPU's pixels are its own to the last bit, so it is part of the settings.
+    denoise : bool
+        Clean what `path` and `patch` render with Open Image Denoise: smooth, and biased.
     paired : bool
         Render each pose's background with the pose's own noise and keep only the difference of the two on top of
         the common background: unbiased, twice the cost, and a far smaller error where the object changes little.
@@ -374,6 +376,7 @@ class Sweep:
     engine: Literal["path", "patch", "surfel"] = "patch"
     samples: int = 512
     device: Literal["cpu", "gpu"] = "cpu"
+    denoise: bool = False
     paired: bool = True
     resolution: tuple[int, int] = (64, 64)
     poses: int = 100
@@ -387,7 +390,7 @@ class Sweep:
     @classmethod
     def idle(cls, engine: str) -> tuple[str, ...]:
         """Return the settings that mean nothing to an engine."""
-        return ("samples", "device", "paired") if engine == "surfel" else ("accuracy",)
+        return ("samples", "device", "denoise", "paired") if engine == "surfel" else ("accuracy",)
 
     @property
     def unused(self) -> tuple[str, ...]:

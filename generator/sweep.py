@@ -140,6 +140,11 @@ def run(
     return outcome
 
 
+def available_cores() -> int:
+    """Return how many cores this process may use."""
+    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+
+
 def clock(seconds: float) -> str:
     """Return a time that is left, as people read it: 1:05 or 2:00:07."""
     minutes, seconds = divmod(round(seconds), 60)
@@ -188,7 +193,7 @@ class _Made(Protocol):
 
 def check_same(dataset: _Made, scene: Path, chosen: Mapping[str, Any]) -> None:
     """Raise NlosError, naming each difference, if a data set was made from another scene or with other settings."""
-    own = {"device": Sweep.device, **dataset.settings}  # older sets knew of no other
+    own = {"device": Sweep.device, "denoise": Sweep.denoise, **dataset.settings}  # older sets knew of no other
     width, height = own["resolution"]
     differences = []
     for name, value in chosen.items():
@@ -384,7 +389,7 @@ class Crew:
         NlosError
             A worker answered with one, which ends the work.
         """
-        cores = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+        cores = available_cores()
         crew = max(1, min(workers or cores, len(units)))
         self._total = sum(map(self._size, units))
         self._progress(0, self._total)

@@ -13,7 +13,7 @@ import sys
 import time
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import asdict
+from dataclasses import asdict, replace
 from importlib import metadata
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -21,7 +21,7 @@ from typing import TYPE_CHECKING, Any
 import bpy
 import numpy as np
 
-from generator import check, engines, experiments, poses, spec, stage
+from generator import check, engines, experiments, poses, rehearsal, spec, stage
 from generator.clearance import clearance
 from generator.dataset import (
     BACKGROUND_AMBIENT,
@@ -213,7 +213,8 @@ def check_scene(scene: bpy.types.Scene, chosen: Mapping[str, Any]) -> list[check
 def picture(scene: bpy.types.Scene, folder: Path, chosen: Mapping[str, Any], *, denoise: bool) -> None:
     """Render the scene as it stands, with and without the target, and write both pictures into a folder."""
     sweep, _ = settled(scene, stage.read(scene), chosen)
-    with engines.opened(scene, sweep.engine, denoise=denoise, **engines.settings(sweep)) as renderer:
+    sweep = replace(sweep, denoise=denoise)
+    with engines.opened(scene, sweep.engine, **engines.settings(sweep)) as renderer:
         for name, target in (("wall", True), ("background", False)):
             pixels = renderer.render(samples=sweep.samples, seed=sweep.seed, target=target)
             write_picture(folder / f"{name}.exr", pixels, {})
@@ -232,10 +233,11 @@ def commands() -> Iterable[list[int]]:
 
 
 def main(argv: list[str]) -> int:
-    """Do one of five things.
+    """Do one of six things.
 
     ``plan SCENE DATASET SETTINGS``; ``render DATASET THREADS``, positions on standard input;
-    ``check SCENE SETTINGS``, which answers what it found; ``picture SCENE FOLDER SETTINGS denoise|plain``, which
+    ``check SCENE SETTINGS``, which answers what it found; ``rehearse SCENE SETTINGS THREADS I/N``, which answers
+    what a few pictures took; ``picture SCENE FOLDER SETTINGS denoise|plain``, which
     leaves ``wall.exr`` and ``background.exr`` in the folder; ``experiment SCENE FILE
     NUMBER``, which leaves its pictures in the file.
     """
@@ -247,6 +249,11 @@ def main(argv: list[str]) -> int:
         elif argv[0] == "check":
             scene = stage.open_file(Path(argv[1]))
             answer(findings=[asdict(found) for found in check_scene(scene, json.loads(argv[2]))])
+        elif argv[0] == "rehearse":
+            scene = stage.open_file(Path(argv[1]))
+            sweep, _ = settled(scene, stage.read(scene), json.loads(argv[2]))
+            index, _, count = argv[4].partition("/")
+            answer(**rehearsal.answer(scene, sweep, (int(index), int(count)), int(argv[3])))
         elif argv[0] == "picture":
             picture(stage.open_file(Path(argv[1])), Path(argv[2]), json.loads(argv[3]), denoise=argv[4] == "denoise")
             answer(rendered=True)

@@ -1,0 +1,224 @@
+"""Settings of a sweep from what it may take or how exact it must be: measured on this scene and this machine."""
+
+from __future__ import annotations
+
+import contextlib
+import json
+import math
+import re
+import time
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from generator import sweep
+from generator.spec import NlosError, Sweep
+
+FINE = 1e-4
+"""Of `surfel`: finer than this, float32 pictures do not hold what an object changes by a thousandth."""
+
+_COARSE = 0.3
+_FILL = 0.9
+"""Share of what is left of the budget that the sweep is planned to take: machines are not all alike all the time."""
+_MOST_SAMPLES = 2**20
+_BACKGROUND = 16
+"""Pictures that the background counts for (`generator.worker.BACKGROUND_FACTOR`)."""
+_UNITS = {"": 1.0, "s": 1.0, "min": 60.0, "m": 60.0, "h": 3600.0, "d": 86400.0}
+
+
+def seconds(text: str) -> float:
+    """Return a time in seconds: 90, 90s, 10min, 1.5h, 2d.
+
+    Raises
+    ------
+    NlosError
+        It is none.
+    """
+    match = re.fullmatch(r"\s*(\d+\.?\d*|\.\d+)\s*([a-z]*)\s*", text)
+    if not match or match[2] not in _UNITS or float(match[1]) <= 0.0:
+        raise NlosError(f"time {text!r}: must read like 90s, 10min, 1.5h or 2d")
+    return float(match[1]) * _UNITS[match[2]]
+
+
+def fraction(text: str) -> float:
+    """Return a relative accuracy: 0.01 or 1%.
+
+    Raises
+    ------
+    NlosError
+        It is none.
+    """
+    number, percent, rest = text.strip().partition("%")
+    try:
+        value = float(number) / (100.0 if percent else 1.0)
+    except ValueError:
+        value = math.nan
+    if rest or not 0.0 < value < 1.0:
+        raise NlosError(f"accuracy {text!r}: must be between 0 and 1, or read like 1%")
+    return value
+
+
+@dataclass(frozen=True)
+class Measured:
+    """What a rehearsal of a scene tells of all sweeps of it with one engine.
+
+    Attributes
+    ----------
+    engine : str
+    voxels : int
+    start : float
+        Seconds before the first and after the last picture.
+    fixed, slope, power : float
+        A picture takes ``fixed + slope * work**power`` seconds, where work is the samples, or the inverse of the
+        accuracy.
+    noise : float
+        Of Cycles: relative error of a difference picture of one sample, in the median pose.
+    workers : float
+        Pictures rendered at a time.
+    """
+
+    engine: str
+    voxels: int
+    start: float
+    fixed: float
+    slope: float
+    power: float
+    noise: float
+    workers: float
+
+    def picture(self, work: float) -> float:
+        """Return the seconds that a picture takes one worker."""
+        return float(self.fixed + self.slope * work**self.power)
+
+    def total(self, work: float, pictures: int) -> float:
+        """Return the seconds that a sweep takes."""
+        background = 0.0 if self.engine == "surfel" else self.picture(_BACKGROUND * work) / 2.0
+        return self.start + background + pictures * self.picture(work) / self.workers
+
+    def most(self, limit: float, pictures: int, low: float, high: float) -> float:
+        """Return the most work, between two bounds, that a sweep does in a time; the lower one if none fits."""
+        for _ in range(60):
+            middle = math.sqrt(low * high)
+            low, high = (middle, high) if self.total(middle, pictures) <= limit else (low, middle)
+        return low
+
+
+def choose(
+    scene: Path,
+    chosen: Mapping[str, Any],
+    *,
+    budget: float = math.inf,
+    accuracy: float = 0.0,
+    workers: int = 0,
+    tell: Callable[[str], None] = lambda words: None,
+) -> dict[str, Any]:
+    """Return the settings of a sweep that ends in a time, or is as exact as asked for, whichever takes less.
+
+    A pose in each of some voxels is rendered twice and thrown away (`generator.rehearsal`); noise falls with the
+    root of the samples.
+
+    Parameters
+    ----------
+    scene : Path
+    chosen : mapping
+        Fields of `Sweep` that the user chose; the engine is ``auto`` if it is not among them.
+    budget : float
+        Seconds, from now on, the rehearsal included.
+    accuracy : float
+        Relative root mean square error of a difference picture, in the median pose; 0 is as exact as can be.
+    workers : int
+        As of `generator.sweep.run`.
+    tell : callable
+        Is told what was measured and chosen.
+
+    Raises
+    ------
+    NlosError
+        Not even the least work ends in time, samples were chosen too, or the scene cannot be swept.
+    """
+    if "samples" in chosen:
+        raise NlosError("samples: follow from --budget and --accuracy; leave them out, or leave these out")
+    begun = time.monotonic()
+    settings = {"engine": "auto", **{k: v for k, v in chosen.items() if k != "accuracy"}}
+    if words := sweep.compiling_words(str(settings["engine"])):
+        tell(words)
+    measured = _measure(scene, settings, workers)
+    pictures = int(settings.get("poses", Sweep.poses)) * measured.voxels
+    surfel = measured.engine == "surfel"
+    left = budget - (time.monotonic() - begun)
+    low, high = (1.0 / _COARSE, 1.0 / FINE) if surfel else (1.0, float(_MOST_SAMPLES))
+    if accuracy:
+        wanted = 1.0 / max(accuracy, FINE) if surfel else (measured.noise / accuracy) ** 2
+        high = min(max(low, wanted), high)
+    work = high if measured.total(high, pictures) <= left else measured.most(_FILL * left, pictures, low, high)
+    least = measured.total(low, pictures)
+    if least > left:
+        raise NlosError(
+            f"--budget: {pictures} pictures take {sweep.clock(least)} at the very least, and "
+            f"{sweep.clock(max(left, 0.0))} are left of it; ask for fewer poses, a lower resolution, or more time"
+        )
+    settings["engine"] = measured.engine
+    took = sweep.clock(measured.total(work, pictures))
+    if surfel:
+        settings["accuracy"] = float(f"{1.0 / work:.2g}")
+        error, words = settings["accuracy"], f"accuracy {settings['accuracy']:g}"
+    else:
+        settings["samples"] = max(1, math.floor(work))
+        error, words = measured.noise / math.sqrt(settings["samples"]), f"{settings['samples']} samples"
+    reason = "as exact as asked for" if accuracy and work >= high else "what the budget allows"
+    if surfel and work >= 1.0 / FINE:
+        reason = "as exact as float32 pictures can hold"
+    tell(f"{measured.engine}, {words}: {reason}; about {took}, error of a difference picture {_percent(error)}")
+    return settings
+
+
+def _percent(share: float) -> str:
+    return f"{100.0 * share:.2g} %"
+
+
+def _measure(scene: Path, settings: Mapping[str, Any], workers: int) -> Measured:
+    """Rehearse on as many workers as the sweep will have, side by side."""
+    cores = sweep.available_cores()
+    crew = max(1, min(workers or cores, _VOXELS))
+    begun = time.monotonic()
+    arguments = ["generator.worker", "rehearse", str(scene), json.dumps(settings), str(max(1, cores // crew))]
+    with contextlib.ExitStack() as stack:
+        started = [stack.enter_context(sweep.Worker([*arguments, f"{i}/{crew}"])) for i in range(crew)]
+        told = [worker.answer() for worker in started]
+        for worker, answer in zip(started, told, strict=True):
+            if answer is None:
+                raise NlosError(f"{scene}: could not be rehearsed: {worker.last_words()}")
+    wall = time.monotonic() - begun
+    found = [Rehearsed(**answer) for answer in told if answer]
+    engine, work, each = found[0].engine, found[0].work, np.mean([f.seconds for f in found], axis=0)
+    shortest = 1e-4  # of what a clock may be trusted with
+    if engine == "surfel":  # all of it grows with the accuracy, slowly
+        power = max(0.0, math.log(max(each[1], shortest) / max(each[0], shortest)) / math.log(work[1] / work[0]))
+        fixed, slope, noise = _WRITING, max(float(each[1]), shortest) / work[1] ** power, 0.0
+    else:
+        power, slope = 1.0, max(float(each[1] - each[0]), shortest) / (work[1] - work[0])
+        fixed = max(0.0, float(each[0]) - slope * work[0]) + _WRITING
+        noise = math.sqrt(float(np.median([n for f in found for n in f.noise])))
+    # What was no picture is Blender's start, which a sweep waits for twice or thrice: plan, background, crew.
+    idle = max(0.0, wall - sum(found[0].seconds) * math.ceil(_VOXELS / crew))
+    starts = 2.0 if engine == "surfel" else 3.0
+    return Measured(engine, found[0].voxels, starts * idle, fixed, slope, power, noise, float(workers or cores))
+
+
+_VOXELS = 9
+_WRITING = 2e-3
+"""Seconds to write a picture and its line."""
+
+
+@dataclass(frozen=True)
+class Rehearsed:
+    """A worker's answer: `generator.rehearsal.Rehearsal`, which needs Blender."""
+
+    engine: str
+    voxels: int
+    work: list[float]
+    seconds: list[float]
+    noise: list[float]

@@ -1,0 +1,124 @@
+"""Settings that follow from a time or an accuracy."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from generator import budget
+from generator.budget import Measured
+from generator.dataset import Dataset
+from generator.spec import NlosError
+from generator.tradeoff import differences
+
+PATCH = Measured("patch", 9, start=5.0, fixed=0.01, slope=0.002, power=1.0, noise=20.0, workers=2.0)
+SURFEL = Measured("surfel", 9, start=4.0, fixed=0.002, slope=0.001, power=0.5, noise=0.0, workers=2.0)
+
+
+@pytest.mark.parametrize(("text", "wanted"), [("90", 90.0), ("90s", 90.0), ("10min", 600.0), ("1.5h", 5400.0)])
+def test_times_are_read(text, wanted):
+    assert budget.seconds(text) == wanted
+
+
+@pytest.mark.parametrize("text", ["", "soon", "-3s", "0", "10 parsecs", "1e3", "nan"])
+def test_what_is_no_time_is_one_sentence(text):
+    with pytest.raises(NlosError, match="must read like 90s"):
+        budget.seconds(text)
+
+
+@pytest.mark.parametrize(("text", "wanted"), [("1%", 0.01), ("0.01", 0.01), ("12.5 %", 0.125), ("1e-3", 1e-3)])
+def test_accuracies_are_read(text, wanted):
+    assert budget.fraction(text) == pytest.approx(wanted)
+
+
+@pytest.mark.parametrize("text", ["", "0", "100%", "2", "1%%", "good", "nan", "-1%"])
+def test_what_is_no_accuracy_is_one_sentence(text):
+    with pytest.raises(NlosError, match="must be between 0 and 1"):
+        budget.fraction(text)
+
+
+def chosen(monkeypatch, measured, settings=None, **wanted):
+    monkeypatch.setattr(budget, "_measure", lambda *_: measured)
+    told = []
+    return budget.choose("room.blend", settings or {}, **wanted, tell=told.append), told[-1]
+
+
+@pytest.mark.parametrize("limit", [60.0, 600.0, 6000.0])
+def test_the_time_is_used_and_not_more(monkeypatch, limit):
+    made, words = chosen(monkeypatch, PATCH, budget=limit)
+    assert 0.8 * limit < PATCH.total(made["samples"], 900) < limit
+    assert "what the budget allows" in words
+
+
+def test_no_more_than_asked_for_is_done(monkeypatch):
+    made, words = chosen(monkeypatch, PATCH, budget=1e6, accuracy=0.5)
+    assert (made["engine"], made["samples"]) == ("patch", 1600)
+    assert "as exact as asked for" in words
+    assert "error of a difference picture 50 %" in words
+
+
+def test_the_scarcer_of_both_decides(monkeypatch):
+    made, words = chosen(monkeypatch, PATCH, budget=60.0, accuracy=0.5)
+    assert made["samples"] < 1600
+    assert "what the budget allows" in words
+
+
+def test_surfel_needs_no_more_than_float32_holds(monkeypatch):
+    made, words = chosen(monkeypatch, SURFEL, budget=1e6)
+    assert made == {"engine": "surfel", "accuracy": budget.FINE}
+    assert "as float32 pictures can hold" in words
+    made, words = chosen(monkeypatch, replace(SURFEL, slope=0.01), budget=60.0)
+    assert budget.FINE < made["accuracy"] < 0.3
+
+
+def test_too_little_time_is_one_sentence(monkeypatch):
+    with pytest.raises(NlosError, match="900 pictures take 0:10 at the very least, and 0:05 are left"):
+        chosen(monkeypatch, PATCH, budget=5.0)
+
+
+def test_samples_are_not_chosen_twice(monkeypatch):
+    with pytest.raises(NlosError, match="samples: follow from --budget"):
+        chosen(monkeypatch, PATCH, {"samples": 4}, budget=60.0)
+
+
+def test_pictures_are_as_exact_as_asked_for(tmp_path, scene_file, command):
+    """Against the engine without noise, at the same poses: the median error is the one that was promised."""
+    common = ("--poses", "3", "--resolution", "12")
+    noisy, exact = tmp_path / "noisy", tmp_path / "exact"
+    result = command("generator", "sweep", scene_file, "-o", noisy, *common, "--engine", "patch", "--accuracy", "60%")
+    assert result.returncode == 0, result.stderr
+    assert "as exact as asked for" in result.stdout
+    again = command("generator", "sweep", scene_file, "-o", noisy, "--engine", "patch", "--accuracy", "60%")
+    assert "nothing to do" in again.stdout, again.stderr
+    assert command("generator", "sweep", scene_file, "-o", exact, *common, "--engine", "surfel").returncode == 0
+    got, wanted = differences(Dataset.open(noisy)), differences(Dataset.open(exact))
+    error = np.sqrt(((got - wanted) ** 2).mean(axis=(1, 2)) / (wanted**2).mean(axis=(1, 2)))
+    # Noise differs from voxel to voxel by more than what nine poses tell of the median of all.
+    assert 0.6 / 2.5 < np.median(error) < 0.6 * 2.5
+
+
+def test_a_budget_from_the_shell(tmp_path, scene_file, command):
+    path = tmp_path / "set"
+    small = ("--poses", "1", "--resolution", "8")
+    result = command("generator", "sweep", scene_file, "-o", path, *small, "--budget", "10min")
+    assert result.returncode == 0, result.stderr
+    assert "surfel, accuracy 0.0001: as exact as float32 pictures can hold" in result.stdout
+    assert Dataset.open(path).sweep.accuracy == budget.FINE
+
+
+@pytest.mark.parametrize(
+    ("options", "words"),
+    [
+        (("--budget", "never"), "argument --budget: time 'never': must read like 90s"),
+        (("--budget", "1min", "--shard", "0/2"), "--budget: is one machine's"),
+        (("--accuracy", "500%"), "argument --accuracy: accuracy '500%': must be between 0 and 1"),
+        (("--budget", "1min", "--samples", "4"), "samples: follow from --budget and --accuracy"),
+    ],
+)
+def test_bad_input_is_one_sentence(tmp_path, scene_file, command, options, words):
+    result = command("generator", "sweep", scene_file, "-o", tmp_path / "set", *options)
+    assert result.returncode == 2
+    assert words in result.stderr
+    assert not (tmp_path / "set").exists()

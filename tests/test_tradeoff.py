@@ -1,0 +1,121 @@
+"""What a picture costs, how wrong it is, and what it is worth."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from classify import cli as classify_cli
+from generator import cli, tradeoff
+from generator.dataset import BACKGROUND, Dataset, PoseRecord
+from generator.spec import NlosError, Sweep, preset, to_dict
+from generator.tradeoff import Cost, Rung
+
+SHAPE = (6, 8)
+
+
+def test_the_front_is_what_no_other_beats():
+    x, y = [1.0, 2.0, 3.0, 4.0, 2.5], [9.0, 4.0, 5.0, 1.0, 4.0]
+    assert tradeoff.front(x, y) == [0, 1, 3]
+
+
+def make(folder, name, signal, seconds, *, background=1.0):
+    """A finished data set of given difference pictures (n, height, width)."""
+    labels = preset("room").grid.labels
+    records = [
+        PoseRecord(0, v, labels[v], (0.0, 0.0, 0.0), (0.0, 0.0, 0.0), 0, file=f"{labels[v]}/0.exr")
+        for v in range(len(signal))
+    ]
+    meta = {
+        "sweep": {**to_dict(Sweep(poses=1, resolution=SHAPE[::-1])), "scene_sha256": name},
+        "reference_radiance": 1.0,
+        "scene": to_dict(preset("room")),
+        "software": {"blender": "none"},
+    }
+    found = Dataset.create(folder / name, meta, records)
+    found.write_background(BACKGROUND, np.full((*SHAPE, 3), background, dtype=np.float32), seed=0, samples=1)
+    for record, picture in zip(records, signal, strict=True):
+        pixels = np.repeat((background + picture)[..., None], 3, axis=2).astype(np.float32)
+        found.write_pose(record, pixels, seconds=seconds, samples=1)
+    found.gather()
+
+
+@pytest.fixture
+def folder(tmp_path):
+    rng = np.random.default_rng(0)
+    signal = 0.1 * rng.uniform(0.5, 1.0, size=(9, *SHAPE))
+    make(tmp_path, tradeoff.REFERENCE, signal, 9.0)
+    noise = rng.normal(size=signal.shape)
+    noise *= 0.2 * np.sqrt((signal**2).mean(axis=(1, 2)) / (noise**2).mean(axis=(1, 2)))[:, None, None]
+    make(tmp_path, "patch-4", signal + noise, 1.0)
+    make(tmp_path, "patch-4-denoised", 0.9 * signal, 2.0, background=2.0)
+    return tmp_path
+
+
+def test_errors_are_relative_to_what_the_object_changes(folder):
+    patch, denoised = tradeoff.costs(folder)
+    assert (patch.name, patch.seconds) == ("patch-4", 1.0)
+    assert patch.error[0] == pytest.approx(0.2, rel=1e-3)
+    assert denoised.error[0] == pytest.approx(0.1, rel=1e-3)
+    assert denoised.level == pytest.approx((0.9, 0.9, 0.9), rel=1e-3), "a bias, of which no interval makes one unsure"
+    assert patch.level[1] < 1.0 < patch.level[2]
+    assert [row[-1] for row in tradeoff.rows([patch, denoised])] == ["yes", "yes"]
+
+
+def test_advice_takes_the_best_that_ends_in_time(monkeypatch):
+    monkeypatch.setattr(tradeoff.sweep, "available_cores", lambda: 2)
+    steps = [Cost(f"patch-{n}", 0.1 * n, (1.0 / n, 0.0, 1.0), (1.0, 1.0, 1.0)) for n in (1, 10, 100)]
+    told = tradeoff.advice(steps, budgets=(10.0, 60.0, 600.0))
+    assert told[0] == "900 pictures in 0:10: none ends; the quickest takes 0:45"
+    assert told[1] == "900 pictures in 1:00: take patch-1, error 100 %; the next useful step, patch-10, takes 7:30"
+    assert told[2].startswith("900 pictures in 10:00: take patch-10, error 10 %; the next useful step, patch-100")
+
+
+def test_folders_without_a_finished_reference_are_one_sentence(tmp_path):
+    with pytest.raises(NlosError, match="holds no reference"):
+        tradeoff.costs(tmp_path)
+    make(tmp_path, tradeoff.REFERENCE, np.ones((2, *SHAPE)), 1.0)
+    with pytest.raises(NlosError, match="holds nothing beside the reference"):
+        tradeoff.costs(tmp_path)
+
+
+def test_from_scene_to_worth(tmp_path, scene_file, command, monkeypatch, capsys):
+    """Few ways, few pixels: the ladder is rendered, resumed, measured, and answered by an atlas of the same scene."""
+    few = [
+        Rung(tradeoff.REFERENCE, {"engine": "surfel", "accuracy": 1e-3}),
+        Rung("surfel-0.1", {"engine": "surfel", "accuracy": 0.1}),
+        Rung("patch-4", {"engine": "patch", "samples": 4}),
+        Rung("patch-4096", {"engine": "patch", "samples": 2**24}),
+    ]
+    monkeypatch.setattr(tradeoff, "ladder", lambda surfel: few if surfel else [])
+    out = tmp_path / "trade"
+    arguments = ["tradeoff", str(scene_file), "-o", str(out), "--poses", "1", "--resolution", "8", "--most", "60"]
+    assert cli.main(arguments) == 0
+    told = capsys.readouterr().out
+    assert "patch-4096: left out, would take about" in told
+    assert {p.name for p in out.iterdir()} == {"reference", "surfel-0.1", "patch-4", "costs.csv", "costs.png"}
+    exact, noisy = sorted(tradeoff.costs(out), key=lambda cost: cost.error[0])
+    assert exact.name == "surfel-0.1"
+    assert exact.error[0] < 0.15
+    assert noisy.error[0] > 1.0, "four samples are no picture of a thousandth"
+
+    simulated, atlas = tmp_path / "simulated", tmp_path / "room.atlas"
+    bulk = ("bulk", scene_file, "-o", simulated, "--pictures", "90", "--resolution", "8", "--accuracy", "0.01")
+    assert command("generator", *bulk).returncode == 0
+    assert classify_cli.main(["atlas", str(simulated), "-o", str(atlas)]) == 0
+    assert classify_cli.main(["tradeoff", str(out), str(atlas), "--noises", "2"]) == 0
+    told = capsys.readouterr().out
+    assert "Without noise of rendering" in told
+    assert "18 answers each" in told
+    assert {"worth.png", "report.html"} <= {p.name for p in out.iterdir()}
+
+
+@pytest.mark.parametrize(
+    ("arguments", "words"),
+    [(("--poses", "0"), "--poses 0: must be from 1"), (("--most", "x"), "argument --most: time 'x'")],
+)
+def test_bad_input_is_one_sentence(tmp_path, scene_file, command, arguments, words):
+    result = command("generator", "tradeoff", scene_file, "-o", tmp_path / "t", *arguments)
+    assert result.returncode == 2
+    assert words in result.stderr
+    assert not (tmp_path / "t").exists()
