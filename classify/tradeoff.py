@@ -120,7 +120,7 @@ def enough(found: Sequence[Worth]) -> list[str]:
             first = min(good, key=lambda w: w.seconds)
             told.append(f"{engine}: what {first.name} ({first.seconds:.3g} core seconds) loses cannot be told.")
         elif plain:
-            best = max(plain, key=lambda w: w.accuracy.value)
+            best = max(plain, key=lambda w: (w.accuracy.value, w.seconds))
             told.append(f"{engine}: even {best.name} loses: {best.accuracy.percent()}.")
     return told
 

@@ -227,6 +227,28 @@ def _parser() -> argparse.ArgumentParser:
     trade.add_argument("--workers", type=int, default=0, metavar="W", help="processes (default: one per core)")
     trade.set_defaults(run=_tradeoff)
 
+    plan = commands.add_parser(
+        "plan",
+        help="measure what each part of a scene contributes, and what may be left out",
+        description="Leave out of a plain diffuse scene one part after the other - the object's shadow on the room, "
+        "the extent of the lit patch, each surface - and say by how much the difference picture is then wrong, and "
+        "what may be left out within a tolerance.",
+        epilog="example:\n  nlos-generate plan room.blend --tolerance 1% -o plan/",
+        formatter_class=argparse.RawDescriptionHelpFormatter,
+    )
+    plan.add_argument("scene", type=Path, help="the .blend file")
+    plan.add_argument(
+        "--tolerance",
+        type=_told(budget.fraction),
+        default=0.01,
+        metavar="A",
+        help="error of a difference picture that is allowed, 0.01 or 1%% (default: 1%%)",
+    )
+    plan.add_argument("-o", "--output", type=Path, metavar="FOLDER", help="for plan.csv and plan.png")
+    plan.add_argument("--poses", type=int, default=5, metavar="N", help="per voxel (default: 5)")
+    plan.add_argument("--seed", type=int, default=0, metavar="N", help="of the poses (default: 0)")
+    plan.set_defaults(run=_plan)
+
     verify = commands.add_parser(
         "verify",
         help="re-read a whole data set and list what is wrong",
@@ -502,6 +524,41 @@ def _tradeoff(options: argparse.Namespace) -> int:
         print(line)
     for path in tradeoff.write(options.output, found, title):
         print(path)
+    return 0
+
+
+def _plan(options: argparse.Namespace) -> int:
+    import numpy as np
+
+    from generator import effects, extract, poses, stage, worker
+    from generator.clearance import clearance
+    from generator.dataset import csv_text, write_text
+
+    if options.output and options.output.exists() and not options.output.is_dir():
+        raise NlosError(f"{options.output}: is a file; name a folder")
+    scene = stage.open_file(options.scene)
+    described = stage.read(scene)
+    world, reasons = extract.world(scene)
+    if world is None:
+        raise NlosError(f"{options.scene}: plan measures plain diffuse scenes only, and {'; '.join(reasons)}")
+    sweep, _ = worker.settled(scene, described, {"engine": "surfel", "poses": options.poses, "seed": options.seed})
+    is_free = clearance(scene, described, engine="surfel")
+    planned = poses.plan(described.grid, sweep, stage.hull(scene), is_free)
+    places, turns = (np.array([getattr(pose, name) for pose in planned]) for name in ("position", "rotation"))
+    found = effects.measure(world, extract.room_names(scene), places, turns, tolerance=options.tolerance)
+    title = f"{options.scene.name}, {len(planned)} poses, seed {options.seed}"
+    table = effects.rows(found)
+    print_table(f"{title}; intervals of 95 %", effects.HEADINGS, table)
+    if found.dropped:
+        error = "{:.2g} % ({:.2g} to {:.2g})".format(*(100.0 * s for s in found.together.share))
+        print(f"within {100.0 * options.tolerance:g} % one may leave out {found.together.name}: together {error}")
+        print(f"which makes {found.together.gain:.2g} times as many pictures a second")
+    else:
+        print(f"within {100.0 * options.tolerance:g} % nothing may be left out")
+    if options.output:
+        write_text(options.output / "plan.csv", csv_text(effects.HEADINGS, table))
+        effects.draw(options.output / "plan.png", found, options.tolerance, title)
+        print(options.output / "plan.png")
     return 0
 
 

@@ -113,7 +113,7 @@ def world(scene: bpy.types.Scene, *, resolution: tuple[int, int] | None = None) 
     parts = [s for s in reading.surfaces if s.role == "target"]
     spheres = [_sphere(part, origin) for part in parts]
     bodies = [sphere or _mesh([part], origin) for sphere, part in zip(spheres, parts, strict=True)]
-    named = dict.fromkeys(s.name for s in reading.surfaces if s.role == "room")
+    named = _room(reading)
     room = [_mesh([s for s in reading.surfaces if s.role == "room" and s.name == name]) for name in named]
     for surface in reading.surfaces:
         reasons += surface.flaws
@@ -127,6 +127,16 @@ def world(scene: bpy.types.Scene, *, resolution: tuple[int, int] | None = None) 
     if reasons or patch is None or watched is None:
         return None, list(dict.fromkeys(reasons))
     return World(patch=patch, watched=watched, target=tuple(bodies), room=tuple(room), order=order), []
+
+
+def room_names(scene: bpy.types.Scene) -> list[str]:
+    """Return the names of the objects that `world` calls the room, in its order."""
+    with stage.Overrides(), stage.put_back(scene):
+        return _room(_at_rest(scene, stage.find(scene, "target"))[0])
+
+
+def _room(reading: Any) -> list[str]:
+    return list(dict.fromkeys(s.name for s in reading.surfaces if s.role == "room"))
 
 
 def _refuse(engine: str, reasons: Sequence[str], *, instead: str) -> NoReturn:

@@ -8,6 +8,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from classify import cli
 from generator.bulk import Bulk
 from generator.poses import Sampler
 from generator.spec import NlosError, Sweep, VoxelGrid, preset
@@ -62,18 +63,42 @@ def test_a_grid_that_holds_none_is_one_sentence():
         stranger(narrow, TURNED, 0)
 
 
-def test_a_set_of_unknown_objects(tmp_path, scene_file, command):
-    path = tmp_path / "unknown"
-    made = ("bulk", scene_file, "-o", path, "--pictures", "22", "--part", "8", "--resolution", "8")
+@pytest.fixture(scope="module")
+def unknown(tmp_path_factory, scene_file, command):
+    """A set of five unknown objects, from the command line."""
+    path = tmp_path_factory.mktemp("unknown") / "set"
+    made = ("bulk", scene_file, "-o", path, "--pictures", "45", "--part", "8", "--resolution", "8")
     result = command("generator", *made, "--accuracy", "0.01", "--unknown")
     assert result.returncode == 0, result.stderr
-    found = Bulk.open(path)
+    return path
+
+
+def test_a_set_of_unknown_objects(unknown, scene_file, command):
+    found = Bulk.open(unknown)
     assert (found.target_kind, found.rotations.any()) == ("box", False)
     for number in (3, 13, 21):  # of the first, second and third index
         mesh = stranger(found.grid, found.plan.sweep, number // 9)
         one = Transport(replace(found.world(), target=(mesh,)), accuracy=0.01)
         alone = one.pictures([found.positions[number]], [found.rotations[number]])[0, :, :, 0]
         np.testing.assert_array_equal(found.pictures[number], alone)
-    other = command("generator", "bulk", scene_file, "-o", path, "--no-unknown")
+    other = command("generator", "bulk", scene_file, "-o", unknown, "--no-unknown")
     assert other.returncode == 2
     assert "unknown is True there and False here" in other.stderr
+
+
+def test_their_atlas_from_the_shell(unknown, tmp_path, capsys):
+    """A bound on the voxel and the place, and none of what is asked of one object only."""
+    atlas = str(tmp_path / "any.atlas")
+    assert cli.main(["atlas", str(unknown), "-o", atlas]) == 0
+    assert "45 pictures of a box" in capsys.readouterr().out
+    assert cli.main(["bound", atlas, str(unknown), "--count", "40", "--voxels", "3", "3", "2"]) == 0
+    told = capsys.readouterr().out
+    assert "median error of the position" in told
+    assert "presence" not in told
+    assert "\u2502 R     \u2502" in told, "eighteen voxels"
+    assert cli.main(["bound", atlas, str(unknown), "--map", str(tmp_path / "map.png")]) == 2
+    assert "draws what can be known of one object" in capsys.readouterr().err
+    assert cli.main(["atlas", str(unknown), "-o", atlas, "--unknown"]) == 2
+    assert "is of objects of all sizes and albedos already" in capsys.readouterr().err
+    assert cli.main(["locate", atlas, str(unknown), "--count", "18", "--voxels", "3", "3", "2"]) == 0
+    assert "within 95 % region" in capsys.readouterr().out

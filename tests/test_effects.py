@@ -1,0 +1,88 @@
+"""What may be left out of a scene, and by how much a picture is then wrong."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+import worlds
+
+from generator import effects
+from generator.effects import PATCH, SHADOW
+from generator.transport import Sphere, Transport
+
+FLOOR = worlds.quad((-2.0, 0.0, -1.0), (4.0, 0.0, 0.0), (0.0, 3.0, 0.0), 0.8)
+FAR = worlds.quad((5.0, 8.0, -1.0), (0.1, 0.0, 0.0), (0.0, 0.0, 0.1), 0.5)
+NAMES = ["floor", "far"]
+
+
+def ball(room=(FLOOR, FAR), **changes):
+    return worlds.world(Sphere(np.zeros(3), 0.15, np.ones(3)), room=room, **changes)
+
+
+def poses(count, seed):
+    rng = np.random.default_rng(seed)
+    return rng.uniform((0.6, 0.8, -0.75), (1.2, 1.4, -0.55), size=(count, 3)), np.zeros((count, 3))
+
+
+@pytest.fixture(scope="module")
+def plan():
+    return effects.measure(ball(), NAMES, *poses(20, 0), tolerance=0.02)
+
+
+def test_what_matters_is_needed_and_what_does_not_is_left_out(plan):
+    shares = {effect.name: effect.share[0] for effect in plan.effects}
+    assert list(shares) == sorted(shares, key=lambda name: -shares[name])
+    assert shares["far"] < 1e-3 < shares["floor"]
+    assert "far" in plan.dropped
+    assert "floor" not in plan.dropped
+    assert plan.together.share[2] <= 0.02
+
+
+def test_the_error_is_the_one_at_other_poses_too(plan):
+    """What was measured on some poses holds on others, within the interval or a factor of 1.5."""
+    places, turns = poses(20, 1)
+    for effect in (*plan.effects, plan.together):
+        dropped = plan.dropped if effect is plan.together else [effect.name]
+        some, shadows = effects.without(ball(), NAMES, dropped)
+        error = []
+        for place, turn in zip(places, turns, strict=True):
+            whole = Transport(ball(), accuracy=1e-4).difference(place, turn)
+            less = Transport(some, accuracy=1e-4).difference(place, turn, shadows=shadows)
+            error.append(np.sqrt(((less - whole) ** 2).mean() / (whole**2).mean()))
+        low, high = min(effect.share[1], effect.share[0] / 1.5), max(effect.share[2], 1.5 * effect.share[0])
+        # Of what is less than the engine's own error nobody knows how much it is.
+        assert low - 1e-3 < np.mean(error) < high + 1e-3, effect.name
+
+
+def test_shadow_and_floor_are_what_the_engine_calls_them():
+    place, turn = (1.0, 1.0, 0.0), (0.0, 0.0, 0.0)
+    made = Transport(ball(), accuracy=1e-4).render(place, turn)
+    wanted = np.sqrt((made.hidden**2).mean() / ((made.added - made.hidden) ** 2).mean())
+    got = effects.measure(ball(), NAMES, np.array([place]), np.array([turn]), accuracy=1e-4)
+    assert {e.name: e.share[0] for e in got.effects}[SHADOW] == pytest.approx(wanted, rel=1e-2)
+
+
+@pytest.mark.parametrize(("radius", "distance"), [(0.02, 1.2), (0.08, 1.2), (0.05, 1.0)])
+def test_a_patch_seen_as_a_point_errs_with_the_square_of_its_size(radius, distance):
+    """To second order: light falls on a small ball from points spread over a disc in place of its middle.
+
+    Of the irradiance z^2 / (z^2 + r^2)^2 of a point beside a wall, the mean over a disc of radius R differs from its
+    middle's by R^2 / 8 times its Laplacian, -8 / z^4: relative, by R^2 / z^2.
+    """
+    patch = worlds.lit_patch(radius=radius, centre=(0.4, 0.0, 0.1), lamp=(0.4, 40.0, 3.1))
+    place = np.array([[0.4, distance, 0.1]])
+    world = worlds.world(Sphere(np.zeros(3), 0.01, np.ones(3)), patch=patch)
+    found = effects.measure(world, [], place, np.zeros((1, 3)), accuracy=1e-5)
+    assert [effect.name for effect in found.effects] == [PATCH]
+    assert found.effects[0].share[0] == pytest.approx((radius / distance) ** 2, rel=0.25)
+
+
+def test_from_the_shell(tmp_path, scene_file, command):
+    result = command("generator", "plan", scene_file, "-o", tmp_path / "plan", "--poses", "1", "--tolerance", "2%")
+    assert result.returncode == 0, result.stderr
+    assert SHADOW in result.stdout
+    assert "within 2 % one may leave out" in result.stdout
+    assert {p.name for p in (tmp_path / "plan").iterdir()} == {"plan.csv", "plan.png"}
+    refused = command("generator", "plan", scene_file, "--tolerance", "2")
+    assert refused.returncode == 2
+    assert "accuracy '2': must be between 0 and 1" in refused.stderr
