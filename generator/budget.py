@@ -95,7 +95,7 @@ class Measured:
 
     def total(self, work: float, pictures: int) -> float:
         """Return the seconds that a sweep takes."""
-        background = 0.0 if self.engine == "surfel" else self.picture(_BACKGROUND * work) / 2.0
+        background = 0.0 if self.engine == "surfel" else self.picture(_BACKGROUND * work) / 2.0 / self.workers
         return self.start + background + pictures * self.picture(work) / self.workers
 
     def most(self, limit: float, pictures: int, low: float, high: float) -> float:
@@ -193,6 +193,7 @@ def _measure(scene: Path, settings: Mapping[str, Any], workers: int) -> Measured
                 raise NlosError(f"{scene}: could not be rehearsed: {worker.last_words()}")
     wall = time.monotonic() - begun
     found = [Rehearsed(**answer) for answer in told if answer]
+    found = [one for one in found if one.seconds[0] > 0.0]  # of few voxels some workers had none
     engine, work, each = found[0].engine, found[0].work, np.mean([f.seconds for f in found], axis=0)
     shortest = 1e-4  # of what a clock may be trusted with
     if engine == "surfel":  # all of it grows with the accuracy, slowly

@@ -487,7 +487,7 @@ def _sweep(options: argparse.Namespace) -> int:
     limit, accuracy = getattr(options, "budget", None), None
     if limit and options.shard != "0/1":
         raise NlosError("--budget: is one machine's; leave --shard out, or name the samples")
-    if limit or options.engine in ("path", "patch"):
+    if limit or (options.engine in ("path", "patch") and not getattr(options, "frames", None)):
         accuracy, options.accuracy = options.accuracy, None  # decides on settings, and is none itself
     chosen = chosen_settings(options)
     if (limit or accuracy) and not Dataset.exists(options.output):

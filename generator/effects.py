@@ -14,6 +14,7 @@ import numpy as np
 from matplotlib import pyplot as plt
 
 from generator import figures
+from generator.intervals import bootstrap
 from generator.spec import Array
 from generator.transport import Transport, World
 
@@ -22,7 +23,6 @@ PATCH = "the lit patch's extent"
 
 _POINT = 1e-3
 """Of the lit patch, in itself, where it counts as a point."""
-_RESAMPLES = 2000
 
 
 @dataclass(frozen=True)
@@ -121,7 +121,7 @@ def measure(
         got, took = _differences(world, names, dropped, positions, rotations, accuracy)
         error = np.sqrt(((got - whole) ** 2).mean(axis=(1, 2)))
         share = np.divide(error, scale, out=np.zeros_like(error), where=scale > 0.0)
-        return Effect(title, _interval(share), seconds / max(took, 1e-9))
+        return Effect(title, bootstrap(share), seconds / max(took, 1e-9))
 
     found = []
     for done, name in enumerate(every):
@@ -153,12 +153,6 @@ def _differences(
     start = time.perf_counter()
     made = engine.pictures(positions, rotations, shadows=shadows).astype(np.float64).mean(axis=3) - background
     return made, (time.perf_counter() - start) / len(positions)
-
-
-def _interval(values: Array) -> tuple[float, float, float]:
-    drawn = np.random.default_rng(0).choice(values, size=(_RESAMPLES, len(values))).mean(axis=1)
-    low, high = np.percentile(drawn, [2.5, 97.5])
-    return float(values.mean()), float(low), float(high)
 
 
 HEADINGS = ("left out", "error of a difference picture", "pictures a second", "")

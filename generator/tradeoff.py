@@ -13,6 +13,7 @@ from matplotlib import pyplot as plt
 
 from generator import figures, sweep
 from generator.dataset import Dataset, csv_text, write_text
+from generator.intervals import bootstrap
 from generator.spec import Array, NlosError
 
 REFERENCE = "reference"
@@ -22,7 +23,6 @@ _MOST = 4
 """Times the samples of the dearest rung, for a reference where `surfel` is not valid."""
 _SAMPLES = (4, 16, 64, 256, 1024)
 _ACCURACIES = (1e-1, 1e-2, 1e-3)
-_RESAMPLES = 2000
 
 
 @dataclass(frozen=True)
@@ -175,7 +175,7 @@ def costs(folder: Path) -> list[Cost]:
         error = np.sqrt(((got - wanted) ** 2).mean(axis=(1, 2))) / scale
         level = (got * wanted).sum(axis=(1, 2)) / (wanted**2).sum(axis=(1, 2))
         seconds = float(np.mean([record.seconds for record in found.records]))
-        made.append(Cost(found.path.name, seconds, _interval(error, np.median), _interval(level, np.mean)))
+        made.append(Cost(found.path.name, seconds, bootstrap(error, np.median), bootstrap(level)))
     return sorted(made, key=lambda cost: cost.seconds)
 
 
@@ -183,12 +183,6 @@ def differences(found: Dataset) -> Array:
     """Return a data set's pictures less its background, grey, (n, height, width), W/m^2/sr."""
     background = found.background().astype(np.float64).mean(axis=2)
     return np.array([found.picture(record).astype(np.float64).mean(axis=2) - background for record in found.records])
-
-
-def _interval(values: Array, what: Callable[..., Any]) -> tuple[float, float, float]:
-    drawn = np.random.default_rng(0).choice(values, size=(_RESAMPLES, len(values)))
-    low, high = np.percentile(what(drawn, axis=1), [2.5, 97.5])
-    return float(what(values)), float(low), float(high)
 
 
 def front(x: Sequence[float], y: Sequence[float]) -> list[int]:

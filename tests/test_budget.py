@@ -108,6 +108,13 @@ def test_a_budget_from_the_shell(tmp_path, scene_file, command):
     assert Dataset.open(path).sweep.accuracy == budget.FINE
 
 
+def test_a_trajectory_has_no_median_pose(tmp_path, scene_file, command):
+    arguments = ("trajectory", scene_file, "-o", tmp_path / "walk", "--frames", "2", "--engine", "patch")
+    result = command("generator", *arguments, "--accuracy", "10%")
+    assert result.returncode == 2
+    assert "accuracy: means nothing to the engine 'patch'" in result.stderr
+
+
 @pytest.mark.parametrize(
     ("options", "words"),
     [

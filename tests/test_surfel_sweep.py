@@ -61,7 +61,7 @@ def test_lost_pictures_come_back_the_same(surfel_dataset, scene_file, command, t
     ("options", "words"),
     [
         (("--engine", "surfel", "--samples", "4"), "samples: means nothing to the engine 'surfel'"),
-        (("--engine", "patch", "--accuracy", "1e-2"), "accuracy: means nothing to the engine 'patch'"),
+        (("--engine", "surfel", "--denoise"), "denoise: means nothing to the engine 'surfel'"),
         (("--engine", "surfel", "--accuracy", "1e-12"), "accuracy: 1e-12 must be from 1e-08 to 0.3"),
     ],
 )
