@@ -22,6 +22,7 @@ NEEDS_BLENDER = {
         "extract",
         "laboratory",
         "outlines",
+        "rehearsal",
         "stage",
         "worker",
     )
