@@ -21,8 +21,9 @@ FINE = 1e-4
 """Of `surfel`: finer than this, float32 pictures do not hold what an object changes by a thousandth."""
 
 _COARSE = 0.3
-_FILL = 0.9
-"""Share of what is left of the budget that the sweep is planned to take: machines are not all alike all the time."""
+_FILL = 0.75
+"""Share of what is left of the budget that the sweep is planned to take: on shared cores the same work took up to 1.7
+times as long a minute later, so this is in the middle of what may end early and what may end late."""
 _MOST_SAMPLES = 2**20
 _BACKGROUND = 16
 """Pictures that the background counts for (`generator.worker.BACKGROUND_FACTOR`)."""
