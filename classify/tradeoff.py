@@ -114,7 +114,7 @@ def enough(found: Sequence[Worth]) -> list[str]:
     reference = next(w for w in found if w.name == REFERENCE)
     told = [f"Without noise of rendering, {reference.accuracy.percent()} are put into the right voxel."]
     for engine in ("surfel", "patch", "path"):
-        plain = [w for w in found if w.name.split("-")[0] == engine and len(w.name.split("-")) == 2]
+        plain = [w for w in found if family(w.name) == engine]
         good = [w for w in plain if w.accuracy.high >= reference.accuracy.value]
         if good:
             first = min(good, key=lambda w: w.seconds)

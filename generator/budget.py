@@ -7,7 +7,7 @@ import json
 import math
 import re
 import time
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -16,6 +16,7 @@ import numpy as np
 
 from generator import sweep
 from generator.spec import NlosError, Sweep
+from generator.sweep import BACKGROUND_FACTOR
 
 FINE = 1e-4
 """Of `surfel`: finer than this, float32 pictures do not hold what an object changes by a thousandth."""
@@ -25,8 +26,11 @@ _FILL = 0.75
 """Share of what is left of the budget that the sweep is planned to take: on shared cores the same work took up to 1.7
 times as long a minute later, so this is in the middle of what may end early and what may end late."""
 _MOST_SAMPLES = 2**20
-_BACKGROUND = 16
-"""Pictures that the background counts for (`generator.worker.BACKGROUND_FACTOR`)."""
+REHEARSED = 9
+"""Voxels of which one pose is rendered to learn of all, evenly spread."""
+
+_WRITING = 2e-3
+"""Seconds to write a picture and its line."""
 _UNITS = {"": 1.0, "s": 1.0, "min": 60.0, "m": 60.0, "h": 3600.0, "d": 86400.0}
 
 
@@ -63,6 +67,30 @@ def fraction(text: str) -> float:
 
 
 @dataclass(frozen=True)
+class Rehearsal:
+    """What two rounds of a few pictures took and showed: a worker's answer (`generator.rehearsal`).
+
+    Attributes
+    ----------
+    engine : str
+    voxels : int
+        Of the scene's grid.
+    work : two of float
+        Samples, or the inverse of the accuracy, of each round.
+    seconds : two of float
+        A picture took in each, with the one it is paired with.
+    noise : list of float
+        Of Cycles, pose by pose: variance of a difference picture of one sample over the difference's mean square.
+    """
+
+    engine: str
+    voxels: int
+    work: Sequence[float]
+    seconds: Sequence[float]
+    noise: list[float]
+
+
+@dataclass(frozen=True)
 class Measured:
     """What a rehearsal of a scene tells of all sweeps of it with one engine.
 
@@ -96,7 +124,7 @@ class Measured:
 
     def total(self, work: float, pictures: int) -> float:
         """Return the seconds that a sweep takes."""
-        background = 0.0 if self.engine == "surfel" else self.picture(_BACKGROUND * work) / 2.0 / self.workers
+        background = 0.0 if self.engine == "surfel" else self.picture(BACKGROUND_FACTOR * work) / 2.0 / self.workers
         return self.start + background + pictures * self.picture(work) / self.workers
 
     def most(self, limit: float, pictures: int, low: float, high: float) -> float:
@@ -183,7 +211,7 @@ def _percent(share: float) -> str:
 def _measure(scene: Path, settings: Mapping[str, Any], workers: int) -> Measured:
     """Rehearse on as many workers as the sweep will have, side by side."""
     cores = sweep.available_cores()
-    crew = max(1, min(workers or cores, _VOXELS))
+    crew = max(1, min(workers or cores, REHEARSED))
     begun = time.monotonic()
     arguments = ["generator.worker", "rehearse", str(scene), json.dumps(settings), str(max(1, cores // crew))]
     with contextlib.ExitStack() as stack:
@@ -193,7 +221,7 @@ def _measure(scene: Path, settings: Mapping[str, Any], workers: int) -> Measured
             if answer is None:
                 raise NlosError(f"{scene}: could not be rehearsed: {worker.last_words()}")
     wall = time.monotonic() - begun
-    found = [Rehearsed(**answer) for answer in told if answer]
+    found = [Rehearsal(**answer) for answer in told if answer]
     found = [one for one in found if one.seconds[0] > 0.0]  # of few voxels some workers had none
     engine, work, each = found[0].engine, found[0].work, np.mean([f.seconds for f in found], axis=0)
     shortest = 1e-4  # of what a clock may be trusted with
@@ -205,22 +233,6 @@ def _measure(scene: Path, settings: Mapping[str, Any], workers: int) -> Measured
         fixed = max(0.0, float(each[0]) - slope * work[0]) + _WRITING
         noise = math.sqrt(float(np.median([n for f in found for n in f.noise])))
     # What was no picture is Blender's start, which a sweep waits for twice or thrice: plan, background, crew.
-    idle = max(0.0, wall - sum(found[0].seconds) * math.ceil(_VOXELS / crew))
+    idle = max(0.0, wall - sum(found[0].seconds) * math.ceil(REHEARSED / crew))
     starts = 2.0 if engine == "surfel" else 3.0
     return Measured(engine, found[0].voxels, starts * idle, fixed, slope, power, noise, float(workers or cores))
-
-
-_VOXELS = 9
-_WRITING = 2e-3
-"""Seconds to write a picture and its line."""
-
-
-@dataclass(frozen=True)
-class Rehearsed:
-    """A worker's answer: `generator.rehearsal.Rehearsal`, which needs Blender."""
-
-    engine: str
-    voxels: int
-    work: list[float]
-    seconds: list[float]
-    noise: list[float]

@@ -133,7 +133,7 @@ def measure(
     for one in small:
         if one.share[2] > tolerance:
             break
-        tried = effect(" and ".join([*dropped, one.name]), [*dropped, one.name])
+        tried = effect(" and ".join([*dropped, one.name]), [*dropped, one.name]) if dropped else one
         if tried.share[2] > tolerance:  # errors add up, or cancel: only measuring tells
             continue
         dropped.append(one.name)

@@ -3,47 +3,19 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Mapping
-from dataclasses import dataclass, replace
-from typing import Any
+from dataclasses import replace
 
 import bpy
 import numpy as np
 
 from generator import engines, poses, stage
+from generator.budget import REHEARSED, Rehearsal
 from generator.clearance import clearance
 from generator.dataset import PoseRecord
 from generator.spec import Array, Sweep
 
-MOST = 9
-"""Voxels that are looked at, evenly spread."""
-
 SAMPLES = (8, 48)
 ACCURACIES = (1e-1, 1e-3)
-
-
-@dataclass(frozen=True)
-class Rehearsal:
-    """What two rounds of a few pictures took and showed.
-
-    Attributes
-    ----------
-    engine : str
-    voxels : int
-        Of the scene's grid.
-    work : (float, float)
-        Samples, or the inverse of the accuracy, of each round.
-    seconds : (float, float)
-        A picture took in each, with the one it is paired with.
-    noise : list of float
-        Of Cycles, pose by pose: variance of a difference picture of one sample over the difference's mean square.
-    """
-
-    engine: str
-    voxels: int
-    work: tuple[float, float]
-    seconds: tuple[float, float]
-    noise: list[float]
 
 
 def rehearse(scene: bpy.types.Scene, sweep: Sweep, *, share: tuple[int, int] = (0, 1), threads: int = 0) -> Rehearsal:
@@ -66,7 +38,9 @@ def rehearse(scene: bpy.types.Scene, sweep: Sweep, *, share: tuple[int, int] = (
         The scene cannot be swept so.
     """
     described = stage.read(scene)
-    voxels = np.unique(np.linspace(0, described.grid.n_voxels - 1, min(MOST, described.grid.n_voxels)).astype(int))
+    voxels = np.unique(
+        np.linspace(0, described.grid.n_voxels - 1, min(REHEARSED, described.grid.n_voxels)).astype(int)
+    )
     is_free = clearance(scene, described, engine=sweep.engine)
     planned = {r.voxel: r for r in poses.plan(described.grid, replace(sweep, poses=1), stage.hull(scene), is_free)}
     mine = [planned[int(voxel)] for voxel in voxels][share[0] :: share[1]]
@@ -119,8 +93,3 @@ def _noisy(
             noise.append(variance / max(signal, 0.1 * variance / SAMPLES[1]) if variance else 0.0)
     each = took / max(1, len(mine))
     return (float(each[0]), float(each[1])), noise
-
-
-def answer(scene: bpy.types.Scene, sweep: Sweep, share: tuple[int, int], threads: int) -> Mapping[str, Any]:
-    """Return a rehearsal as plain values."""
-    return vars(rehearse(scene, sweep, share=share, threads=threads))

@@ -27,6 +27,9 @@ ANSWER = "nlos "
 
 _HOME = str(Path(__file__).resolve().parents[1])
 
+BACKGROUND_FACTOR = 16
+"""The background is rendered with this many times a pose's samples: its noise stands in every difference."""
+
 TRIES = 3
 """How often a unit of work is given to a worker before it is listed as failed."""
 

@@ -262,6 +262,6 @@ def write(folder: Path, found: Sequence[Cost], title: str) -> list[Path]:
 
 def family(name: str) -> str:
     """Return what a rung has in common with those that differ in samples or accuracy alone."""
-    engine, _, *rest = name.split("-")
+    engine, *rest = name.split("-")
     rest = [word for word in rest if word in ("denoised", "unpaired")]
     return " ".join([engine, *rest])

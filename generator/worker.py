@@ -34,13 +34,10 @@ from generator.dataset import (
     write_picture,
 )
 from generator.spec import NlosError, Sweep
-from generator.sweep import ANSWER
+from generator.sweep import ANSWER, BACKGROUND_FACTOR
 
 if TYPE_CHECKING:
     from generator.bulk import Bulk
-
-BACKGROUND_FACTOR = 16
-"""The background is rendered with this many times a pose's samples: its noise stands in every difference."""
 
 _WRITERS = 4
 """Threads that write a batch: while one waits for the disk the next packs, and the disk flushes several at once."""
@@ -253,7 +250,8 @@ def main(argv: list[str]) -> int:
             scene = stage.open_file(Path(argv[1]))
             sweep, _ = settled(scene, stage.read(scene), json.loads(argv[2]))
             index, _, count = argv[4].partition("/")
-            answer(**rehearsal.answer(scene, sweep, (int(index), int(count)), int(argv[3])))
+            found = rehearsal.rehearse(scene, sweep, share=(int(index), int(count)), threads=int(argv[3]))
+            answer(**vars(found))
         elif argv[0] == "picture":
             picture(stage.open_file(Path(argv[1])), Path(argv[2]), json.loads(argv[3]), denoise=argv[4] == "denoise")
             answer(rendered=True)
