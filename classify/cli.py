@@ -602,6 +602,11 @@ def _locate(options: argparse.Namespace) -> int:
     alarms = f"in empty scenes, something is found in {answers.false_alarms().percent()}"
     print(alarms)
     print(f"an answer takes {1000.0 * float(np.median(answers.seconds)):.1f} ms (median)")
+    if answers.level != 1.0:
+        print(
+            f"exposed {answers.level:.3g} times as long as the atlas, so that the empty scene is as bright as there: "
+            "right if the relay wall, the lamp or the camera is another, wrong if the room is"
+        )
     if options.output:
         write_text(options.output / "answers.csv", answers.csv())
         answers.draw(options.output / "answers.png", dataset.target_kind)

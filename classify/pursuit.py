@@ -191,8 +191,8 @@ def run(
     if dataset.grid != atlas.grid:
         raise NlosError(f"{dataset.path}: has another voxel grid than the atlas; make both of one scene")
     tracker, pursuit = Filter(atlas, step=step), Pursuit()
-    camera = Camera(dataset, atlas.sensor, seed)
-    background, clean = camera.background(), dataset.background()
+    camera = Camera(dataset, atlas.sensor, seed, like=atlas.background)
+    background, clean = camera.background(), camera.empty()
     rng = np.random.default_rng([seed, 6])
     for record in _frames(dataset, patience):
         there = not any(first <= record.index < last for first, last in gaps)

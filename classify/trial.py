@@ -43,6 +43,8 @@ class Trial:
         Of the voxels.
     seconds : ndarray of shape (n,)
         From measured picture to place.
+    level : float
+        What the exposure was multiplied with so that the empty scene is as bright as the atlas'.
     """
 
     records: list[PoseRecord]
@@ -52,6 +54,7 @@ class Trial:
     detector: Detector
     labels: tuple[str, ...]
     seconds: Array
+    level: float = 1.0
 
     @property
     def right(self) -> NDArray[np.bool_]:
@@ -203,8 +206,8 @@ def run(
     records = dataset.records
     if not records:
         raise NlosError(f"{dataset.path}: holds no finished picture yet")
-    camera = Camera(dataset, atlas.sensor, seed)
-    background, clean = camera.background(), dataset.background()
+    camera = Camera(dataset, atlas.sensor, seed, like=atlas.background)
+    background, clean = camera.background(), camera.empty()
     codes, places, seconds = [], [], []
     for done, record in enumerate(records):
         picture = camera.picture(record)
@@ -226,4 +229,5 @@ def run(
         detector=Detector.at(atlas, false_alarm, seed=seed),
         labels=tuple(atlas.grid.labels),
         seconds=np.array(seconds),
+        level=camera.level,
     )

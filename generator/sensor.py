@@ -26,6 +26,10 @@ _BLACK = 8.0
 """Read noises by which the black level lies above zero, so that rounding at zero biases no mean."""
 _BRIGHTER = 4.0
 """A well that is filled this many times over overflows whatever the photons do."""
+_SAME_SHAPE = 0.02
+"""Two pictures are one in other light if, brought to one level, they differ by less, relative, root mean square."""
+_SAME_LEVEL = 0.01
+"""Levels are one if they differ by less: lamps drift by as much."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -233,11 +237,16 @@ class Camera:
     seed : int
         Of all noise; a picture's own follows from it, the data set, the voxel and the pose's index. So no order
         changes it, and no two data sets share it: what is trained on one could know the other's by heart.
+    like : ndarray of shape (height, width), optional
+        Background, W/m^2/sr, to whose level the exposure is set where the data set's own is the same but for a
+        factor: another albedo of the wall, a stronger lamp. All light that goes over the wall twice has that factor.
 
     Attributes
     ----------
     sensor : Sensor
         With its exposure.
+    level : float
+        What the radiance of all pictures is multiplied with: above 1 where the exposure is longer.
 
     Raises
     ------
@@ -245,9 +254,10 @@ class Camera:
         The data set has no light, or a picture is broken.
     """
 
-    def __init__(self, dataset: Readable, sensor: Sensor, seed: int = 0) -> None:
+    def __init__(self, dataset: Readable, sensor: Sensor, seed: int = 0, *, like: Array | None = None) -> None:
         self._dataset = dataset
         self._seed = seed
+        self.level = 1.0 if like is None else _level(_grey(dataset.background()), like)
         digest = hashlib.sha256(str(dataset.meta["fingerprint"]).encode()).digest()
         self._set = int.from_bytes(digest[:8], "big")
         every = itertools.chain([dataset.background()], map(dataset.picture, dataset.records))
@@ -255,16 +265,30 @@ class Camera:
 
     def background(self) -> Picture:
         """Return the measured background, (height, width, 3), W/m^2/sr."""
-        sensor, clean = self.sensor, self._dataset.background()
+        sensor, clean = self.sensor, self.empty()
         if sensor.drift and (ambient := self._dataset.ambient_background()) is not None:
-            clean = clean - ambient * np.float32(sensor.drift / (1.0 + sensor.drift))
+            clean = clean - ambient * np.float32(self.level * sensor.drift / (1.0 + sensor.drift))
         rng = np.random.default_rng([self._seed, 0, self._set])
         return sensor.measure(clean, rng, frames=sensor.background_frames, pattern=self._seed)
+
+    def empty(self) -> Picture:
+        """Return the clean background, (height, width, 3), W/m^2/sr, at the level of all pictures."""
+        return self._dataset.background() * np.float32(self.level)
 
     def picture(self, record: PoseRecord) -> Picture:
         """Return a measured picture, (height, width, 3), W/m^2/sr."""
         rng = np.random.default_rng([self._seed, 1, self._set, record.voxel, record.index])
-        return self.sensor.measure(self._dataset.picture(record), rng, pattern=self._seed)
+        clean = self._dataset.picture(record) * np.float32(self.level)
+        return self.sensor.measure(clean, rng, pattern=self._seed)
+
+
+def _level(own: Array, wanted: Array) -> float:
+    """Return the factor that makes one picture of another in other light; 1 if they are not the same picture."""
+    if own.shape != wanted.shape or not (own.any() and wanted.any()):
+        return 1.0
+    factor = float((own * wanted).sum() / (own * own).sum())
+    error = np.sqrt(((factor * own - wanted) ** 2).mean() / (wanted**2).mean())
+    return factor if error < _SAME_SHAPE and abs(factor - 1.0) > _SAME_LEVEL else 1.0
 
 
 def _grey(picture: Picture | Array) -> Array:

@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
+import worlds
 
 from classify.atlas import Atlas
 from generator import bulk, poses, spec
@@ -84,14 +87,15 @@ def make_bulk(
     power=1000.0,
     scale=1.0,
     ambient=0.0,
+    wall=worlds.WALL,
 ):
     """Write a bulk set of a sphere before a bare wall (or a sheet, with radius 0), made by the engine itself."""
-    import worlds
-
     target = Sphere(np.zeros(3), radius, np.full(3, albedo)) if radius else worlds.sheet(0.3)
     view = worlds.watched(resolution=resolution)
     world = worlds.world(target, room=room, view=view, patch=worlds.lit_patch(power=power))
     world = worlds.scaled(world, scale)
+    grey = np.full(3, wall)
+    world = replace(world, patch=replace(world.patch, albedo=grey), watched=replace(world.watched, albedo=grey))
     lo, hi = (tuple(scale * x for x in corner) for corner in ((0.3, 0.5, -0.4), (1.5, 1.7, 0.6)))
     grid = spec.VoxelGrid(lo=lo, hi=hi, shape=shape)
     chosen = {"pictures": pictures, "resolution": resolution, "seed": seed, "rotation": rotation, "inside": inside}

@@ -36,6 +36,20 @@ def seen(tmp_path_factory):
     return make_seen(folder / "data", make_bulk(folder / "bulk", pictures=160, room=(FLOOR,), seed=3), poses=40)
 
 
+def test_a_wall_of_another_albedo_is_exposed_for(simulated, tmp_path):
+    """All light goes over the relay wall twice: half the albedo is a quarter of the light, in every picture."""
+    atlas = atlases.build(simulated, DIM)
+    usual, dark = (
+        make_seen(tmp_path / name, make_bulk(tmp_path / f"b{name}", pictures=80, room=(FLOOR,), seed=3, wall=wall))
+        for name, wall in (("usual", 0.8), ("dark", 0.4))
+    )
+    one, other = (trial.run(atlas, seen, empty=0) for seen in (usual, dark))
+    assert (one.level, other.level) == (1.0, pytest.approx(4.0, rel=1e-3))
+    table = [[run.right.sum(), (~run.right).sum()] for run in (one, other)]
+    assert stats.fisher_exact(table).pvalue > 1e-3
+    assert stats.ks_2samp(one.errors, other.errors).pvalue > 1e-3
+
+
 @pytest.mark.parametrize("rate", [0.01, 0.1])
 def test_false_alarms_are_as_many_as_asked_for(simulated, rate):
     """On empty scenes that the threshold was not chosen on."""
