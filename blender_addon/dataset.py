@@ -11,7 +11,7 @@ from typing import Any
 
 import bpy
 
-from generator import sweep
+from generator import budget, sweep
 from generator.dataset import SCENE, Dataset
 from generator.spec import NlosError
 
@@ -29,18 +29,35 @@ class Job:
         Pictures of this run.
     words : str
         How it ended; empty while it goes on.
+    choice : str
+        What was settled on, where a time or an error decides.
     """
 
-    def __init__(self, scene: Path, path: Path, chosen: dict[str, Any], workers: int) -> None:
+    def __init__(
+        self, scene: Path, path: Path, chosen: dict[str, Any], workers: int, wished: dict[str, float] | None = None
+    ) -> None:
         self.path = path
-        self.done, self.total, self.words = 0, 0, ""
+        self.done, self.total, self.words, self.choice = 0, 0, "", ""
         self._begun = time.monotonic()
         self._first: tuple[float, int] | None = None
-        self._cancelled = False
+        self._cancelled = self._rehearsing = False
         launch = background.launcher()
 
         def work(task: background.Task) -> sweep.Outcome:
-            return sweep.run(scene, path, chosen, workers=workers, progress=self._told, launch=launch, stop=task.stop)
+            settings, pace = chosen, None
+            if wished:
+                self._rehearsing = True
+                decided = budget.choose(scene, chosen, **wished, workers=workers, tell=self._chose, launch=launch)
+                self._rehearsing = False
+                settings, pace = decided.settings, decided.pace
+            return sweep.run(
+                *(scene, path, settings),
+                workers=workers,
+                progress=self._told,
+                launch=launch,
+                stop=task.stop,
+                pace=pace,
+            )
 
         self._task = background.Task(work, self._ended, self._shown)
 
@@ -66,12 +83,17 @@ class Job:
         """Return how far it is, in a line."""
         if not self.running:
             return self.words
+        if self._rehearsing:
+            return "Rendering a few pictures, to learn what they take"
         if not self.total:
             return "Planning the poses"
         if not self.done:
             return f"Rendering the background, then {self.total} pictures"
         left = "" if self.left is None else f", {sweep.clock(self.left)} left"
         return f"{self.done} of {self.total} pictures{left}"
+
+    def _chose(self, words: str) -> None:
+        self.choice = words
 
     def _told(self, done: int, total: int) -> None:  # in the crew's threads
         if done and self._first is None:
@@ -170,7 +192,8 @@ class NLOS_OT_sweep_start(_Running, bpy.types.Operator):
         if Dataset.exists(path):
             raise NlosError(f"{path} holds a data set already: resume it, or name another folder")
         source = background.snapshot("dataset.blend")
-        return Job(source, path, properties.sweep_of(scene.nlos), scene.nlos.workers)
+        settings = scene.nlos
+        return Job(source, path, properties.sweep_of(settings), settings.workers, properties.wished(settings))
 
 
 class NLOS_OT_sweep_resume(_Running, bpy.types.Operator):

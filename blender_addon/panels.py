@@ -199,6 +199,9 @@ class NLOS_PT_rendering(_Tab, bpy.types.Panel):
             layout.prop(settings, "seed")
         if settings.engine in ("surfel", "auto"):
             layout.prop(settings, "accuracy")
+        layout.prop(settings, "quality")
+        if settings.quality != "figures":
+            layout.prop(settings, "minutes" if settings.quality == "time" else "error")
         column = layout.column(align=True)
         column.prop(settings, "resolution", index=0, text="Resolution X")
         column.prop(settings, "resolution", index=1, text="Y")
@@ -286,6 +289,8 @@ class NLOS_PT_dataset(_Tab, bpy.types.Panel):
             row.operator("nlos.sweep_resume", icon="PLAY")
             if job is not None:
                 _sentence(context, layout, job.status())
+        if job is not None and job.choice:
+            _sentence(context, layout, job.choice)
         layout.operator("nlos.open_folder", icon="FILE_FOLDER")
 
 

@@ -203,6 +203,32 @@ class NlosSettings(bpy.types.PropertyGroup):
         soft_min=1e-4,
         precision=4,
     )
+    quality: EnumProperty(
+        name="Data Set",
+        description="What decides how many samples a data set takes, or how exact the integral is",
+        items=(
+            ("figures", "As Above", "The samples and the accuracy above"),
+            ("time", "In a Time", "As many as there is time for: a few pictures are rendered first to find out"),
+            ("error", "At an Error", "As many as that takes: a few pictures are rendered first to find out"),
+        ),
+    )
+    minutes: FloatProperty(
+        name="Minutes",
+        description="In which the data set is to be rendered",
+        default=10.0,
+        min=0.1,
+        soft_max=1440.0,
+        precision=1,
+    )
+    error: FloatProperty(
+        name="Error",
+        description="Of what the object changes, in the middling pose; noise and all",
+        default=50.0,
+        min=0.01,
+        max=99.0,
+        subtype="PERCENTAGE",
+        precision=1,
+    )
     resolution: IntVectorProperty(
         name="Resolution",
         description="Width and height of the picture in pixels; pixels must be square on the wall",
@@ -288,7 +314,16 @@ def sweep_of(settings: Any) -> dict[str, Any]:
         "inside": settings.inside,
     }
     idle = () if settings.engine == "auto" else spec.Sweep.idle(settings.engine)
+    if settings.quality != "figures":
+        idle = ("samples", "accuracy")
     return {name: value for name, value in chosen.items() if name not in idle}
+
+
+def wished(settings: Any) -> dict[str, float]:
+    """Return the time and error that decide on a data set, as `budget.choose` takes them; nothing if none does."""
+    if settings.quality == "time":
+        return {"budget": 60.0 * settings.minutes}
+    return {"accuracy": settings.error / 100.0} if settings.quality == "error" else {}
 
 
 def resolved_sweep(scene: Any) -> spec.Sweep:

@@ -47,7 +47,8 @@ def run(arguments: list[str]) -> int:
         show(done, len(pending))
 
     try:
-        worker.render(scene, dataset, sweep.in_batches(pending, sweep.batch_size(dataset)), report=report)
+        batches = sweep.in_batches(pending, sweep.batch_size(dataset))
+        worker.render(scene, dataset, (dict.fromkeys(batch, 0) for batch in batches), report=report)
     finally:
         remaining = len(dataset.gather())
     print(cli.summary(dataset, rendered=done, remaining=remaining))

@@ -6,6 +6,7 @@ import contextlib
 import json
 import math
 import re
+import threading
 import time
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
@@ -22,9 +23,12 @@ FINE = 1e-4
 """Of `surfel`: finer than this, float32 pictures do not hold what an object changes by a thousandth."""
 
 _COARSE = 0.3
-_FILL = 0.75
-"""Share of what is left of the budget that the sweep is planned to take: on shared cores the same work took up to 1.7
-times as long a minute later, so this is in the middle of what may end early and what may end late."""
+_FILL = 0.95
+"""Share of what is left of the budget that a sweep is planned to take; the last pictures end when they end."""
+_SWING = 4.0
+"""By what factor the samples of a picture may leave the plan to keep it, where a machine turns slow or quick."""
+_LATEST = 0.1
+"""Weight of the latest picture in what is believed of the machine's speed."""
 _MOST_SAMPLES = 2**20
 REHEARSED = 9
 """Voxels of which one pose is rendered to learn of all, evenly spread."""
@@ -135,6 +139,87 @@ class Measured:
         return low
 
 
+class Pace:
+    """Says how many samples the next picture of a sweep may take, so that all of them end in time.
+
+    On shared cores the same work may take twice as long a minute later, so what was measured before is not enough.
+
+    Parameters
+    ----------
+    measured : Measured
+        Of Cycles.
+    samples : int
+        As planned.
+    pictures : int
+        To be begun.
+    late : float
+        When all is to be done, on the clock.
+    clock : callable
+        Tells the time in seconds.
+    """
+
+    def __init__(
+        self,
+        measured: Measured,
+        samples: int,
+        pictures: int,
+        late: float,
+        clock: Callable[[], float] = time.monotonic,
+    ) -> None:
+        self._measured = measured
+        self._samples = samples
+        self._left = pictures
+        self._late = late
+        self._clock = clock
+        self._lock = threading.Lock()
+        self._slowness = 1.0
+        self._known = 0
+        self._begun: dict[int, tuple[float, int]] = {}
+
+    def __call__(self) -> int:
+        """Return the samples of the picture that this thread's worker is about to begin, having ended its last."""
+        with self._lock:
+            now, thread = self._clock(), threading.get_ident()
+            if thread in self._begun:  # its first may have waited for Blender to start, and tells nothing
+                start, samples = self._begun[thread]
+                if start >= 0.0:
+                    self._learn((now - start) / self._measured.picture(samples))
+                start = now
+            else:
+                start = -1.0
+            workers = self._measured.workers
+            # Those under way take half a picture more each, at the mean.
+            busy = max(0, len(self._begun) - 1) * self._measured.picture(self._samples) * self._slowness / 2.0
+            each = max(0.0, (self._late - now) * workers - busy) / max(1, self._left) / self._slowness
+            wanted = (each - self._measured.fixed) / self._measured.slope
+            low, high = max(1.0, self._samples / _SWING), self._samples * _SWING
+            samples = int(min(max(wanted, low), high))
+            self._begun[thread] = (start, samples)
+            self._left -= 1
+            return samples
+
+    def _learn(self, ratio: float) -> None:
+        self._known += 1
+        weight = max(1.0 / self._known, _LATEST)
+        self._slowness += weight * (min(max(ratio, 1.0 / _SWING), _SWING) - self._slowness)
+
+
+@dataclass(frozen=True)
+class Choice:
+    """What a rehearsal led to.
+
+    Attributes
+    ----------
+    settings : dict
+        Fields of `Sweep`.
+    pace : Pace or None
+        Keeps the budget, where it is what decides.
+    """
+
+    settings: dict[str, Any]
+    pace: Pace | None
+
+
 def choose(
     scene: Path,
     chosen: Mapping[str, Any],
@@ -143,7 +228,8 @@ def choose(
     accuracy: float = 0.0,
     workers: int = 0,
     tell: Callable[[str], None] = lambda words: None,
-) -> dict[str, Any]:
+    launch: sweep.Launch = sweep.python,
+) -> Choice:
     """Return the settings of a sweep that ends in a time, or is as exact as asked for, whichever takes less.
 
     A pose in each of some voxels is rendered twice and thrown away (`generator.rehearsal`); noise falls with the
@@ -162,6 +248,8 @@ def choose(
         As of `generator.sweep.run`.
     tell : callable
         Is told what was measured and chosen.
+    launch : callable
+        How workers are started.
 
     Raises
     ------
@@ -174,48 +262,54 @@ def choose(
     settings = {"engine": "auto", **{k: v for k, v in chosen.items() if k != "accuracy"}}
     if words := sweep.compiling_words(str(settings["engine"])):
         tell(words)
-    measured = _measure(scene, settings, workers)
-    pictures = int(settings.get("poses", Sweep.poses)) * measured.voxels
-    surfel = measured.engine == "surfel"
+    known = rehearsed(scene, settings, workers, launch)
+    pictures = int(settings.get("poses", Sweep.poses)) * known.voxels
+    surfel = known.engine == "surfel"
     left = budget - (time.monotonic() - begun)
     low, high = (1.0 / _COARSE, 1.0 / FINE) if surfel else (1.0, float(_MOST_SAMPLES))
     if accuracy:
-        wanted = 1.0 / max(accuracy, FINE) if surfel else (measured.noise / accuracy) ** 2
+        wanted = 1.0 / max(accuracy, FINE) if surfel else (known.noise / accuracy) ** 2
         high = min(max(low, wanted), high)
-    work = high if measured.total(high, pictures) <= left else measured.most(_FILL * left, pictures, low, high)
-    least = measured.total(low, pictures)
+    work = high if known.total(high, pictures) <= left else known.most(_FILL * left, pictures, low, high)
+    least = known.total(low, pictures)
     if least > left:
         raise NlosError(
             f"--budget: {pictures} pictures take {sweep.clock(least)} at the very least, and "
             f"{sweep.clock(max(left, 0.0))} are left of it; ask for fewer poses, a lower resolution, or more time"
         )
-    settings["engine"] = measured.engine
-    took = sweep.clock(measured.total(work, pictures))
+    settings["engine"] = known.engine
+    pace = None
+    reason = "as exact as asked for" if accuracy and work >= high else "what the budget allows"
+    took = sweep.clock(known.total(work, pictures))
     if surfel:
         settings["accuracy"] = float(f"{1.0 / work:.2g}")
         error, words = settings["accuracy"], f"accuracy {settings['accuracy']:g}"
     else:
         settings["samples"] = max(1, math.floor(work))
-        error, words = measured.noise / math.sqrt(settings["samples"]), f"{settings['samples']} samples"
-    reason = "as exact as asked for" if accuracy and work >= high else "what the budget allows"
+        error, words = known.noise / math.sqrt(settings["samples"]), f"{settings['samples']} samples"
+        if work < high:
+            words = f"about {words}"
+            pace = Pace(known, settings["samples"], pictures, begun + _FILL * budget)
     if surfel and work >= 1.0 / FINE:
         reason = "as exact as float32 pictures can hold"
-    tell(f"{measured.engine}, {words}: {reason}; about {took}, error of a difference picture {_percent(error)}")
-    return settings
+    tell(f"{known.engine}, {words}: {reason}; about {took}, error of a difference picture {_percent(error)}")
+    return Choice(settings, pace)
 
 
 def _percent(share: float) -> str:
     return f"{100.0 * share:.2g} %"
 
 
-def _measure(scene: Path, settings: Mapping[str, Any], workers: int) -> Measured:
-    """Rehearse on as many workers as the sweep will have, side by side."""
+def rehearsed(
+    scene: Path, settings: Mapping[str, Any], workers: int = 0, launch: sweep.Launch = sweep.python
+) -> Measured:
+    """Rehearse a sweep, on as many workers as it will have, side by side; 0 is one per core."""
     cores = sweep.available_cores()
     crew = max(1, min(workers or cores, REHEARSED))
     begun = time.monotonic()
     arguments = ["generator.worker", "rehearse", str(scene), json.dumps(settings), str(max(1, cores // crew))]
     with contextlib.ExitStack() as stack:
-        started = [stack.enter_context(sweep.Worker([*arguments, f"{i}/{crew}"])) for i in range(crew)]
+        started = [stack.enter_context(sweep.Worker([*arguments, f"{i}/{crew}"], launch)) for i in range(crew)]
         told = [worker.answer() for worker in started]
         for worker, answer in zip(started, told, strict=True):
             if answer is None:

@@ -111,6 +111,9 @@ def _parser() -> argparse.ArgumentParser:
         help="90s, 10min, 2h: take the engine, and the samples or accuracy, with which a new set ends in that time, "
         "measured on this scene and machine",
     )
+    sweep.add_argument(
+        "--plan", type=Path, metavar="PLAN", help="model what nlos-generate plan found needed, and no more"
+    )
     sweep.set_defaults(run=_sweep)
 
     trajectory = commands.add_parser(
@@ -229,11 +232,13 @@ def _parser() -> argparse.ArgumentParser:
 
     plan = commands.add_parser(
         "plan",
-        help="measure what each part of a scene contributes, and what may be left out",
-        description="Leave out of a plain diffuse scene one part after the other - the object's shadow on the room, "
-        "the extent of the lit patch, each surface - and say by how much the difference picture is then wrong, and "
-        "what may be left out within a tolerance.",
-        epilog="example:\n  nlos-generate plan room.blend --tolerance 1% -o plan/",
+        help="measure what a scene needs modelled, and plan a sweep that models no more",
+        description="Leave out one thing after the other - the object's shadow on the room, the extent of the lit "
+        "patch, each surface, other lights, materials that are not plain, further reflections - and say by how much "
+        "the difference picture is then wrong. What may be left out within a tolerance is left out of the plan, "
+        "which sweep --plan follows.",
+        epilog="example:\n  nlos-generate plan room.blend --tolerance 1% -o plan/\n"
+        "  nlos-generate sweep room.blend -o set/ --plan plan/",
         formatter_class=argparse.RawDescriptionHelpFormatter,
     )
     plan.add_argument("scene", type=Path, help="the .blend file")
@@ -244,9 +249,17 @@ def _parser() -> argparse.ArgumentParser:
         metavar="A",
         help="error of a difference picture that is allowed, 0.01 or 1%% (default: 1%%)",
     )
-    plan.add_argument("-o", "--output", type=Path, metavar="FOLDER", help="for plan.csv and plan.png")
+    plan.add_argument("-o", "--output", type=Path, metavar="FOLDER", help="for plan.toml, plan.csv and plan.png")
     plan.add_argument("--poses", type=int, default=5, metavar="N", help="per voxel (default: 5)")
     plan.add_argument("--seed", type=int, default=0, metavar="N", help="of the poses (default: 0)")
+    plan.add_argument(
+        "--most",
+        type=_told(budget.seconds),
+        default=180.0,
+        metavar="T",
+        help="time for what only Cycles models, which has noise (default: 3min)",
+    )
+    plan.add_argument("--workers", type=int, default=0, metavar="W", help="of the sweep (default: one per core)")
     plan.set_defaults(run=_plan)
 
     verify = commands.add_parser(
@@ -484,23 +497,36 @@ def _scene(options: argparse.Namespace) -> int:
 def _sweep(options: argparse.Namespace) -> int:
     from generator import sweep
 
-    limit, accuracy = getattr(options, "budget", None), None
+    limit, accuracy, planned = getattr(options, "budget", None), None, getattr(options, "plan", None)
+    if planned and limit:
+        raise NlosError("--budget: a plan has its own accuracy; leave --plan or --budget out")
     if limit and options.shard != "0/1":
         raise NlosError("--budget: is one machine's; leave --shard out, or name the samples")
     if limit or (options.engine in ("path", "patch") and not getattr(options, "frames", None)):
         accuracy, options.accuracy = options.accuracy, None  # decides on settings, and is none itself
-    chosen = chosen_settings(options)
-    if (limit or accuracy) and not Dataset.exists(options.output):
-        chosen = budget.choose(
+    chosen, pace = chosen_settings(options), None
+    if planned:
+        from generator import plans
+
+        chosen = plans.followed(planned, options.scene, chosen)
+    if limit and Dataset.exists(options.output):
+        print(f"{options.output}: goes on as it was begun; --budget is for new sets")
+    elif limit or (accuracy and not Dataset.exists(options.output)):
+        choice = budget.choose(
             options.scene,
             chosen,
             budget=limit or math.inf,
             accuracy=accuracy or 0.0,
             workers=options.workers,
-            tell=print,
+            tell=functools.partial(print, flush=True),
         )
+        chosen, pace = choice.settings, choice.pace
     with _progress() as progress:
-        outcome = sweep.run(options.scene, options.output, chosen, progress=progress, tell=print, **_farm(options))
+        outcome = sweep.run(
+            options.scene, options.output, chosen, progress=progress, tell=print, pace=pace, **_farm(options)
+        )
+    if planned:
+        plans.keep(planned, options.output)
     return _report(outcome.dataset, outcome.rendered, outcome.remaining, outcome.failed)
 
 
@@ -528,37 +554,29 @@ def _tradeoff(options: argparse.Namespace) -> int:
 
 
 def _plan(options: argparse.Namespace) -> int:
-    import numpy as np
-
-    from generator import effects, extract, poses, stage, worker
-    from generator.clearance import clearance
-    from generator.dataset import csv_text, write_text
+    from generator import planning, plans
 
     if options.output and options.output.exists() and not options.output.is_dir():
         raise NlosError(f"{options.output}: is a file; name a folder")
-    scene = stage.open_file(options.scene)
-    described = stage.read(scene)
-    world, reasons = extract.world(scene)
-    if world is None:
-        raise NlosError(f"{options.scene}: plan measures plain diffuse scenes only, and {'; '.join(reasons)}")
-    sweep, _ = worker.settled(scene, described, {"engine": "surfel", "poses": options.poses, "seed": options.seed})
-    is_free = clearance(scene, described, engine="surfel")
-    planned = poses.plan(described.grid, sweep, stage.hull(scene), is_free)
-    places, turns = (np.array([getattr(pose, name) for pose in planned]) for name in ("position", "rotation"))
-    found = effects.measure(world, extract.room_names(scene), places, turns, tolerance=options.tolerance)
-    title = f"{options.scene.name}, {len(planned)} poses, seed {options.seed}"
-    table = effects.rows(found)
-    print_table(f"{title}; intervals of 95 %", effects.HEADINGS, table)
-    if found.dropped:
-        error = "{:.2g} % ({:.2g} to {:.2g})".format(*(100.0 * s for s in found.together.share))
-        print(f"within {100.0 * options.tolerance:g} % one may leave out {found.together.name}: together {error}")
-        print(f"which makes {found.together.gain:.2g} times as many pictures a second")
-    else:
-        print(f"within {100.0 * options.tolerance:g} % nothing may be left out")
+    if not 2 <= options.poses <= Sweep.poses:
+        raise NlosError(f"--poses {options.poses}: must be from 2 to {Sweep.poses}")
+    found = planning.make(
+        options.scene,
+        tolerance=options.tolerance,
+        count=options.poses,
+        seed=options.seed,
+        most=options.most,
+        workers=options.workers,
+        tell=functools.partial(print, flush=True),
+    )
+    title = f"{options.scene.name}, seed {options.seed}, tolerance {100.0 * options.tolerance:g} %"
+    print_table(f"{title}; intervals of 95 %", plans.HEADINGS, plans.rows(found))
+    for line in plans.words(found):
+        print(line)
     if options.output:
-        write_text(options.output / "plan.csv", csv_text(effects.HEADINGS, table))
-        effects.draw(options.output / "plan.png", found, options.tolerance, title)
-        print(options.output / "plan.png")
+        for path in plans.write(options.output, options.scene, found, title):
+            print(path)
+        print(f"nlos-generate sweep {options.scene} -o DATASET --plan {options.output}")
     return 0
 
 

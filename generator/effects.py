@@ -5,182 +5,129 @@ The engine `surfel` has no noise, so what is left out of a plain diffuse scene s
 
 from __future__ import annotations
 
+import math
 import time
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
-from pathlib import Path
 
+import cv2
 import numpy as np
-from matplotlib import pyplot as plt
 
-from generator import figures
-from generator.intervals import bootstrap
+from generator.intervals import relative
+from generator.plans import Effect
 from generator.spec import Array
 from generator.transport import Transport, World
+from generator.transport.partial import PARTS, PATCH
 
-SHADOW = "its shadow on the room"
-PATCH = "the lit patch's extent"
+_FEWEST_PIXELS = 4
+SAFE = 0.5
+"""Of the tolerance that what is left out may take by the upper end of its interval: what only shows at rare poses, a
+few of which a plan has not seen, has the rest."""
 
-_POINT = 1e-3
-"""Of the lit patch, in itself, where it counts as a point."""
+Variant = Callable[[Sequence[str]], tuple[World, bool]]
+"""Returns a world without some effects, and whether the object's shadow on its room is left."""
 
 
-@dataclass(frozen=True)
-class Effect:
-    """What is wrong with a picture that lacks something.
+def parts(world: World, names: Sequence[str] = ()) -> list[str]:
+    """Return what may be left out of a world: the engine's own effects, and surfaces of the room."""
+    return [*PARTS, *names] if world.room else [PATCH]
 
-    Attributes
+
+def measure(
+    variant: Variant,
+    every: Sequence[str],
+    positions: Array,
+    rotations: Array,
+    *,
+    rounds: int,
+    tolerance: float = 0.01,
+    accuracy: float = 1e-3,
+    planned: float = 0.0,
+    progress: Callable[[int, int, str], None] = lambda done, total, what: None,
+) -> tuple[list[Effect], list[str], Effect]:
+    """Leave out one effect after the other, and then all at once that a tolerance allows.
+
+    Parameters
     ----------
-    name : str
-    share : (float, float, float)
-        Root mean square of the error of a difference picture without it, relative to the difference with it: in the
-        mean over poses, with the 95 % interval of a bootstrap over them (Efron 1979).
-    gain : float
-        Times as many pictures a second without it.
-    """
+    variant : callable
+    every : sequence of str
+        What is tried.
+    positions, rotations : ndarray of shape (n, 3)
+        Of the poses that are looked at, metres and degrees: round by round, in each one pose of every voxel.
+    rounds : int
+        That they are.
+    tolerance : float
+        Relative error of a difference picture that is allowed, root mean square over pixels and poses
+        (`intervals.relative`).
+    accuracy : float
+        Of the engine, where effects are measured.
+    planned : float
+        Of the engine, as the sweep will have it; 0 is the same.
+    progress : callable
+        Is told how many pictures were asked for, of how many, and what is left out next.
 
-    name: str
-    share: tuple[float, float, float]
-    gain: float
-
-
-@dataclass(frozen=True)
-class Plan:
-    """What a tolerance allows to leave out.
-
-    Attributes
-    ----------
+    Returns
+    -------
     effects : list of Effect
         The largest first.
     dropped : list of str
         What may be left out together.
     together : Effect
-        All of these left out at once, as measured.
-    """
-
-    effects: list[Effect]
-    dropped: list[str]
-    together: Effect
-
-
-def without(world: World, names: Sequence[str], dropped: Sequence[str]) -> tuple[World, bool]:
-    """Return a world without some effects, and whether the object's shadow on its room is left.
-
-    Parameters
-    ----------
-    world : World
-    names : sequence of str
-        Of the world's room, surface by surface.
-    dropped : sequence of str
-        `SHADOW`, `PATCH`, or names of the room.
-    """
-    room = tuple(mesh for mesh, name in zip(world.room, names, strict=True) if name not in dropped)
-    patch = world.patch
-    if PATCH in dropped:
-        small = {name: _POINT * getattr(patch, name) for name in ("major", "minor")}
-        patch = replace(patch, **small, intensity=patch.intensity / _POINT**2)
-    return replace(world, room=room, patch=patch), SHADOW not in dropped
-
-
-def measure(
-    world: World,
-    names: Sequence[str],
-    positions: Array,
-    rotations: Array,
-    *,
-    accuracy: float = 1e-3,
-    tolerance: float = 0.01,
-    progress: Callable[[int, int, str], None] = lambda done, total, what: None,
-) -> Plan:
-    """Leave out one effect after the other, and then all at once that a tolerance allows.
-
-    Parameters
-    ----------
-    world : World
-    names : sequence of str
-        Of the world's room, surface by surface.
-    positions, rotations : ndarray of shape (n, 3)
-        Of the poses that are looked at, metres and degrees.
-    accuracy : float
-        Of the engine.
-    tolerance : float
-        Relative error of a difference picture that is allowed, root mean square in the mean pose.
-    progress : callable
-        Is told how many pictures were asked for, of how many, and what is left out next.
+        All of these left out at once at the planned accuracy.
 
     Raises
     ------
     NlosError
         The object cannot be at a pose.
     """
-    every = [SHADOW, PATCH, *names] if names else [PATCH]
-    whole, seconds = _differences(world, names, (), positions, rotations, accuracy)
-    scale = np.sqrt((whole**2).mean(axis=(1, 2)))
+    planned = planned or accuracy
+    whole, empty, seconds = differences(variant, (), positions, rotations, accuracy)
+    scale = (whole**2).mean(axis=(1, 2)).reshape(rounds, -1)
 
-    def effect(title: str, dropped: Sequence[str]) -> Effect:
-        got, took = _differences(world, names, dropped, positions, rotations, accuracy)
-        error = np.sqrt(((got - whole) ** 2).mean(axis=(1, 2)))
-        share = np.divide(error, scale, out=np.zeros_like(error), where=scale > 0.0)
-        return Effect(title, bootstrap(share), seconds / max(took, 1e-9))
+    def compared(name: str, made: Array, gain: float = math.nan, note: str = "") -> Effect:
+        error = ((made - whole) ** 2).mean(axis=(1, 2)).reshape(rounds, -1)
+        return Effect(name, relative(error, scale), gain, note)
+
+    def effect(name: str, dropped: Sequence[str], precision: float = accuracy) -> Effect:
+        made, _, took = differences(variant, dropped, positions, rotations, precision)
+        return compared(name, made, seconds / max(took, 1e-9))
 
     found = []
     for done, name in enumerate(every):
         progress(done, len(every) + 1, name)
         found.append(effect(name, [name]))
-    small = sorted(found, key=lambda e: e.share[0])
     dropped: list[str] = []
-    together = Effect("nothing", (0.0, 0.0, 0.0), 1.0)
-    for one in small:
-        if one.share[2] > tolerance:
+    together = effect("nothing", [], planned)
+    for one in sorted(found, key=lambda e: e.share[0]):
+        if one.share[2] > SAFE * tolerance:
             break
-        tried = effect(" and ".join([*dropped, one.name]), [*dropped, one.name]) if dropped else one
-        if tried.share[2] > tolerance:  # errors add up, or cancel: only measuring tells
-            continue
-        dropped.append(one.name)
-        together = tried
+        tried = effect(" and ".join([*dropped, one.name]), [*dropped, one.name], planned)
+        if tried.share[2] <= SAFE * tolerance:  # errors add up, or cancel: only measuring tells
+            dropped.append(one.name)
+            together = tried
+    for digits in (np.float32, np.float16):
+        stored = (whole + empty).astype(digits).astype(np.float64) - empty.astype(digits).astype(np.float64)
+        note = "float32, always" if digits is np.float32 else "kept: float32, always"
+        found.append(compared(f"digits beyond {np.dtype(digits).name}", stored, note=note))
+    height, width = whole.shape[1:]
+    for factor in (2, 4):
+        if width % factor == height % factor == 0 and min(width, height) // factor >= _FEWEST_PIXELS:
+            few = whole.reshape(len(whole), height // factor, factor, width // factor, factor).mean(axis=(2, 4))
+            made = np.array([cv2.resize(one, (width, height), interpolation=cv2.INTER_CUBIC) for one in few])
+            name = f"pixels beyond {width // factor} x {height // factor}"
+            found.append(compared(name, made, note="kept: each counts its own photons"))
     progress(len(every) + 1, len(every) + 1, "done")
-    return Plan(small[::-1], dropped, together)
+    return sorted(found, key=lambda e: -e.share[0]), dropped, together
 
 
-def _differences(
-    world: World, names: Sequence[str], dropped: Sequence[str], positions: Array, rotations: Array, accuracy: float
-) -> tuple[Array, float]:
-    """Difference pictures (n, height, width), and the seconds that one takes."""
-    some, shadows = without(world, names, dropped)
+def differences(
+    variant: Variant, dropped: Sequence[str], positions: Array, rotations: Array, accuracy: float
+) -> tuple[Array, Array, float]:
+    """Difference pictures (n, height, width), the background, and the seconds that a picture takes."""
+    some, shadows = variant(dropped)
     engine = Transport(some, accuracy=accuracy)
     background = engine.background().mean(axis=2)
     engine.pictures(positions[:1], rotations[:1], shadows=shadows)  # what is made once is no part of a picture's time
     start = time.perf_counter()
-    made = engine.pictures(positions, rotations, shadows=shadows).astype(np.float64).mean(axis=3) - background
-    return made, (time.perf_counter() - start) / len(positions)
-
-
-HEADINGS = ("left out", "error of a difference picture", "pictures a second", "")
-
-
-def rows(plan: Plan) -> list[tuple[str, ...]]:
-    """Return a table: a row for each effect, the largest first."""
-    return [
-        (
-            effect.name,
-            "{:.3g} % ({:.3g} to {:.3g})".format(*(100.0 * s for s in effect.share)),
-            f"x {effect.gain:.2g}",
-            "may be left out" if effect.name in plan.dropped else "needed",
-        )
-        for effect in plan.effects
-    ]
-
-
-def draw(path: Path, plan: Plan, tolerance: float, title: str) -> None:
-    """Write a picture: a bar for each effect, and the tolerance."""
-    effects = [effect for effect in plan.effects[::-1] if effect.share[0] > 0.0]
-    figure, axis = plt.subplots(figsize=(8.0, 0.8 + 0.4 * max(1, len(effects))), layout="constrained")
-    value, low, high = (np.array([100.0 * e.share[k] for e in effects]) for k in range(3))
-    colours = ["#8b949e" if e.name in plan.dropped else "#1f6feb" for e in effects]
-    if effects:
-        axis.barh([e.name for e in effects], value, xerr=np.maximum([value - low, high - value], 0.0), color=colours)
-        axis.set_xscale("log")
-    axis.axvline(100.0 * tolerance, color="#cf222e", lw=1.0, ls="--")
-    axis.set_xlabel("error of a difference picture without it, % of it")
-    axis.set_title(title, fontsize=10)
-    figures.save(path, figure)
+    made = [engine.difference(*pose, shadows=shadows) for pose in zip(positions, rotations, strict=True)]
+    took = (time.perf_counter() - start) / len(positions)
+    return np.array(made).mean(axis=3), background, took

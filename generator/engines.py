@@ -21,7 +21,7 @@ from mathutils import Matrix, Vector
 from generator import extract, stage
 from generator.dataset import Picture, read_picture
 from generator.spec import Array, NlosError, Sweep
-from generator.transport import Transport
+from generator.transport import Transport, partial
 from generator.transport.world import LitPatch
 
 ENGINES = ("path", "patch", "surfel")
@@ -99,11 +99,14 @@ class SurfelRenderer:
     ----------
     scene : bpy.types.Scene
     transport : Transport
+    shadows : bool
+        Less the light of the room that the target keeps from the wall.
     """
 
-    def __init__(self, scene: bpy.types.Scene, transport: Transport) -> None:
+    def __init__(self, scene: bpy.types.Scene, transport: Transport, *, shadows: bool = True) -> None:
         self._scene = scene
         self._transport = transport
+        self._shadows = shadows
 
     def render(self, *, samples: int = 0, seed: int = 0, target: bool = True, ambient: bool = True) -> Picture:
         """Render one picture with the target where it stands in the scene; samples and seed change nothing."""
@@ -115,7 +118,7 @@ class SurfelRenderer:
 
     def difference(self, position: Sequence[float], rotation: Sequence[float]) -> Array:
         """Return what the target at a pose changes of the empty scene, (height, width, 3), W/m^2/sr."""
-        return self._transport.difference(position, rotation)
+        return self._transport.difference(position, rotation, shadows=self._shadows)
 
     def at(self, position: Sequence[float], rotation: Sequence[float]) -> Picture:
         """Render one picture with the target at a pose: metres, and degrees about x, then y, then z."""
@@ -124,7 +127,7 @@ class SurfelRenderer:
 
     def pictures(self, positions: Sequence[Sequence[float]], rotations: Sequence[Sequence[float]]) -> Picture:
         """Render the pictures of many poses, (n, height, width, 3); each as `at` does, in less time."""
-        return self._transport.pictures(positions, rotations)
+        return self._transport.pictures(positions, rotations, shadows=self._shadows)
 
 
 @contextlib.contextmanager
@@ -137,6 +140,7 @@ def opened(
     accuracy: float = 1e-3,
     denoise: bool = False,
     device: str = "cpu",
+    leave_out: Sequence[str] = (),
 ) -> Iterator[Renderer | SurfelRenderer]:
     """Make a scene ready to be rendered by an engine; on leaving, put it back as it was.
 
@@ -154,6 +158,8 @@ def opened(
         Clean what Cycles renders with Open Image Denoise: smooth, and biased.
     device : {"cpu", "gpu"}
         That Cycles renders on.
+    leave_out : sequence of str
+        Of `partial.PARTS`, what `surfel` does not model.
 
     Raises
     ------
@@ -180,8 +186,9 @@ def opened(
         if threads:
             overrides.set(scene.render, "threads", threads)
         if engine == "surfel":
-            world = extract.surfel_world(scene, resolution=resolution)
-            yield SurfelRenderer(scene, Transport(world, accuracy=accuracy, threads=threads))
+            whole = extract.surfel_world(scene, resolution=resolution)
+            world, shadows = partial.without(whole, leave_out)
+            yield SurfelRenderer(scene, Transport(world, accuracy=accuracy, threads=threads), shadows=shadows)
             return
         with _patch_lamp(scene, order, overrides) if engine == "patch" else contextlib.nullcontext():
             yield Renderer(scene, Path(folder))
@@ -189,7 +196,7 @@ def opened(
 
 def settings(sweep: Sweep) -> dict[str, Any]:
     """Return what `opened` wants to know of a sweep besides its engine."""
-    return {name: getattr(sweep, name) for name in ("resolution", "accuracy", "device", "denoise")}
+    return {name: getattr(sweep, name) for name in ("resolution", "accuracy", "device", "denoise", "leave_out")}
 
 
 def use_gpu(overrides: stage.Overrides) -> list[str]:

@@ -345,7 +345,7 @@ def _shape(obj: Any) -> _Shape:
             corners=corners[solid],
             albedo=colours,
             closed=bool((edges[edges > 0] == 2).all()),
-            smooth=_is_smooth(mesh),
+            smooth=is_smooth(mesh),
             faces=len(mesh.polygons),
             flaws=flaws,
         )
@@ -359,7 +359,7 @@ def _values(collection: Any, name: str, width: int, kind: type) -> Any:
     return values.reshape(-1, width)
 
 
-def _is_smooth(mesh: Any) -> bool:
+def is_smooth(mesh: Any) -> bool:
     """Whether any corner's normal leans from its face's: shading that is set smooth may well be flat all the same."""
     if not len(mesh.polygons):
         return False

@@ -8,7 +8,7 @@ from dataclasses import replace
 import bpy
 import numpy as np
 
-from generator import engines, poses, stage
+from generator import engines, poses, simplify, stage
 from generator.budget import REHEARSED, Rehearsal
 from generator.clearance import clearance
 from generator.dataset import PoseRecord
@@ -44,6 +44,7 @@ def rehearse(scene: bpy.types.Scene, sweep: Sweep, *, share: tuple[int, int] = (
     is_free = clearance(scene, described, engine=sweep.engine)
     planned = {r.voxel: r for r in poses.plan(described.grid, replace(sweep, poses=1), stage.hull(scene), is_free)}
     mine = [planned[int(voxel)] for voxel in voxels][share[0] :: share[1]]
+    simplify.apply(scene, sweep.leave_out)
     if sweep.engine == "surfel":
         work = (1.0 / ACCURACIES[0], 1.0 / ACCURACIES[1])
         return Rehearsal(sweep.engine, described.grid.n_voxels, work, _exact(scene, sweep, mine, threads), [])

@@ -371,6 +371,8 @@ class Sweep:
         Of a trajectory, one after the other, in place of poses in every voxel; 0 is none.
     pace : float
         Of a trajectory, metres from frame to frame.
+    leave_out : tuple of str
+        Pieces of the scene (`generator.simplify`) and parts of `surfel` (`transport.partial`) that are not modelled.
     """
 
     engine: Literal["path", "patch", "surfel"] = "patch"
@@ -386,6 +388,7 @@ class Sweep:
     accuracy: float = 1e-3
     frames: int = 0
     pace: float = 0.03
+    leave_out: tuple[str, ...] = ()
 
     @classmethod
     def idle(cls, engine: str) -> tuple[str, ...]:
@@ -395,7 +398,8 @@ class Sweep:
     @property
     def unused(self) -> tuple[str, ...]:
         """The settings that mean nothing here: to the engine, and to a sweep of voxels or a trajectory."""
-        return (*self.idle(self.engine), *(("poses", "inside") if self.frames else ("frames", "pace")))
+        kind = ("poses", "inside") if self.frames else ("frames", "pace")
+        return (*self.idle(self.engine), *kind, *(() if self.leave_out else ("leave_out",)))
 
     def __post_init__(self) -> None:
         _check(1e-8 <= self.accuracy <= 0.3, f"accuracy: {self.accuracy:g} must be from 1e-08 to 0.3")

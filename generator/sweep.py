@@ -64,6 +64,9 @@ class Outcome:
 Progress = Callable[[int, int], None]
 """Is told how many pictures of this run are done, and how many there are to do."""
 
+Pace = Callable[[], int]
+"""Is asked, whenever a worker is about to begin a picture, with how many samples."""
+
 Launch = Callable[[Sequence[str]], list[str]]
 """Turns a worker's module and arguments into the command line of a process of its own."""
 
@@ -84,6 +87,7 @@ def run(
     tell: Callable[[str], None] = lambda words: None,
     launch: Launch = python,
     stop: threading.Event | None = None,
+    pace: Pace | None = None,
 ) -> Outcome:
     """Render a data set, or what is missing of it.
 
@@ -107,6 +111,9 @@ def run(
         How workers are started.
     stop : threading.Event, optional
         Set by another thread, it ends the run early; what is done stays.
+    pace : callable, optional
+        Says with how many samples each picture is rendered; without it all take the data set's. Voxels then take
+        turns, lest the noise tell them apart.
 
     Raises
     ------
@@ -120,12 +127,15 @@ def run(
     if chosen.get("engine") == "auto":
         tell(engine_words(dataset))
     pending = pending_positions(dataset, shard)
+    if pace:
+        pending.sort(key=lambda position: dataset.poses[position].index)
     outcome = Outcome(dataset)
     if pending or not _has_backgrounds(dataset):
         crew = Crew(
             lambda threads: ["generator.worker", "render", str(path), str(threads)],
             lambda position: dataset.poses[position].file,
             progress,
+            say=(lambda position: f"{position}:{pace()}") if pace else str,
             launch=launch,
             stop=stop,
         )
@@ -310,10 +320,10 @@ class Worker:
                 return fields
         return None
 
-    def send(self, batch: Sequence[int]) -> None:
+    def send(self, words: str) -> None:
         """Tell the worker which units of work are its next."""
         assert self._process.stdin is not None
-        self._process.stdin.write(" ".join(map(str, batch)) + "\n")
+        self._process.stdin.write(words + "\n")
         self._process.stdin.flush()
 
     def last_words(self) -> str:
@@ -338,6 +348,8 @@ class Crew:
         Is told how much is done, and of how much.
     size : callable
         How much a unit adds to that.
+    say : callable
+        What a worker is told of a unit: a word.
     launch : callable
         How workers are started.
     stop : threading.Event, optional
@@ -356,6 +368,7 @@ class Crew:
         progress: Progress,
         size: Callable[[int], int] = lambda unit: 1,
         *,
+        say: Callable[[int], str] = str,
         launch: Launch = python,
         stop: threading.Event | None = None,
     ) -> None:
@@ -364,6 +377,7 @@ class Crew:
         self._name = name
         self._progress = progress
         self._size = size
+        self._say = say
         self._launch = launch
         self._todo: queue.SimpleQueue[tuple[Sequence[int], int]] = queue.SimpleQueue()
         self._lock = threading.Lock()
@@ -458,11 +472,10 @@ class Crew:
             self._error = error
             self._stopped.set()
 
-    @staticmethod
-    def _do(worker: Worker, batch: Sequence[int]) -> bool:
+    def _do(self, worker: Worker, batch: Sequence[int]) -> bool:
         """Whether the worker says that it has done the batch; False if it is gone."""
         try:
-            worker.send(batch)
+            worker.send(" ".join(map(self._say, batch)))
             while answer := worker.answer():
                 if "ready" not in answer:
                     return True

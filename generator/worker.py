@@ -11,7 +11,7 @@ import functools
 import json
 import sys
 import time
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import asdict, replace
 from importlib import metadata
@@ -21,7 +21,7 @@ from typing import TYPE_CHECKING, Any
 import bpy
 import numpy as np
 
-from generator import check, engines, experiments, poses, rehearsal, spec, stage
+from generator import check, engines, experiments, poses, rehearsal, simplify, spec, stage
 from generator.clearance import clearance
 from generator.dataset import (
     BACKGROUND_AMBIENT,
@@ -72,11 +72,10 @@ def plan(scene: bpy.types.Scene, source: Path, path: Path, chosen: Mapping[str, 
     if chosen.get("engine") != engines.AUTO and any(name in chosen for name in idle):
         name = next(name for name in idle if name in chosen)
         raise NlosError(f"{name}: means nothing to the engine {sweep.engine!r}; leave it out")
+    records = placed(scene, described, sweep)
+    simplify.apply(scene, sweep.leave_out)
     with engines.opened(scene, sweep.engine, **engines.settings(sweep)) as renderer:
-        # Refuses now what it could not honour later. The camera's view depends on the resolution.
-        is_free = clearance(scene, described, engine=sweep.engine)
-    planned = poses.trajectory if sweep.frames else poses.plan
-    records = planned(described.grid, sweep, stage.hull(scene), is_free)
+        pass  # refuses now what it could not honour later
     stage.save_file(path / SCENE)
     meta = {
         "sweep": {
@@ -93,6 +92,14 @@ def plan(scene: bpy.types.Scene, source: Path, path: Path, chosen: Mapping[str, 
     if isinstance(renderer, engines.SurfelRenderer):
         _background(renderer, dataset, sweep)  # needs no scene, and far less time than a process of its own to start
     return dataset
+
+
+def placed(scene: bpy.types.Scene, described: spec.Scene, sweep: Sweep) -> list[PoseRecord]:
+    """Return the poses of a sweep: where nothing is in the way, whether it is left out of the pictures or not."""
+    with engines.opened(scene, "path", resolution=sweep.resolution):  # the camera's view depends on the resolution
+        is_free = clearance(scene, described, engine=sweep.engine)
+    planned = poses.trajectory if sweep.frames else poses.plan
+    return planned(described.grid, sweep, stage.hull(scene), is_free)
 
 
 def settled(scene: bpy.types.Scene, described: spec.Scene, chosen: Mapping[str, Any]) -> tuple[Sweep, list[str]]:
@@ -135,7 +142,7 @@ def check_blender(dataset: Dataset | Bulk) -> None:
 def render(
     scene: bpy.types.Scene,
     dataset: Dataset,
-    batches: Iterable[Sequence[int]],
+    batches: Iterable[Mapping[int, int]],
     *,
     threads: int = 0,
     report: Callable[[list[PoseRecord]], None] = lambda _: None,
@@ -147,8 +154,9 @@ def render(
     scene : bpy.types.Scene
         The data set's own scene, open.
     dataset : Dataset
-    batches : iterable of sequences of int
-        Which of ``dataset.poses``. The pixels do not depend on what is rendered together, only the time does.
+    batches : iterable of mappings of int to int
+        Which of ``dataset.poses``, and with how many samples each, where 0 is as many as the data set says. The
+        pixels do not depend on what is rendered together, only the time does.
     threads : int
         0 takes all cores.
     report : callable
@@ -161,17 +169,24 @@ def render(
     ):
         background = _background(renderer, dataset, sweep)
         for batch in batches:
-            chosen, samples = [dataset.poses[position] for position in batch], sweep.samples
+            chosen = [dataset.poses[position] for position in batch]
+            samples = [own or sweep.samples for own in batch.values()]
             start = time.perf_counter()
             pictures: Iterable[Picture]
             if isinstance(renderer, engines.SurfelRenderer):
-                samples = 0
+                samples = [0] * len(chosen)
                 pictures = renderer.pictures([pose.position for pose in chosen], [pose.rotation for pose in chosen])
             else:
-                pictures = [_picture(scene, renderer, pose, sweep, background) for pose in chosen]
-            seconds = (time.perf_counter() - start) / len(chosen)
-            write = functools.partial(dataset.write_pose, seconds=seconds, samples=samples)
-            report(list(writers.map(write, chosen, pictures)))
+                pictures = [
+                    _picture(scene, renderer, pose, replace(sweep, samples=own), background)
+                    for pose, own in zip(chosen, samples, strict=True)
+                ]
+            write = functools.partial(_write, dataset, (time.perf_counter() - start) / len(chosen))
+            report(list(writers.map(write, chosen, pictures, samples)))
+
+
+def _write(dataset: Dataset, seconds: float, pose: PoseRecord, pixels: Picture, samples: int) -> PoseRecord:
+    return dataset.write_pose(pose, pixels, seconds=seconds, samples=samples)
 
 
 def _picture(
@@ -222,11 +237,12 @@ def answer(**fields: Any) -> None:
     print(ANSWER + json.dumps(fields), flush=True)
 
 
-def commands() -> Iterable[list[int]]:
-    """Say that this process is ready, and return the batches of numbers that the coordinator sends."""
+def commands() -> Iterable[dict[int, int]]:
+    """Say that this process is ready, and return the batches that are sent to it: numbers, each with its samples."""
     answer(ready=True)
     for line in sys.stdin:
-        yield [int(number) for number in line.split()]
+        pairs = (word.partition(":") for word in line.split())
+        yield {int(number): int(samples or 0) for number, _, samples in pairs}
 
 
 def main(argv: list[str]) -> int:

@@ -293,6 +293,36 @@ def test_the_data_sets_workers_end_with_blender(package: Path, tmp_path: Path) -
     assert list((tmp_path / "set").rglob("*.exr"))
 
 
+@pytest.mark.parametrize(
+    ("wish", "words"),
+    [("'time'; settings.minutes = 0.4", "what the budget allows"), ("'error'; settings.error = 90", "as exact as")],
+)
+def test_a_data_set_takes_what_a_time_or_an_error_allows(
+    package: Path, tmp_path: Path, wish: str, words: str
+) -> None:
+    """The samples that the panel shows are not those of the set, which says what was taken."""
+    blender(
+        package,
+        tmp_path,
+        f"""
+        import os, time
+        bpy.ops.nlos.build_scene()
+        settings.engine, settings.samples, settings.resolution, settings.poses = "patch", 65536, (8, 8), 2
+        settings.quality = {wish}
+        settings.dataset = os.path.join(os.getcwd(), "set")
+        assert bpy.ops.nlos.sweep_start() == {{"FINISHED"}}
+        job = importlib.import_module(f"{{MODULE}}.dataset").job
+        while not job._task.done:
+            time.sleep(0.1)
+        assert not job._task.error, job._task.error
+        assert {words!r} in job.choice, job.choice
+        made = job._task.result.dataset
+        assert all(pose.done for pose in made.poses)
+        assert made.sweep.samples != 65536
+        """,
+    )
+
+
 def test_without_cycles_there_is_a_sentence(package: Path, tmp_path: Path) -> None:
     blender(
         package,

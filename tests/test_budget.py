@@ -2,6 +2,10 @@
 
 from __future__ import annotations
 
+import functools
+import heapq
+import queue
+import threading
 from dataclasses import replace
 
 import numpy as np
@@ -40,9 +44,9 @@ def test_what_is_no_accuracy_is_one_sentence(text):
 
 
 def chosen(monkeypatch, measured, settings=None, **wanted):
-    monkeypatch.setattr(budget, "_measure", lambda *_: measured)
+    monkeypatch.setattr(budget, "rehearsed", lambda *_: measured)
     told = []
-    return budget.choose("room.blend", settings or {}, **wanted, tell=told.append), told[-1]
+    return budget.choose("room.blend", settings or {}, **wanted, tell=told.append).settings, told[-1]
 
 
 @pytest.mark.parametrize("limit", [60.0, 600.0, 6000.0])
@@ -50,6 +54,36 @@ def test_the_time_is_used_and_not_more(monkeypatch, limit):
     made, words = chosen(monkeypatch, PATCH, budget=limit)
     assert 0.6 * limit < PATCH.total(made["samples"], 900) < limit
     assert "what the budget allows" in words
+
+
+@pytest.mark.parametrize("slowness", [0.4, 1.0, 2.5])
+@pytest.mark.parametrize("workers", [1, 3])
+def test_a_pace_keeps_the_time_on_a_machine_of_another_speed(slowness, workers):
+    """Workers of a simulated machine, which turns quick or slow when a third is done, end when they should."""
+    measured, now, starts = replace(PATCH, workers=float(workers)), [0.0], 3.0
+    pictures, late = 400, 600.0
+    samples = int(measured.most(late, pictures, 1.0, 1e6))
+    pace = budget.Pace(measured, samples, pictures, late, clock=lambda: now[0])
+    told = queue.Queue()
+    asks = [queue.Queue() for _ in range(workers)]
+    free = [(starts, i) for i in range(workers)]
+    for own in asks:  # a pace knows workers by their threads
+        work = functools.partial(lambda own: [told.put(pace()) for _ in iter(own.get, None)], own)
+        threading.Thread(target=work, daemon=True).start()
+    taken = []
+    for done in range(pictures):
+        begun, i = heapq.heappop(free)
+        now[0] = 0.0 if begun == starts and done < workers else begun
+        asks[i].put(1)
+        taken.append(told.get(timeout=10))
+        now_slow = slowness if done > pictures / 3 else 1.0
+        heapq.heappush(free, (begun + now_slow * measured.picture(taken[-1]), i))
+    for own in asks:
+        own.put(None)
+    end = max(free)[0]
+    assert 0.9 * late < end < 1.1 * late
+    if slowness != 1.0:
+        assert (np.mean(taken[-50:]) < np.mean(taken[:50])) == (slowness > 1.0)
 
 
 def test_no_more_than_asked_for_is_done(monkeypatch):

@@ -247,7 +247,9 @@ def test_an_adopted_scene_is_swept(tmp_path):
     stage.save_file(source)
     chosen = {"engine": "surfel", "poses": 2, "resolution": [16, 16], "accuracy": 1e-3, "rotation": [15, 15, 90]}
     plan = worker.plan(stage.open_file(source), source, tmp_path / "artist", chosen)
-    worker.render(stage.open_file(tmp_path / "artist" / "scene.blend"), plan, [range(len(plan.poses))])
+    worker.render(
+        stage.open_file(tmp_path / "artist" / "scene.blend"), plan, [dict.fromkeys(range(len(plan.poses)), 0)]
+    )
     by_hand = built()
     with engines.opened(by_hand, "surfel", resolution=(16, 16), accuracy=1e-3) as renderer:
         for pose in plan.poses:

@@ -22,7 +22,10 @@ NEEDS_BLENDER = {
         "extract",
         "laboratory",
         "outlines",
+        "planning",
+        "probing",
         "rehearsal",
+        "simplify",
         "stage",
         "worker",
     )

@@ -277,7 +277,7 @@ def test_one_hopeless_unit_fails_alone_of_its_batch(monkeypatch):
             self.batch = ()
 
         def send(self, batch):
-            self.batch = batch
+            self.batch = [int(word) for word in batch.split()]
 
         def answer(self):
             return None if 3 in self.batch else {"done": True}

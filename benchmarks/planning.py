@@ -1,0 +1,334 @@
+"""What a plan says of a scene, against what happens when that is done: presets, clutter, mirrors, adversarial scenes.
+
+python benchmarks/planning.py effects -o DIR            each effect, at other poses and in other noise
+python benchmarks/planning.py random -o DIR --count 50  the planned picture against the full model, random scenes
+"""
+
+from __future__ import annotations
+
+import argparse
+import math
+import time
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import bpy
+import numpy as np
+
+from generator import budget, effects, planning, poses, probing, simplify, spec, stage, worker
+from generator.clearance import clearance
+from generator.dataset import csv_text, write_text
+from generator.intervals import relative
+from generator.plans import Effect, Plan
+from generator.transport import Transport
+
+OTHER = 1
+"""Seed of the poses that a plan is held against; plans are made with seed 0."""
+
+
+def material(name: str, colour: float, *, mirror: bool = False, rough: float = 0.0) -> bpy.types.Material:
+    """Return a grey Lambertian material, or a mirror."""
+    made = bpy.data.materials.new(name)
+    if made.node_tree is None:
+        made.use_nodes = True
+    tree = made.node_tree
+    tree.nodes.clear()
+    shader = tree.nodes.new("ShaderNodeBsdfGlossy" if mirror else "ShaderNodeBsdfDiffuse")
+    shader.inputs["Color"].default_value = (colour, colour, colour, 1.0)
+    shader.inputs["Roughness"].default_value = rough
+    tree.links.new(shader.outputs[0], tree.nodes.new("ShaderNodeOutputMaterial").inputs["Surface"])
+    return made
+
+
+def box(name: str, at: Any, size: Any, made: bpy.types.Material) -> None:
+    """Put a box into the scene."""
+    bpy.ops.mesh.primitive_cube_add(size=1.0, location=at)
+    obj = bpy.context.object
+    obj.name, obj.scale = name, size
+    obj.data.materials.append(made)
+
+
+def room(kind: str = "sphere", **changes: Any) -> bpy.types.Scene:
+    """Return the preset room with some figures changed."""
+    scene = stage.new_file()
+    stage.build(scene, replace(spec.preset("room", kind), **changes))
+    return scene
+
+
+def _cluttered() -> bpy.types.Scene:
+    scene = room()
+    for name, at, size, colour in (
+        ("Cupboard", (-2.1, 1.2, 0.9), (0.5, 0.8, 1.8), 0.5),
+        ("Table", (-1.2, 1.6, 0.4), (0.8, 0.6, 0.05), 0.6),
+        ("Shelf", (2.5, 2.4, 1.5), (0.15, 0.8, 0.03), 0.7),
+        ("Chest", (1.4, 3.1, 0.25), (0.7, 0.4, 0.5), 0.3),
+        ("Lamp shade", (0.6, 2.4, 2.3), (0.3, 0.3, 0.2), 0.9),
+    ):
+        box(name, at, size, material(name, colour))
+    return scene
+
+
+def _mirror_sphere() -> bpy.types.Scene:
+    scene = room()
+    target = stage.find(scene, "target")
+    target.data.materials.clear()
+    target.data.materials.append(material("Mirror", 0.9, mirror=True))
+    return scene
+
+
+def _mirror_panel() -> bpy.types.Scene:
+    scene = room()
+    box("Panel", (1.5, 3.38, 1.3), (1.6, 0.01, 1.6), material("Mirror", 0.9, mirror=True))
+    return scene
+
+
+def _board() -> bpy.types.Scene:
+    scene = room()
+    box("Board", (2.35, 1.15, 1.3), (0.01, 1.6, 1.8), material("Board", 0.95))
+    return scene
+
+
+def _grazing() -> bpy.types.Scene:
+    spot = spec.preset("room").spot
+    return room(spot=replace(spot, location=(-1.9, 0.28, 1.7)))
+
+
+def _window() -> bpy.types.Scene:
+    wanted = spec.preset("room", "sphere")
+    scene = room(ambient=0.05, room=replace(wanted.room, surfaces=("floor", "back", "left", "right")))
+    # The ceiling with a hole of 60 cm.
+    hole = material("Ceiling", 0.8)
+    for k, (x, y) in enumerate(
+        (((-2.4, 0.5), (0.0, 3.4)), ((1.1, 2.6), (0.0, 3.4)), ((0.5, 1.1), (0.0, 2.4)), ((0.5, 1.1), (3.0, 3.4)))
+    ):
+        middle, size = [(a + b) / 2.0 for a, b in (x, y)], [b - a for a, b in (x, y)]
+        box(f"Ceiling {k}", (*middle, 2.6), (*size, 0.01), hole)
+    return scene
+
+
+def _preset(name: str) -> Callable[[], bpy.types.Scene]:
+    def made() -> bpy.types.Scene:
+        scene = stage.new_file()
+        stage.build(scene, spec.preset(name, "sphere"))
+        return scene
+
+    return made
+
+
+SCENES: dict[str, Callable[[], bpy.types.Scene]] = {
+    "room": _preset("room"),
+    "tabletop": _preset("tabletop"),
+    "corridor": _preset("corridor"),
+    "cluttered": _cluttered,
+    "mirror sphere": _mirror_sphere,
+    "mirror panel": _mirror_panel,
+    "white board": _board,
+    "grazing lamp": _grazing,
+    "window": _window,
+}
+
+
+def saved(scene: bpy.types.Scene, path: Path) -> Path:
+    """Save a scene and return where."""
+    bpy.context.view_layer.update()
+    stage.save_file(path)
+    return path
+
+
+def other_poses(source: Path, count: int) -> tuple[Any, Any]:
+    """Return places and turns that the plan has not seen."""
+    scene = stage.open_file(source)
+    described = stage.read(scene)
+    sweep, _ = worker.settled(scene, described, {"engine": "patch", "poses": count, "seed": OTHER})
+    made = poses.plan(described.grid, sweep, stage.hull(scene), clearance(scene, described, engine="patch"))
+    made.sort(key=lambda pose: (pose.index, pose.voxel))
+    return tuple(np.array([getattr(p, name) for p in made]) for name in ("position", "rotation"))
+
+
+def again(source: Path, plan: Plan, most: float) -> dict[str, tuple[float, float, float]]:
+    """Measure a plan's effects once more, at other poses and in other noise, and the plan against Cycles."""
+    scene = stage.open_file(source)
+    described = stage.read(scene)
+    sweep, _ = worker.settled(scene, described, {"engine": "patch", "poses": probing.ROUNDS[1], "seed": OTHER})
+    planned = poses.plan(described.grid, sweep, stage.hull(scene), clearance(scene, described, engine="patch"))
+    rounds = [[p for p in planned if p.index == k] for k in range(probing.ROUNDS[1])]
+    probe = probing.Probe(source, "patch", rounds, described.resolution[0] / described.resolution[1])
+    pieces = [e.name for e in plan.effects if e.name in simplify.found(stage.open_file(source))]
+    orders = [o for o in (4, 5) if any(e.name == probing.order_name(o) for e in plan.effects)]
+    found = probing.measure(probe, pieces, orders=orders, tolerance=plan.tolerance, most=most)
+    if plan.settings["engine"] == "surfel":
+        cycles = [name for name in plan.dropped if name in pieces]
+        variant = planning.variant(source, cycles)
+        every = [e.name for e in plan.effects if not e.note and e.name not in pieces]
+        places, turns = other_poses(source, 5)
+        exact, _, _ = effects.measure(variant, every, places, turns, rounds=5, accuracy=budget.FINE, tolerance=0.0)
+        found |= {e.name: e.share for e in exact}
+        found["all of it, against Cycles"] = _against_cycles(probe, variant, plan, most)
+    return found
+
+
+def _against_cycles(probe: Any, variant: Any, plan: Plan, most: float) -> tuple[float, float, float]:
+    """Error of the planned pictures against Cycles' of the whole scene, with Cycles' noise seen through."""
+    world, shadows = variant(plan.dropped)
+    errors, wholes, begun = [], [], time.monotonic()
+    for number in range(probing.ROUNDS[1]):
+        whole = probe.whole(number)
+        size = (probing.PIXELS, whole.shape[2] // probing.PIXELS)
+        small = replace(world, watched=replace(world.watched, resolution=size))
+        engine = Transport(small, accuracy=plan.settings["accuracy"])
+        made = [
+            engine.difference(p.position, p.rotation, shadows=shadows).mean(axis=2).ravel()
+            for p in probe.rounds[number]
+        ]
+        errors.append(whole - np.array(made))
+        wholes.append(whole)
+        if number >= 3 and time.monotonic() - begun > most:
+            break
+    return probing.share(errors, wholes)
+
+
+def verdict(effect: Effect, measured: tuple[float, float, float], tolerance: float) -> str:
+    """Say whether a prediction held: within a factor of 1.5, or inside one of the two intervals."""
+    value, (got, low, high) = effect.share[0], measured
+    if math.isnan(value) or math.isnan(got):
+        return "not measured"
+    if value > 0.0 and 1 / 1.5 <= got / value <= 1.5:
+        return "held"
+    if effect.share[1] <= got <= effect.share[2] or low <= value <= high or max(got, value) < tolerance / 30.0:
+        return "held"
+    return "MISSED"
+
+
+def run_effects(options: argparse.Namespace) -> None:
+    """Plan every scene, and hold each plan against what happens."""
+    table = []
+    for name in options.scenes or SCENES:
+        source = saved(SCENES[name](), options.output / f"{name}.blend")
+        plan = planning.make(source, tolerance=options.tolerance, most=options.most)
+        try:
+            measured = again(source, plan, options.most)
+        except spec.NlosError as error:
+            print(f"{name}: {error}")
+            measured = {}
+        for line in plan.words:
+            print(f"{name}: {line}")
+        for effect in plan.effects:
+            if effect.name in measured:
+                kept = "left out" if effect.name in plan.dropped else effect.note or "needed"
+                row = (name, effect.name, effect.percent(), Effect("", measured[effect.name]).percent(), kept)
+                table.append((*row, verdict(effect, measured[effect.name], options.tolerance)))
+                print(" | ".join(table[-1]), flush=True)
+        if (all_of_it := measured.get("all of it, against Cycles")) is not None:
+            table.append(
+                (name, "all of it, against Cycles", plan.together.percent(), Effect("", all_of_it).percent(), "", "")
+            )
+            print(" | ".join(table[-1]), flush=True)
+        known = plan.predicted
+        print(f"{name}: {plan.settings}, {known['seconds_full'] / known['seconds']:.3g} times as fast", flush=True)
+        write_text(options.output / "effects.csv", csv_text(("scene", "left out", "plan", "measured", "", ""), table))
+
+
+def random_scene(seed: int) -> bpy.types.Scene:
+    """Return a room of random size, albedo and clutter, with a random target."""
+    rng = np.random.default_rng([20, seed])
+    wanted = spec.preset("room", str(rng.choice(["sphere", "sheet"])))
+    far, back, top = rng.uniform(2.5, 4.0), rng.uniform(3.2, 5.0), rng.uniform(2.4, 3.4)
+    surfaces = [s for s in wanted.room.surfaces if s == "floor" or rng.random() < 0.75]
+    walls = replace(
+        wanted.room,
+        x=(-2.4, far),
+        y=(0.0, back),
+        z=(0.0, top),
+        albedo=rng.uniform(0.05, 0.9),
+        surfaces=tuple(surfaces),
+    )
+    scene = room(
+        wanted.target.kind,
+        room=walls,
+        wall=replace(wanted.wall, x=(-2.4, far), z=(0.0, top), albedo=rng.uniform(0.3, 0.9)),
+        partition=replace(
+            wanted.partition, y=(1.3, back), z=(0.0, top), albedo=rng.choice([0.0, rng.uniform(0.0, 0.8)])
+        ),
+        target=replace(wanted.target, size=rng.uniform(0.2, 0.45), albedo=rng.uniform(0.2, 1.0)),
+        spot=replace(wanted.spot, half_angle=rng.uniform(0.8, 3.0)),
+    )
+    for k in range(rng.integers(0, 6)):
+        size = rng.uniform(0.05, 0.6, size=3)
+        side = rng.random() < 0.5  # left of the partition, or behind the voxels
+        low = np.array([-2.3, 0.2, 0.1]) if side else np.array([0.3, 2.0, 0.1])
+        high = np.array([-1.6, 2.5, top - 0.1]) if side else np.array([far - 0.1, back - 0.1, top - 0.1])
+        at = rng.uniform(low + size / 2.0, np.maximum(high - size / 2.0, low + size / 2.0 + 1e-3))
+        box(f"Box {k}", at, size, material(f"Box {k}", rng.uniform(0.0, 0.95)))
+    return scene
+
+
+def run_random(options: argparse.Namespace) -> None:
+    """Plan random scenes, and compare planned pictures with the full model's at other poses."""
+    table, held = [], 0
+    for seed in range(options.count):
+        tolerance = (0.01, 0.02, 0.05, 0.1)[seed % 4]
+        source = saved(random_scene(seed), options.output / f"random-{seed}.blend")
+        try:
+            plan = planning.make(source, tolerance=tolerance, most=0.0)
+            places, turns = other_poses(source, 5)
+        except spec.NlosError as error:
+            print(f"{seed}: left out: {error}", flush=True)
+            continue
+        variant = planning.variant(source, [])
+        whole, _, _ = effects.differences(variant, (), places, turns, max(budget.FINE, tolerance / 30.0))
+        made, _, _ = effects.differences(variant, plan.dropped, places, turns, plan.settings["accuracy"])
+        squares = (((one**2).mean(axis=(1, 2))).reshape(5, -1) for one in (made - whole, whole))
+        error = relative(*squares)[0]
+        ratios = [
+            _seconds(variant, (), places, turns, plan) / _seconds(variant, plan.dropped, places, turns, plan)
+            for _ in range(3)
+        ]
+        held += error <= tolerance
+        row = (
+            str(seed),
+            f"{tolerance:g}",
+            str(len(plan.dropped)),
+            f"{error:.3g}",
+            "yes" if error <= tolerance else "NO",
+            f"{np.median(ratios):.3g}",
+        )
+        table.append(row)
+        print(" | ".join(row), flush=True)
+        write_text(
+            options.output / "random.csv",
+            csv_text(("scene", "tolerance", "dropped", "error", "held", "speed-up"), table),
+        )
+    gains = [float(row[-1]) for row in table]
+    print(f"{held} of {len(table)} plans hold")
+    print(f"speed-up {np.median(gains):.3g} (median), {min(gains):.3g} to {max(gains):.3g}")
+
+
+def _seconds(variant: Any, dropped: Any, places: Any, turns: Any, plan: Plan) -> float:
+    world, shadows = variant(dropped)
+    engine = Transport(world, accuracy=plan.settings["accuracy"])
+    engine.pictures(places[:1], turns[:1], shadows=shadows)
+    begun = time.perf_counter()
+    engine.pictures(places, turns, shadows=shadows)
+    return time.perf_counter() - begun
+
+
+def main() -> None:
+    """Run one of the two."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("what", choices=["effects", "random"])
+    parser.add_argument("-o", "--output", type=Path, required=True)
+    parser.add_argument("--scenes", nargs="*", choices=list(SCENES))
+    parser.add_argument("--tolerance", type=float, default=0.01)
+    parser.add_argument(
+        "--most", type=float, default=60.0, help="seconds for Cycles' effects, of each scene and time"
+    )
+    parser.add_argument("--count", type=int, default=50)
+    options = parser.parse_args()
+    options.output.mkdir(parents=True, exist_ok=True)
+    (run_effects if options.what == "effects" else run_random)(options)
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,211 @@
+"""Plans what to model of a scene: measures its effects, keeps what a tolerance needs, predicts what that takes."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Sequence
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from generator import budget, effects, extract, poses, probing, simplify, stage, worker
+from generator.clearance import clearance
+from generator.dataset import PoseRecord
+from generator.plans import Effect, Plan
+from generator.spec import NlosError, Sweep
+from generator.transport import World, partial
+
+_REFERENCE = 1 / 10
+"""Accuracy of the engine that effects are measured with, in units of the tolerance."""
+_PLANNED = 1 / 3
+"""Accuracy of the planned sweep, likewise; what is left out has the rest."""
+_COARSEST = 0.1
+_ORDERS = (4, 5)
+_NOTHING = Effect("nothing", (0.0, 0.0, 0.0))
+_PIXEL_BYTES = 12
+
+
+def make(
+    source: Path,
+    *,
+    tolerance: float = 0.01,
+    count: int = 5,
+    seed: int = 0,
+    most: float = 180.0,
+    workers: int = 0,
+    tell: Callable[[str], None] = lambda words: None,
+) -> Plan:
+    """Measure a scene's effects, and plan a sweep of it.
+
+    What `surfel` models is measured by it, without noise. What only Cycles models - other lights, materials that are
+    not plain, further reflections - is measured by paired renders (`generator.probing`), and if all of it may be left
+    out, the plan is one for `surfel`.
+
+    Parameters
+    ----------
+    source : Path
+        The ``.blend``, which is opened; what was open before is lost.
+    tolerance : float
+        Error of a difference picture that is allowed, relative, root mean square over pixels and poses.
+    count : int
+        Poses per voxel that `surfel` looks at.
+    seed : int
+        Of the poses.
+    most : float
+        Seconds for Cycles' effects; 0 measures none of them, and keeps them all.
+    workers : int
+        Of the sweep that is predicted.
+    tell : callable
+        Is told what is being done.
+
+    Raises
+    ------
+    NlosError
+        The scene cannot be swept.
+    """
+    scene = stage.open_file(source)
+    described = stage.read(scene)
+    pieces = simplify.found(scene)
+    _, reasons = extract.world(scene)
+    engine = _cycles_engine(scene)
+    planned = _planned(scene, described, engine, max(count, probing.ROUNDS[1]), seed)
+    fine = [piece for piece in pieces if piece.startswith(simplify.FINE)]  # costs Cycles nothing
+    others = [piece for piece in pieces if piece not in fine]
+    found = [Effect(name, (math.nan, 0.0, math.inf)) for name in others]
+    dropped: list[str] = []
+    words: list[str] = []
+    spent = _NOTHING
+    if engine == "path":
+        words.append(f"only path can render this scene, too noisily to measure anything by: {'; '.join(reasons)}")
+    elif most > 0.0:
+        orders = [order for order in _ORDERS if order > stage.reflection_order(scene) >= extract.MAX_ORDER]
+        rounds = [[p for p in planned if p.index == k] for k in range(probing.ROUNDS[1])]
+        probe = probing.Probe(source, engine, rounds, described.resolution[0] / described.resolution[1])
+        tell(f"rendering {len(others) + len(orders)} effects that only Cycles models, for up to {most:.0f} s")
+        shares = probing.measure(probe, others, orders=orders, tolerance=tolerance, most=most, progress=tell)
+        found = [Effect(name, shares[name]) for name in others]
+        dropped, spent = _droppable(probe, found, tolerance)
+        names = map(probing.order_name, orders)
+        found += [Effect(name, shares[name], note="not in the scene") for name in names]
+        if dropped and not set(others) - set(dropped):
+            _, reasons = _simplified(source, dropped)
+    if reasons:
+        words += [f"surfel cannot render this: {reason}" for reason in reasons if engine != "path"]
+        plan = Plan(_sorted(found), dropped, spent, {"engine": engine}, tolerance, words)
+    else:
+        left = tolerance - spent.share[2]
+        some = sorted((p for p in planned if p.index < count), key=lambda p: (p.index, p.voxel))
+        exact, more, together, accuracy = _exact(source, dropped, fine, some, left, tell)
+        both = (math.hypot(a, b) for a, b in zip(together.share, spent.share, strict=True))
+        together = replace(together, share=(next(both), next(both), next(both)))
+        settings = {"engine": "surfel", "accuracy": accuracy}
+        plan = Plan(_sorted([*found, *exact]), [*dropped, *more], together, settings, tolerance, words)
+    return _predicted(source, plan, described.grid.n_voxels, described.resolution, workers, tell)
+
+
+def _exact(
+    source: Path,
+    dropped: Sequence[str],
+    fine: Sequence[str],
+    some: Sequence[PoseRecord],
+    tolerance: float,
+    tell: Callable[[str], None],
+) -> tuple[list[Effect], list[str], Effect, float]:
+    """What `surfel` models of a scene without some pieces, as `effects.measure` tells, and a sweep's accuracy."""
+    places, turns = (np.array([getattr(pose, name) for pose in some]) for name in ("position", "rotation"))
+    without = variant(source, dropped)
+    accuracy = float(f"{max(budget.FINE, min(_COARSEST, _PLANNED * tolerance)):.2g}")
+    measured = effects.measure(
+        without,
+        [*effects.parts(without(())[0], _room(source, dropped)), *fine],
+        places,
+        turns,
+        rounds=1 + max(pose.index for pose in some),
+        tolerance=tolerance,
+        accuracy=max(budget.FINE, min(accuracy, _REFERENCE * tolerance)),
+        planned=accuracy,
+        progress=lambda done, total, what: tell(f"{done} of {total} measured without noise; next: {what}"),
+    )
+    return *measured, accuracy
+
+
+def _cycles_engine(scene: Any) -> str:
+    try:
+        extract.lit_patch(scene)
+    except NlosError:
+        return "path"
+    return "patch"
+
+
+def _planned(scene: Any, described: Any, engine: str, count: int, seed: int) -> list[PoseRecord]:
+    sweep, _ = worker.settled(scene, described, {"engine": engine, "poses": count, "seed": seed})
+    # No engine but path may see the target itself, so these are places for all of them.
+    is_free = clearance(scene, described, engine="patch" if engine == "path" else engine)
+    return poses.plan(described.grid, sweep, stage.hull(scene), is_free)
+
+
+def _droppable(probe: probing.Probe, found: Sequence[Effect], tolerance: float) -> tuple[list[str], Effect]:
+    """Return which of Cycles' effects may be left out together, and the error of that."""
+    dropped: list[str] = []
+    together = _NOTHING
+    for one in sorted(found, key=lambda effect: effect.share[2]):
+        if not one.share[2] <= tolerance:
+            break
+        tried, share = [*dropped, one.name], one.share
+        if dropped:
+            share = probe.together(tried)
+        if share[2] <= tolerance:
+            dropped, together = tried, Effect(" and ".join(tried), share)
+    return dropped, together
+
+
+def variant(source: Path, always: Sequence[str]) -> effects.Variant:
+    """What a scene's world is without some pieces, besides those that are always left out."""
+
+    def without(dropped: Sequence[str]) -> tuple[World, bool]:
+        world, reasons = _simplified(source, [*always, *dropped])
+        assert world is not None, reasons
+        return partial.without(world, dropped)
+
+    return without
+
+
+def _simplified(source: Path, dropped: Sequence[str]) -> tuple[World | None, list[str]]:
+    scene = stage.open_file(source)
+    simplify.apply(scene, dropped)
+    return extract.world(scene)
+
+
+def _room(source: Path, dropped: Sequence[str]) -> list[str]:
+    scene = stage.open_file(source)
+    simplify.apply(scene, dropped)
+    return [name for name in extract.room_names(scene) if name in scene.objects]
+
+
+def _sorted(found: Sequence[Effect]) -> list[Effect]:
+    return sorted(found, key=lambda effect: -effect.share[0] if effect.share[0] == effect.share[0] else -math.inf)
+
+
+def _predicted(
+    source: Path, plan: Plan, voxels: int, resolution: tuple[int, int], workers: int, tell: Callable[[str], None]
+) -> Plan:
+    """Return the plan with what a sweep of it takes, beside one that leaves nothing out at the same accuracy."""
+    pictures = voxels * Sweep.poses
+    took = {}
+    for name, settings in (
+        ("seconds", {**plan.settings, "leave_out": plan.dropped}),
+        ("seconds_full", {"engine": "auto"}),
+    ):
+        tell(f"rehearsing {'the plan' if name == 'seconds' else 'the whole'}")
+        known = budget.rehearsed(source, settings, workers)
+        if known.engine == "surfel":
+            work = 1.0 / plan.settings["accuracy"]
+        else:
+            work = min(max(1.0, (known.noise / plan.tolerance) ** 2), 2.0**24)
+        if name == "seconds" and known.engine != "surfel":
+            plan.settings["samples"] = math.ceil(work)
+        took[name] = float(f"{known.total(work, pictures):.3g}")
+    size = resolution[0] * resolution[1] * _PIXEL_BYTES * pictures
+    return replace(plan, predicted={"pictures": pictures, **took, "bytes": size})

@@ -1,0 +1,204 @@
+"""What an effect that only Cycles models contributes to the difference picture, in spite of Cycles' noise."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import numpy as np
+
+from generator import engines, simplify, stage
+from generator.dataset import PoseRecord
+from generator.intervals import relative
+from generator.spec import Array
+
+PIXELS = 16
+"""A side of the pictures that are rendered: radiance is a mean over a pixel, so nothing is lost but detail."""
+SAMPLES = 256
+ROUNDS = (4, 48)
+"""Fewest and most."""
+SURE = 0.4
+"""Of an effect that is to be known and not decided on: its interval is no wider than this, relative to it."""
+
+
+@dataclass
+class Probe:
+    """Difference pictures of a scene with and without some of its pieces.
+
+    A round is one pose in each voxel, rendered twice with independent noise, so that the product of both has the
+    square of the light for its mean and no square of the noise. Pictures of a pair with and without a piece share
+    their random numbers: paths that never meet the piece cancel. What lamps and ambient light give besides the spot
+    is rendered alone, since light adds up.
+
+    Parameters
+    ----------
+    source : Path
+        The scene's file.
+    engine : {"patch", "path"}
+    rounds : sequence of sequences of PoseRecord
+    aspect : float
+        Width over height of the picture.
+    """
+
+    source: Path
+    engine: str
+    rounds: Sequence[Sequence[PoseRecord]]
+    aspect: float = 1.0
+    lights: list[str] = field(default_factory=list)
+    _made: dict[tuple[frozenset[str], frozenset[str] | None, int, int], Array] = field(default_factory=dict)
+
+    def __post_init__(self) -> None:
+        self.lights = simplify.lights(stage.open_file(self.source))
+
+    def errors(self, dropped: Sequence[str], number: int) -> tuple[Array, Array]:
+        """Return what a round shows of the pieces left out, and of the whole: two noises each, (2, n, pixels)."""
+        lights = frozenset(self.lights)
+        gone, rest = lights & set(dropped), frozenset(dropped) - lights
+        error = np.array([self._share(rest, gone, number, twin) for twin in range(2)])
+        return error, np.array([self._whole(number, twin) for twin in range(2)])
+
+    def together(self, dropped: Sequence[str]) -> tuple[float, float, float]:
+        """Return the error of pieces left out together, by the rounds that are made of each of them already."""
+        numbers = sorted(
+            set.intersection(
+                *({key[2] for key in self._made if name in key[0] | (key[1] or set())} for name in dropped)
+            )
+        )
+        errors = [self.errors(dropped, number) for number in numbers]
+        return share([e for e, _ in errors], [w for _, w in errors])
+
+    def raised(self, order: int, number: int) -> Array:
+        """Return what a round shows of reflections up to an order, beyond the scene's own, (2, n, pixels)."""
+        own = [self._difference(frozenset(), None, number, twin) for twin in range(2)]
+        more = [self._difference(frozenset(), None, number, twin, order) for twin in range(2)]
+        return np.array(more) - np.array(own)
+
+    def whole(self, number: int) -> Array:
+        """Return a round's difference pictures, (2, n, pixels)."""
+        return np.array([self._whole(number, twin) for twin in range(2)])
+
+    def _whole(self, number: int, twin: int) -> Array:
+        made = self._difference(frozenset(), None, number, twin)
+        if self.lights:
+            made = made + self._difference(frozenset(), frozenset(self.lights), number, twin)
+        return made
+
+    def _share(self, rest: frozenset[str], gone: frozenset[str], number: int, twin: int) -> Array:
+        left = frozenset(self.lights) - gone
+        made = np.zeros_like(self._difference(frozenset(), None, number, twin))
+        if gone:
+            made = made + self._difference(frozenset(), gone, number, twin)
+        if rest:
+            for lit in [None, left] if left else [None]:
+                one, other = (self._difference(names, lit, number, twin) for names in (frozenset(), rest))
+                made = made + one - other
+        return made
+
+    def _difference(
+        self, dropped: frozenset[str], lit: frozenset[str] | None, number: int, twin: int, order: int = 0
+    ) -> Array:
+        """Difference pictures (n, pixels) of a round, by the spot alone, or by some other lights alone."""
+        key = (dropped | ({f"order {order}"} if order else set()), lit, number, twin)
+        if key in self._made:
+            return self._made[key]
+        scene = stage.open_file(self.source)
+        simplify.apply(scene, [*dropped, *(name for name in self.lights if name not in (lit or ()))])
+        if order:
+            stage.limit_reflections(scene, order)
+        if lit is not None:
+            simplify.without_light(scene)
+        width = max(1, round(PIXELS * min(1.0, self.aspect)))
+        height = max(1, round(PIXELS * min(1.0, 1.0 / self.aspect)))
+        made = []
+        with engines.opened(scene, self.engine if lit is None else "path", resolution=(width, height)) as renderer:
+            for pose in self.rounds[number]:
+                stage.move_target(scene, pose.position, pose.rotation)
+                seed = (pose.seed + 7919 * twin) % 2**31
+                seen, empty = (
+                    renderer.render(samples=SAMPLES, seed=seed, target=target).astype(np.float64)
+                    for target in (True, False)
+                )
+                made.append((seen - empty).mean(axis=2).ravel())
+        self._made[key] = np.array(made)
+        return self._made[key]
+
+
+def share(errors: Sequence[Array], wholes: Sequence[Array]) -> tuple[float, float, float]:
+    """Return the relative error of difference pictures, root mean square, with its 95 % interval.
+
+    Parameters
+    ----------
+    errors, wholes : sequence of ndarray of shape (2, n, pixels)
+        Round by round, from the same n voxels: what is missing, and the difference pictures, in two noises.
+
+    Returns
+    -------
+    (float, float, float)
+        See `intervals.relative`.
+    """
+    power, signal = (np.array([(one[0] * one[1]).mean(axis=1) for one in some]) for some in (errors, wholes))
+    return relative(power, signal)
+
+
+def measure(
+    probe: Probe,
+    names: Sequence[str],
+    *,
+    orders: Sequence[int] = (),
+    tolerance: float = 0.01,
+    most: float = 300.0,
+    progress: Callable[[str], None] = lambda words: None,
+) -> dict[str, tuple[float, float, float]]:
+    """Measure pieces one by one until each is decided, or time is up.
+
+    Parameters
+    ----------
+    probe : Probe
+    names : sequence of str
+        Of `simplify.found`.
+    orders : sequence of int
+        Reflection orders beyond the scene's, whose light is measured too.
+    tolerance : float
+        A piece is decided when its interval lies on one side of it.
+    most : float
+        Seconds.
+    progress : callable
+        Is told what is being done.
+
+    Returns
+    -------
+    dict of str to (float, float, float)
+        As `share` does, by the piece's name, or an order's (`order_name`).
+    """
+    begun = time.monotonic()
+    todo = [*(("", order) for order in orders), *((name, 0) for name in names)]
+    errors: dict[tuple[str, int], list[Array]] = {one: [] for one in todo}
+    found: dict[str, tuple[float, float, float]] = {}
+    for number in range(min(ROUNDS[1], len(probe.rounds))):
+        for name, order in todo:
+            got = probe.raised(order, number) if order else probe.errors([name], number)[0]
+            errors[name, order].append(got)
+        wholes = [probe.whole(k) for k in range(number + 1)]
+        for one in todo:
+            found[one[0] or order_name(one[1])] = share(errors[one], wholes)
+        if number + 1 >= ROUNDS[0]:
+            todo = [one for one in todo if not _decided(found[one[0] or order_name(one[1])], one[1], tolerance)]
+        progress(f"round {number + 1}: {len(todo)} of {len(errors)} effects not decided yet")
+        left = most - (time.monotonic() - begun)
+        if not todo or (number + 1 >= ROUNDS[0] and left < (time.monotonic() - begun) / (number + 1)):
+            break
+    return found
+
+
+def order_name(order: int) -> str:
+    """Return what the light of a reflection order beyond the scene's is called."""
+    return f"reflections up to the {order}th"
+
+
+def _decided(found: tuple[float, float, float], order: int, tolerance: float) -> bool:
+    value, low, high = found
+    if order:
+        return high - low < SURE * value or high < tolerance
+    return high < tolerance or low > tolerance

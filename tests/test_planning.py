@@ -1,0 +1,222 @@
+"""A plan of a scene: pieces that are found and left out, noise that is seen through, a sweep that follows."""
+
+from __future__ import annotations
+
+import tomllib
+
+import bpy
+import numpy as np
+import pytest
+
+from generator import extract, planning, plans, probing, simplify, spec, stage
+from generator.dataset import Dataset
+from generator.plans import Effect, Plan
+from generator.spec import NlosError
+from generator.transport.partial import PATCH, SHADOW
+
+
+def built(target="sphere", order=3, ambient=0.0):
+    """The room with all that `surfel` does not model."""
+    scene = stage.new_file()
+    wanted = spec.preset("room", target)
+    stage.build(scene, wanted.with_ambient(ambient) if ambient else wanted)
+    stage.limit_reflections(scene, order)
+    return scene
+
+
+def add(name, kind="plane", at=(-2.0, 1.0, 0.5), size=0.2, gloss=False):
+    getattr(bpy.ops.mesh, f"primitive_{kind}_add")(
+        location=at, **({"radius": size} if "sphere" in kind else {"size": size})
+    )
+    obj = bpy.context.object
+    obj.name = name
+    material = bpy.data.materials.new(f"of {name}")
+    if material.node_tree is None:
+        material.use_nodes = True
+    tree = material.node_tree
+    tree.nodes.clear()
+    shader = tree.nodes.new("ShaderNodeBsdfGlossy" if gloss else "ShaderNodeBsdfDiffuse")
+    shader.inputs["Color"].default_value = (0.6, 0.4, 0.2, 1.0)
+    if not gloss:
+        shader.inputs["Roughness"].default_value = 0.0
+    output = tree.nodes.new("ShaderNodeOutputMaterial")
+    tree.links.new(shader.outputs[0], output.inputs["Surface"])
+    obj.data.materials.append(material)
+    bpy.context.view_layer.update()
+    return obj
+
+
+def lamp(name):
+    bpy.ops.object.light_add(type="POINT", location=(-2.0, 2.0, 2.0))
+    bpy.context.object.name = name
+    bpy.context.object.data.energy = 1.0
+
+
+def test_a_plain_scene_holds_nothing_that_surfel_does_not_model():
+    assert simplify.found(built()) == []
+
+
+@pytest.mark.parametrize(
+    ("edit", "piece"),
+    [
+        (lambda: add("Mirror", gloss=True), "the material 'of Mirror'"),
+        (lambda: lamp("Bulb"), "the lamp 'Bulb'"),
+        (lambda: add("Ball", "uv_sphere").data.shade_smooth(), "the curved shading of 'Ball'"),
+        (lambda: add("Bare").data.materials.clear(), "the default material of 'Bare'"),
+    ],
+)
+def test_every_piece_is_found_and_can_be_left_out(edit, piece):
+    scene = built()
+    edit()
+    bpy.context.view_layer.update()
+    assert extract.world(scene)[0] is None
+    assert piece in simplify.found(scene)
+    simplify.apply(scene, [piece])
+    bpy.context.view_layer.update()
+    assert extract.world(scene)[1] == []
+    assert piece not in simplify.found(scene)
+
+
+def test_light_and_reflections_are_pieces():
+    scene = built(order=5, ambient=2.0)
+    assert simplify.found(scene) == [simplify.BEYOND, simplify.AMBIENT]
+    assert simplify.lights(scene) == [simplify.AMBIENT]
+    simplify.apply(scene, [simplify.BEYOND, simplify.AMBIENT])
+    assert stage.reflection_order(scene) == 3
+    assert extract.world(scene)[1] == []
+
+
+def test_a_mirror_left_out_keeps_its_colour():
+    scene = built()
+    mirror = add("Mirror", gloss=True)
+    simplify.apply(scene, ["the material 'of Mirror'"])
+    assert stage.diffuse_colour(mirror) == pytest.approx((0.6, 0.4, 0.2))
+
+
+def test_what_is_fine_is_made_coarse():
+    scene = built()
+    ball = add("Ball", "ico_sphere")
+    bpy.ops.object.modifier_add(type="SUBSURF")
+    ball.modifiers[0].levels = ball.modifiers[0].render_levels = 2
+    bpy.context.view_layer.update()
+    assert f"{simplify.FINE}'Ball'" in simplify.found(scene)
+    simplify.apply(scene, [f"{simplify.FINE}'Ball'"])
+    bpy.context.view_layer.update()
+    evaluated = ball.evaluated_get(bpy.context.evaluated_depsgraph_get())
+    assert len(evaluated.to_mesh().polygons) < 200
+
+
+@pytest.mark.parametrize("name", ["no such thing", "Spot", "the lamp 'Bulb'"])
+def test_what_is_not_there_cannot_be_left_out(name):
+    scene = built()
+    name = stage.find(scene, "spot").name if name == "Spot" else name
+    with pytest.raises(NlosError, match=r"is not in .* plan again"):
+        simplify.apply(scene, [name])
+
+
+def noisy(signal, noise, seed):
+    """A round of two independent pictures of signals (n, pixels)."""
+    rng = np.random.default_rng(seed)
+    return signal + noise * rng.normal(size=(2, *signal.shape))
+
+
+def test_shares_are_seen_through_noise():
+    """The interval of noisy pictures holds the true share in about 95 % of the cases, and means it."""
+    rng = np.random.default_rng(0)
+    signal = rng.uniform(0.5, 1.5, size=(9, 256))
+    held, widths = 0, []
+    for trial in range(200):
+        wholes = [noisy(signal, 1.0, 1000 * trial + k) for k in range(6)]
+        errors = [noisy(0.1 * signal, 0.3, 1000 * trial + 100 + k) for k in range(6)]
+        value, low, high = probing.share(errors, wholes)
+        held += low <= 0.1 <= high
+        widths.append(high - low)
+        assert low <= value <= high
+    assert held >= 180
+    assert np.median(widths) < 0.1
+
+
+def test_noise_that_hides_the_whole_decides_nothing():
+    wholes = [noisy(np.zeros((2, 16)), 1.0, k) for k in range(4)]
+    errors = [noisy(np.zeros((2, 16)), 1e-6, k) for k in range(4)]
+    value, low, high = probing.share(errors, wholes)
+    assert np.isnan(value)
+    assert (low, high) == (0.0, np.inf)
+
+
+def test_a_plan_is_written_and_followed(tmp_path):
+    scene = tmp_path / "room.blend"
+    scene.write_bytes(b"not read")
+    effects = [
+        Effect("Wall", (0.5, 0.4, 0.6)),
+        Effect("Dust", (1e-4, 0.0, 2e-4)),
+        Effect("Fog", (np.nan, 0.0, np.inf)),
+    ]
+    settings = {"engine": "surfel", "accuracy": 0.003}
+    plan = Plan(effects, ["Dust"], effects[1], settings, 0.01)
+    plans.write(tmp_path / "plan", scene, plan, "title")
+    made = tomllib.loads((tmp_path / "plan" / "plan.toml").read_text())
+    assert made["effects"]["Wall"] == {"error": [0.5, 0.4, 0.6], "verdict": "needed"}
+    assert plans.read(tmp_path / "plan", scene) == {**settings, "leave_out": ["Dust"]}
+    assert plans.followed(tmp_path / "plan" / "plan.toml", scene, {"poses": 3})["poses"] == 3
+    with pytest.raises(NlosError, match="accuracy: follows from --plan"):
+        plans.followed(tmp_path / "plan", scene, {"accuracy": 0.1})
+    scene.write_bytes(b"edited")
+    with pytest.raises(NlosError, match="is a plan of another scene"):
+        plans.read(tmp_path / "plan", scene)
+    (tmp_path / "plan" / "plan.toml").write_text("format = 1")
+    with pytest.raises(NlosError, match="is no plan of format 1"):
+        plans.read(tmp_path / "plan", scene)
+
+
+def test_a_small_mirror_far_away_is_left_out_and_surfel_takes_over(tmp_path):
+    """Measured by Cycles, through its noise; a mirror as wide as a wall is not."""
+    scene = built()
+    scene.render.resolution_x = scene.render.resolution_y = 16
+    add("Speck", at=(-2.3, 3.3, 0.1), size=0.02, gloss=True)
+    path = tmp_path / "speck.blend"
+    stage.save_file(path)
+    plan = planning.make(path, tolerance=0.1, count=4, most=20.0)
+    speck = next(effect for effect in plan.effects if "Speck" in effect.name)
+    assert speck.share[2] < 0.1
+    assert "the material 'of Speck'" in plan.dropped
+    assert plan.settings["engine"] == "surfel"
+    assert next(effect for effect in plan.effects if effect.name == SHADOW).name not in plan.dropped
+    more = next(effect for effect in plan.effects if effect.name == probing.order_name(4))
+    assert more.note == "not in the scene"
+
+
+def test_from_the_shell(tmp_path, command):
+    scene_file, folder, data = tmp_path / "room.blend", tmp_path / "plan", tmp_path / "data"
+    few = ("--target", "sphere", "--set", "resolution=[16,16]")
+    assert command("generator", "scene", "room", *few, "-o", scene_file).returncode == 0
+    result = command(
+        *("generator", "plan", scene_file, "-o", folder, "--poses", "4", "--tolerance", "2%", "--most", "1s")
+    )
+    assert result.returncode == 0, result.stderr
+    assert SHADOW in result.stdout
+    assert "within 2 % one may leave out" in result.stdout
+    assert {p.name for p in folder.iterdir()} == {"plan.toml", "plan.csv", "plan.png"}
+    settings = tomllib.loads((folder / "plan.toml").read_text())["settings"]
+    assert PATCH in settings["leave_out"]
+    sweep = ("generator", "sweep", scene_file, "-o", data, "--poses", "1", "--resolution", "16")
+    made = command(*sweep, "--plan", folder)
+    assert made.returncode == 0, made.stderr
+    assert (data / "plan.toml").read_text() == (folder / "plan.toml").read_text()
+    own = Dataset.open(data).settings
+    assert own["leave_out"] == settings["leave_out"]
+    assert own["engine"] == "surfel"
+    assert "nothing to do" in command(*sweep, "--plan", folder).stdout
+    whole = tmp_path / "whole"
+    assert command(*sweep[:4], whole, *sweep[5:], "--engine", "surfel").returncode == 0
+    from generator.tradeoff import differences
+
+    got, wanted = differences(Dataset.open(data)), differences(Dataset.open(whole))
+    error = ((got - wanted) ** 2).mean(axis=(1, 2)) / (wanted**2).mean(axis=(1, 2))
+    assert 0.0 < np.sqrt(error.mean()) < 0.03
+    refused = command("generator", "plan", scene_file, "--tolerance", "2")
+    assert refused.returncode == 2
+    assert "accuracy '2': must be between 0 and 1" in refused.stderr
+    twice = command("generator", "sweep", scene_file, "-o", tmp_path / "x", "--plan", folder, "--engine", "patch")
+    assert twice.returncode == 2
+    assert "engine: follows from --plan" in twice.stderr
