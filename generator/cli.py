@@ -269,6 +269,19 @@ def _parser() -> argparse.ArgumentParser:
     )
     verify.add_argument("dataset", type=Path)
     verify.set_defaults(run=_verify)
+
+    status = commands.add_parser(
+        "status",
+        help="say how far a data set is and what its runs are doing, from another shell",
+        description="Say how many pictures are done, at what rate and until when, what failed, and what each worker "
+        "of each run is doing, on this machine and on others that share the folder. What happened to them is in "
+        "DATASET/log.txt.",
+        epilog="example:\n  nlos-generate status sphere/ --json",
+        formatter_class=argparse.RawDescriptionHelpFormatter,
+    )
+    status.add_argument("dataset", type=Path)
+    status.add_argument("--json", action="store_true", help="for programs")
+    status.set_defaults(run=_status)
     return parser
 
 
@@ -644,6 +657,16 @@ def _report(dataset: Dataset | Bulk, rendered: int, remaining: int, failed: list
         print(f"failed: {failure}", file=sys.stderr)
     print(summary(dataset, rendered=rendered, remaining=remaining))
     return 1 if failed else 0
+
+
+def _status(options: argparse.Namespace) -> int:
+    import json
+
+    from generator import journal
+
+    found = journal.read(options.dataset)
+    print(json.dumps(found, indent=1) if options.json else "\n".join(journal.words(found)))
+    return 0
 
 
 def _verify(options: argparse.Namespace) -> int:

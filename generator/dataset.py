@@ -20,6 +20,8 @@ import hashlib
 import io
 import json
 import os
+import re
+import socket
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
@@ -117,6 +119,23 @@ class PoseRecord:
         )
 
 
+HOST = re.sub(r"\W", "_", socket.gethostname())
+"""In names of temporary files: process numbers are one machine's, and folders may be shared."""
+
+
+def is_alive(pid: int) -> bool:
+    """Whether a process of that number runs on this machine; where that cannot be told, it is said to."""
+    if os.name == "nt":  # where the question would end it
+        return True
+    try:
+        os.kill(pid, 0)
+    except (ProcessLookupError, OverflowError):
+        return False
+    except OSError:
+        pass
+    return True
+
+
 def pixel_hash(pixels: Picture) -> str:
     """Return the SHA-256 of a picture's shape and little-endian float32 pixels."""
     data = np.ascontiguousarray(pixels, dtype="<f4")
@@ -151,7 +170,7 @@ def atomic(path: Path) -> Iterator[Path]:
     NlosError
         The file cannot be written.
     """
-    temporary = path.with_name(f".{path.name}.{os.getpid()}.tmp")
+    temporary = path.with_name(f".{path.name}.{HOST}-{os.getpid()}.tmp")
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
         yield temporary
@@ -169,6 +188,13 @@ def write_text(path: Path, text: str) -> None:
     """Write a text file by temporary name and rename."""
     with atomic(path) as temporary:
         temporary.write_text(text, encoding="utf-8", newline="")
+    # A picture whose rename is lost with the power is rendered again; a manifest is what says that there is a set.
+    with contextlib.suppress(OSError):  # not every system opens a folder
+        folder = os.open(path.parent, os.O_RDONLY)
+        try:
+            os.fsync(folder)
+        finally:
+            os.close(folder)
 
 
 def csv_text(header: Sequence[str], rows: Iterable[Sequence[object]]) -> str:
@@ -491,10 +517,12 @@ class Dataset:
         return [pose for pose in self.poses if not pose.done]
 
     def tidy(self) -> None:
-        """Clear away what killed runs left half-written; for a whole set, when no worker writes to it any more."""
+        """Clear away what killed runs on this machine left half-written; what a process is at work on stays."""
         for folder in {(self.path / pose.file).parent for pose in self.poses} | {self.path}:
-            for left in folder.glob(".*.tmp"):
-                left.unlink(missing_ok=True)
+            for left in folder.glob(f".*.{HOST}-*.tmp"):
+                number = left.name.rpartition("-")[2].partition(".")[0]
+                if not (number.isdecimal() and is_alive(int(number))):
+                    left.unlink(missing_ok=True)
 
     def write_manifest(self) -> None:
         """Write ``poses.csv`` by temporary name and rename."""

@@ -80,7 +80,7 @@ def measure(
         The object cannot be at a pose.
     """
     planned = planned or accuracy
-    whole, empty, seconds = differences(variant, (), positions, rotations, accuracy)
+    whole, seconds = differences(variant, (), positions, rotations, accuracy)
     scale = (whole**2).mean(axis=(1, 2)).reshape(rounds, -1)
 
     def compared(name: str, made: Array, gain: float = math.nan, note: str = "") -> Effect:
@@ -88,7 +88,7 @@ def measure(
         return Effect(name, relative(error, scale), gain, note)
 
     def effect(name: str, dropped: Sequence[str], precision: float = accuracy) -> Effect:
-        made, _, took = differences(variant, dropped, positions, rotations, precision)
+        made, took = differences(variant, dropped, positions, rotations, precision)
         return compared(name, made, seconds / max(took, 1e-9))
 
     found = []
@@ -104,6 +104,7 @@ def measure(
         if tried.share[2] <= SAFE * tolerance:  # errors add up, or cancel: only measuring tells
             dropped.append(one.name)
             together = tried
+    empty = Transport(variant(())[0], accuracy=accuracy).background().mean(axis=2)
     for digits in (np.float32, np.float16):
         stored = (whole + empty).astype(digits).astype(np.float64) - empty.astype(digits).astype(np.float64)
         note = "float32, always" if digits is np.float32 else "kept: float32, always"
@@ -121,13 +122,12 @@ def measure(
 
 def differences(
     variant: Variant, dropped: Sequence[str], positions: Array, rotations: Array, accuracy: float
-) -> tuple[Array, Array, float]:
-    """Difference pictures (n, height, width), the background, and the seconds that a picture takes."""
+) -> tuple[Array, float]:
+    """Difference pictures (n, height, width), and the seconds that one takes."""
     some, shadows = variant(dropped)
     engine = Transport(some, accuracy=accuracy)
-    background = engine.background().mean(axis=2)
-    engine.pictures(positions[:1], rotations[:1], shadows=shadows)  # what is made once is no part of a picture's time
+    engine.difference(positions[0], rotations[0], shadows=shadows)  # what is made once is no part of a picture's time
     start = time.perf_counter()
     made = [engine.difference(*pose, shadows=shadows) for pose in zip(positions, rotations, strict=True)]
     took = (time.perf_counter() - start) / len(positions)
-    return np.array(made).mean(axis=3), background, took
+    return np.array(made).mean(axis=3), took

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import contextlib
 import json
+import logging
 import os
 import queue
 import subprocess
@@ -19,6 +20,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, Protocol
 
+from generator import journal as journals
 from generator import spec
 from generator.dataset import SCENE, Dataset, check_free, scene_hash
 from generator.spec import NlosError, Sweep
@@ -32,6 +34,11 @@ BACKGROUND_FACTOR = 16
 
 TRIES = 3
 """How often a unit of work is given to a worker before it is listed as failed."""
+
+_PATIENCE = (6 * 3600.0, 600.0)
+"""Seconds that a worker may say nothing: before anything is known of how long it takes, and from then on."""
+_SLOWER = 20.0
+"""Times the longest that a unit has taken, likewise."""
 
 _ON_GPU = 4
 """Workers that share a GPU, if none are asked for: more gain little, and each takes memory there."""
@@ -131,20 +138,28 @@ def run(
         pending.sort(key=lambda position: dataset.poses[position].index)
     outcome = Outcome(dataset)
     if pending or not _has_backgrounds(dataset):
-        crew = Crew(
-            lambda threads: ["generator.worker", "render", str(path), str(threads)],
-            lambda position: dataset.poses[position].file,
-            progress,
-            say=(lambda position: f"{position}:{pace()}") if pace else str,
-            launch=launch,
-            stop=stop,
-        )
-        try:
+
+        def told(done: int, total: int) -> None:
+            journal.told(done, total)
+            progress(done, total)
+
+        with journals.logged(path) as log:
+            crew = Crew(
+                lambda threads: ["generator.worker", "render", str(path), str(threads)],
+                lambda position: dataset.poses[position].file,
+                told,
+                say=(lambda position: f"{position}:{pace()}") if pace else str,
+                launch=launch,
+                stop=stop,
+                log=log,
+            )
             first = "" if _has_backgrounds(dataset) else "the background"
             shared = _ON_GPU if dataset.sweep.device == "gpu" else 0
-            crew.work(pending, workers or shared, first=first, batch=batch_size(dataset))
-        finally:
-            dataset.gather()
+            try:
+                with journals.Journal(path, shard, crew.look) as journal:
+                    crew.work(pending, workers or shared, first=first, batch=batch_size(dataset))
+            finally:
+                dataset.gather()
         outcome.failed = crew.failed
         outcome.rendered = sum(dataset.poses[position].done for position in pending)  # as gathered from disk
     outcome.remaining = sum(not pose.done for pose in dataset.poses)
@@ -277,6 +292,10 @@ class Worker:
 
     def __init__(self, arguments: Sequence[str], launch: Launch = python) -> None:
         self._log = tempfile.TemporaryFile("w+", encoding="utf-8", errors="replace")  # noqa: SIM115 (closed in stop)
+        # Blender and renders leave folders there that a process which is killed cannot take away.
+        self._scratch = tempfile.TemporaryDirectory(prefix="nlos-worker-", ignore_cleanup_errors=True)
+        home = os.pathsep.join(filter(None, [_HOME, os.environ.get("PYTHONPATH")]))
+        scratch = dict.fromkeys(("TMPDIR", "TEMP", "TMP"), self._scratch.name)
         self._process = subprocess.Popen(
             launch(arguments),
             stdin=subprocess.PIPE,
@@ -286,8 +305,11 @@ class Worker:
             encoding="utf-8",
             errors="replace",
             start_new_session=True,  # Ctrl-C is the coordinator's to handle
-            env={**os.environ, "PYTHONPATH": os.pathsep.join(filter(None, [_HOME, os.environ.get("PYTHONPATH")]))},
+            env={**os.environ, **scratch, "PYTHONPATH": home},
         )
+        self.pid = self._process.pid
+        self.done = 0
+        self._since, self._doing = time.monotonic(), "starting"
 
     def __enter__(self) -> Worker:
         return self
@@ -308,6 +330,16 @@ class Worker:
             if stream:
                 with contextlib.suppress(BrokenPipeError):
                     stream.close()
+        self._scratch.cleanup()
+
+    def begin(self, what: str) -> None:
+        """Take note of what the worker does from now on; nothing is waiting."""
+        self._since, self._doing = time.monotonic(), what
+
+    def look(self) -> dict[str, Any]:
+        """Return what it is doing, and for how long."""
+        seconds = round(time.monotonic() - self._since, 1)
+        return {"pid": self.pid, "doing": self._doing, "seconds": seconds, "done": self.done}
 
     def answer(self) -> dict[str, Any] | None:
         """Return the next answer, or None if the worker is gone; NlosError if that is its answer."""
@@ -354,6 +386,11 @@ class Crew:
         How workers are started.
     stop : threading.Event, optional
         Set by another thread, it ends the work early.
+    log : logging.Logger, optional
+        Is told what happens to workers.
+    patience : (float, float)
+        Seconds after which a worker that says nothing is ended: before any unit is done, and from then on at least,
+        where it is `_SLOWER` times the longest that one took.
 
     Attributes
     ----------
@@ -371,6 +408,8 @@ class Crew:
         say: Callable[[int], str] = str,
         launch: Launch = python,
         stop: threading.Event | None = None,
+        log: logging.Logger | None = None,
+        patience: tuple[float, float] = _PATIENCE,
     ) -> None:
         self.failed: list[str] = []
         self._command = command
@@ -378,6 +417,9 @@ class Crew:
         self._progress = progress
         self._size = size
         self._say = say
+        self._log = log or logging.getLogger("nlos")
+        self._patience = patience
+        self._longest = 0.0
         self._launch = launch
         self._todo: queue.SimpleQueue[tuple[Sequence[int], int]] = queue.SimpleQueue()
         self._lock = threading.Lock()
@@ -413,10 +455,12 @@ class Crew:
         batch = max(1, min(batch, len(units) // (4 * crew)))  # a few for each worker, lest they end far apart
         for some in in_batches(units, batch):
             self._todo.put((some, 1))
-        threading.Thread(target=self._kill_when_stopped, daemon=True).start()
+        threading.Thread(target=self._watch, daemon=True).start()
+        self._log.info("%d units to do by %d workers", len(units), crew)
         try:
             if first:
                 with self._start(cores) as worker:
+                    worker.begin(first)
                     if worker.answer() is None and not self._stopped.is_set():
                         raise NlosError(f"{first} could not be rendered: {worker.last_words()}")
             threads = max(1, cores // crew)
@@ -430,12 +474,28 @@ class Crew:
             with self._lock:
                 for worker in self._workers:
                     worker.stop()
+            self._log.info("%d of %d done, %d failed", self._done, self._total, len(self.failed))
         if self._error:
             raise self._error
 
-    def _kill_when_stopped(self) -> None:
-        """End the workers at once, so that nobody waits for what they were about to answer."""
-        self._stopped.wait()
+    def look(self) -> tuple[list[str], list[dict[str, Any]]]:
+        """Return what has failed, and what each worker is doing."""
+        with self._lock:
+            return list(self.failed), [worker.look() for worker in self._workers]
+
+    def _watch(self) -> None:
+        """End the workers at once when all is to stop, and any that has been silent for too long."""
+        while not self._stopped.wait(0.5):
+            first, later = self._patience
+            limit = max(later, _SLOWER * self._longest) if self._longest else first
+            with self._lock:
+                for worker in self._workers:
+                    state = worker.look()
+                    if state["doing"] and state["seconds"] > limit:
+                        words = "worker %d, %s, said nothing for %.0f s and is ended"
+                        self._log.warning(words, worker.pid, state["doing"], state["seconds"])
+                        worker.begin("")
+                        worker.kill()
         with self._lock:
             for worker in self._workers:
                 worker.kill()
@@ -444,6 +504,7 @@ class Crew:
         with self._lock:
             worker = Worker(self._command(threads), self._launch)
             self._workers.add(worker)
+            self._log.info("worker %d begins", worker.pid)
             if self._stopped.is_set():
                 worker.kill()
         return worker
@@ -457,17 +518,28 @@ class Crew:
                 except queue.Empty:
                     break
                 worker = worker or self._start(threads)
+                begun = time.monotonic()
+                worker.begin(", ".join(map(self._name, batch)))
                 if self._do(worker, batch):
+                    worker.begin("")
+                    worker.done += len(batch)
+                    self._longest = max(self._longest, time.monotonic() - begun)
                     with self._lock:
                         self._done += sum(map(self._size, batch))
                         self._progress(self._done, self._total)
                 elif not self._stopped.is_set():
-                    words, worker = worker.last_words(), None
+                    words = worker.last_words()
+                    self._log.warning("worker %d ended at %s: %s", worker.pid, self._name(batch[0]), words)
+                    with self._lock:
+                        self._workers.discard(worker)
+                    worker.stop()
+                    worker = None
                     for unit in batch:  # one by one from now on: the others shall not fail with the one that did
                         if attempt < TRIES:
                             self._todo.put(([unit], attempt + 1))
                         else:
                             self.failed.append(f"{self._name(unit)}: {words}")
+                            self._log.error("given up after %d tries: %s", TRIES, self.failed[-1])
         except NlosError as error:
             self._error = error
             self._stopped.set()

