@@ -20,6 +20,7 @@ from generator.sweep import clock
 
 if TYPE_CHECKING:
     from generator.bulk import Bulk
+    from generator.sweep import Outcome
 
 _FRAMES = 200
 
@@ -113,6 +114,19 @@ def _parser() -> argparse.ArgumentParser:
     )
     sweep.add_argument(
         "--plan", type=Path, metavar="PLAN", help="model what nlos-generate plan found needed, and no more"
+    )
+    sweep.add_argument(
+        "--jobs", type=int, metavar="N", help="render as an array of N jobs on a cluster that shares the folder"
+    )
+    sweep.add_argument(
+        "--cluster", choices=["slurm", "local", "debug"], default="slurm", help="of --jobs (default: slurm)"
+    )
+    sweep.add_argument(
+        "--job",
+        action="append",
+        default=[],
+        metavar="NAME=VALUE",
+        help="of --jobs, an option of submitit, e.g. slurm_partition=gpu or timeout_min=120; repeatable",
     )
     sweep.set_defaults(run=_sweep)
 
@@ -534,13 +548,46 @@ def _sweep(options: argparse.Namespace) -> int:
             tell=functools.partial(print, flush=True),
         )
         chosen, pace = choice.settings, choice.pace
+    farm = _farm(options)
     with _progress() as progress:
-        outcome = sweep.run(
-            options.scene, options.output, chosen, progress=progress, tell=print, pace=pace, **_farm(options)
-        )
+        if getattr(options, "jobs", None) is not None:
+            outcome = _jobs(options, chosen, progress, paced=pace is not None)
+        else:
+            outcome = sweep.run(
+                options.scene, options.output, chosen, progress=progress, tell=print, pace=pace, **farm
+            )
     if planned:
         plans.keep(planned, options.output)
     return _report(outcome.dataset, outcome.rendered, outcome.remaining, outcome.failed)
+
+
+def _jobs(
+    options: argparse.Namespace, chosen: dict[str, Any], progress: Callable[[int, int], None], *, paced: bool
+) -> Outcome:
+    from generator import cluster
+
+    if options.jobs < 1:
+        raise NlosError(f"--jobs {options.jobs}: must be 1 or more")
+    if paced or options.shard != "0/1":
+        raise NlosError("--jobs: shares the poses out itself, at one setting; leave out --shard and --budget")
+    return cluster.run(
+        options.scene,
+        options.output,
+        chosen,
+        executor=options.cluster,
+        shares=options.jobs,
+        workers=options.workers,
+        options=dict(map(_job_option, options.job)),
+        progress=progress,
+        tell=functools.partial(print, flush=True),
+    )
+
+
+def _job_option(text: str) -> tuple[str, Any]:
+    name, equals, value = text.partition("=")
+    if not (equals and name.isidentifier()):
+        raise NlosError(f"--job {text!r}: must read NAME=VALUE, for example timeout_min=120")
+    return name, int(value) if value.isdecimal() else value
 
 
 def _tradeoff(options: argparse.Namespace) -> int:

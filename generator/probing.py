@@ -14,9 +14,10 @@ from generator.dataset import PoseRecord
 from generator.intervals import relative
 from generator.spec import Array
 
-PIXELS = 16
-"""A side of the pictures that are rendered: radiance is a mean over a pixel, so nothing is lost but detail."""
-SAMPLES = 256
+PIXELS = 8
+"""A side of the pictures that are rendered: radiance is a mean over a pixel, so only detail is lost, and of as many
+rays fewer pixels make products of two noises smaller."""
+SAMPLES = 1024
 ROUNDS = (4, 48)
 """Fewest and most."""
 SURE = 0.4

@@ -15,7 +15,7 @@ import sys
 import tempfile
 import threading
 import time
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, Protocol
@@ -127,45 +127,65 @@ def run(
     NlosError
         The input is bad, or the data set at that path was made with other settings.
     """
-    known = Dataset.open(path).settings["engine"] if Dataset.exists(path) else chosen.get("engine")
-    if words := compiling_words(known):
-        tell(words)
-    dataset = prepare(scene, path, chosen, launch)
-    if chosen.get("engine") == "auto":
-        tell(engine_words(dataset))
+    dataset = begin(scene, path, chosen, shard=shard, tell=tell, launch=launch, stop=stop).dataset
+    outcome = Outcome(dataset)
     pending = pending_positions(dataset, shard)
     if pace:
         pending.sort(key=lambda position: dataset.poses[position].index)
-    outcome = Outcome(dataset)
-    if pending or not _has_backgrounds(dataset):
-
-        def told(done: int, total: int) -> None:
-            journal.told(done, total)
-            progress(done, total)
-
-        with journals.logged(path) as log:
-            crew = Crew(
-                lambda threads: ["generator.worker", "render", str(path), str(threads)],
-                lambda position: dataset.poses[position].file,
-                told,
-                say=(lambda position: f"{position}:{pace()}") if pace else str,
-                launch=launch,
-                stop=stop,
-                log=log,
-            )
-            first = "" if _has_backgrounds(dataset) else "the background"
-            shared = _ON_GPU if dataset.sweep.device == "gpu" else 0
-            try:
-                with journals.Journal(path, shard, crew.look) as journal:
-                    crew.work(pending, workers or shared, first=first, batch=batch_size(dataset))
-            finally:
-                dataset.gather()
+    if pending:
+        say = (lambda position: f"{position}:{pace()}") if pace else str
+        shared = _ON_GPU if dataset.sweep.device == "gpu" else 0
+        with _crew(dataset, shard, progress, say=say, launch=launch, stop=stop) as crew:
+            crew.work(pending, workers or shared, batch=batch_size(dataset))
         outcome.failed = crew.failed
         outcome.rendered = sum(dataset.poses[position].done for position in pending)  # as gathered from disk
     outcome.remaining = sum(not pose.done for pose in dataset.poses)
     if outcome.rendered and not outcome.remaining:
         dataset.tidy()
     return outcome
+
+
+def begin(
+    scene: Path,
+    path: Path,
+    chosen: Mapping[str, Any],
+    *,
+    shard: tuple[int, int] = (0, 1),
+    tell: Callable[[str], None] = lambda words: None,
+    launch: Launch = python,
+    stop: threading.Event | None = None,
+) -> Outcome:
+    """Plan a data set and render its background, as far as that is not done; parameters as of `run`."""
+    known = Dataset.open(path).settings["engine"] if Dataset.exists(path) else chosen.get("engine")
+    if words := compiling_words(known):
+        tell(words)
+    dataset = prepare(scene, path, chosen, launch)
+    if chosen.get("engine") == "auto":
+        tell(engine_words(dataset))
+    if not all(dataset.has_background(name) for name in dataset.background_names):
+        with _crew(dataset, shard, lambda done, total: None, launch=launch, stop=stop) as crew:
+            crew.work([], first="the background")
+    return Outcome(dataset, remaining=len(dataset.poses))
+
+
+@contextlib.contextmanager
+def _crew(dataset: Dataset, shard: tuple[int, int], progress: Progress, **options: Any) -> Iterator[Crew]:
+    """Give a crew that renders a data set and tells of it; on leaving, gather what it has made."""
+
+    def told(done: int, total: int) -> None:
+        journal.told(done, total)
+        progress(done, total)
+
+    def command(threads: int) -> list[str]:
+        return ["generator.worker", "render", str(dataset.path), str(threads)]
+
+    with journals.logged(dataset.path) as log:
+        crew = Crew(command, lambda position: dataset.poses[position].file, told, log=log, **options)
+        try:
+            with journals.Journal(dataset.path, shard, crew.look) as journal:
+                yield crew
+        finally:
+            dataset.gather()
 
 
 def available_cores() -> int:
@@ -266,10 +286,6 @@ def batch_size(dataset: Dataset) -> int:
 def in_batches(units: Sequence[int], size: int) -> list[Sequence[int]]:
     """Return units of work as runs of that size; the last may be shorter."""
     return [units[at : at + size] for at in range(0, len(units), size)]
-
-
-def _has_backgrounds(dataset: Dataset) -> bool:
-    return all(dataset.has_background(name) for name in dataset.background_names)
 
 
 def _run_plan(scene: Path, path: Path, chosen: Mapping[str, Any], launch: Launch) -> None:
@@ -424,7 +440,8 @@ class Crew:
         self._todo: queue.SimpleQueue[tuple[Sequence[int], int]] = queue.SimpleQueue()
         self._lock = threading.Lock()
         self._workers: set[Worker] = set()
-        self._stopped = stop or threading.Event()
+        self._stop = stop or threading.Event()
+        self._stopped = threading.Event()
         self._error: NlosError | None = None
         self._done = 0
         self._total = 0
@@ -485,7 +502,10 @@ class Crew:
 
     def _watch(self) -> None:
         """End the workers at once when all is to stop, and any that has been silent for too long."""
-        while not self._stopped.wait(0.5):
+        while not self._stopped.wait(0.2):
+            if self._stop.is_set():
+                self._stopped.set()
+                break
             first, later = self._patience
             limit = max(later, _SLOWER * self._longest) if self._longest else first
             with self._lock:
