@@ -22,9 +22,11 @@ from numpy.typing import NDArray
 Planes = dict[str, NDArray[np.float32]]
 
 MAX_PIXELS = 2**28
+_BOMB = (2**27, 100)
+"""Bytes of pixels from which a file is asked whether it holds so much, and how many times itself it may unpack to."""
 _MAGIC = b"\x76\x2f\x31\x01"
 _LONG_NAMES = 0x400
-_TILED_DEEP_OR_MULTIPART = 0x200 | 0x800 | 0x1000
+_TILED, _DEEP, _MULTIPART = 0x200, 0x800, 0x1000
 _LINES = {0: 1, 2: 1, 3: 16}
 _ZIP = 3
 _LEVEL = 3  # of zlib: more takes half as long again, and radiance gets smaller by less than 1 %
@@ -110,18 +112,23 @@ def read(path: Path) -> tuple[Planes, dict[str, str]]:
 
 def _read(data: bytes) -> tuple[Planes, dict[str, str]]:
     flags = struct.unpack_from("<I", data, 4)[0]
-    if flags & _TILED_DEEP_OR_MULTIPART:
-        raise _ForeignError("tiled, deep or multi-part")
+    if flags & _DEEP:
+        raise ExrError("it is deep: many values a pixel, which is no picture")
     header, position = _read_header(data)
-    x0, y0, x1, y1 = struct.unpack("<4i", header["dataWindow"][1])
-    width, height = x1 - x0 + 1, y1 - y0 + 1
-    if width < 1 or height < 1 or width * height > MAX_PIXELS:
-        raise ExrError(f"it claims {width} x {height} pixels")
+    width, height, y0 = _claim(header, len(data))
+    if flags & _MULTIPART:
+        while data[position]:
+            other, position = _read_header(data, position)
+            _claim(other, len(data))
+        raise _ForeignError("multi-part")
+    if flags & _TILED:
+        raise _ForeignError("tiled")
     compression = header["compression"][1][0]
     if compression not in _LINES:
         raise _ForeignError(f"compression {compression}")
     lines = _LINES[compression]
-    layout = np.dtype([(name, kind, (width,)) for name, kind in _read_channels(header["channels"][1])])
+    kinds = _read_channels(header["channels"][1])
+    layout = np.dtype([(name, kind, (width,)) for name, kind in kinds])
     n_chunks = -(-height // lines)
     offsets = struct.unpack_from(f"<{n_chunks}Q", data, position)
     blocks: list[bytes] = [b""] * n_chunks
@@ -148,9 +155,21 @@ def _read(data: bytes) -> tuple[Planes, dict[str, str]]:
     return {name: rows[name].astype(np.float32) for name in names}, strings
 
 
-def _read_header(data: bytes) -> tuple[dict[str, tuple[str, bytes]], int]:
+def _claim(header: Mapping[str, tuple[str, bytes]], size: int) -> tuple[int, int, int]:
+    """Return width, height and first line that a header claims; refuse what its file cannot hold."""
+    x0, y0, x1, y1 = struct.unpack("<4i", header["dataWindow"][1])
+    width, height = x1 - x0 + 1, y1 - y0 + 1
+    if width < 1 or height < 1 or width * height > MAX_PIXELS:
+        raise ExrError(f"it claims {width} x {height} pixels")
+    # A channel takes a name and 16 bytes of the header, and 2 bytes a pixel at least.
+    raw = width * height * 2 * max(1, len(header["channels"][1]) // 18)
+    if raw > _BOMB[0] and raw > _BOMB[1] * size:
+        raise ExrError(f"it claims {width} x {height} pixels in {size} bytes")
+    return width, height, y0
+
+
+def _read_header(data: bytes, position: int = 8) -> tuple[dict[str, tuple[str, bytes]], int]:
     header: dict[str, tuple[str, bytes]] = {}
-    position = 8
     while data[position]:
         name, position = _read_name(data, position)
         kind, position = _read_name(data, position)

@@ -2,12 +2,17 @@
 
 from __future__ import annotations
 
+import subprocess
+import sys
+
 import numpy as np
 import OpenEXR
 import pytest
+from conftest import ROOT
 from hypothesis import HealthCheck, example, given, settings
 from hypothesis import strategies as st
 
+from generator import exr
 from generator.dataset import pixel_hash, read_picture, write_picture
 from generator.spec import NlosError
 
@@ -85,3 +90,47 @@ def test_a_huge_claim_is_refused(tmp_path):
     (tmp_path / "huge.exr").write_bytes(data.replace(window, huge))
     with pytest.raises(NlosError, match="claims"):
         read_picture(tmp_path / "huge.exr")
+
+
+def peak(path):
+    """Read a picture in a process of its own: seconds, bytes at most, and what was said."""
+    script = (
+        "import sys, time; from pathlib import Path; from generator.dataset import read_picture\n"
+        "begun = time.perf_counter()\n"
+        "try: said = str(read_picture(Path(sys.argv[1]))[0].shape)\n"
+        "except ValueError as error: said = str(error)\n"
+        "most = Path('/proc/self/status').read_text().partition('VmHWM:')[2].split()[0]\n"
+        "print(time.perf_counter() - begun, 1024 * int(most))\n"
+        "print(said)"
+    )
+    result = subprocess.run(
+        [sys.executable, "-c", script, path], capture_output=True, text=True, cwd=ROOT, check=True
+    )
+    numbers, said = result.stdout.splitlines()
+    seconds, most = numbers.split()
+    return float(seconds), float(most), said
+
+
+@pytest.mark.parametrize("kind", ["zeros", "tiled", "parts", "channels", "deep"])
+def test_a_bomb_takes_neither_time_nor_memory(tmp_path, kind):
+    """Files below 1 MB that claim or unpack to gigabytes, in every form that EXR has for it."""
+    path = tmp_path / "bomb.exr"
+    side = 5000
+    if kind == "zeros":
+        exr.write(path, dict.fromkeys("RGB", np.zeros((side, side), np.float32)), {})
+    elif kind == "channels":
+        exr.write(path, {f"{k:05d}": np.zeros((1, 4), np.float32) for k in range(9000)}, {})
+        window = np.array([0, 0, 3, 0], dtype="<i4").tobytes()
+        path.write_bytes(path.read_bytes().replace(window, np.array([0, 0, 9999, 9], dtype="<i4").tobytes()))
+    else:
+        exr.write(path, dict.fromkeys("RGB", np.zeros((4, 4), np.float32)), {})
+        data = bytearray(path.read_bytes())
+        flag = {"tiled": 0x200, "parts": 0x1000, "deep": 0x800}[kind]
+        data[4:8] = (int.from_bytes(data[4:8], "little") | flag).to_bytes(4, "little")
+        window = np.array([0, 0, 3, 3], dtype="<i4").tobytes()
+        path.write_bytes(bytes(data).replace(window, np.array([0, 0, side, side], dtype="<i4").tobytes()))
+    assert path.stat().st_size < 2_000_000
+    seconds, most, said = peak(path)
+    assert "is not a whole EXR picture (it claims" in said or "(it is deep" in said
+    assert seconds < 10.0
+    assert most < 2**30
