@@ -254,7 +254,7 @@ def random_scene(seed: int) -> bpy.types.Scene:
         target=replace(wanted.target, size=rng.uniform(0.2, 0.45), albedo=rng.uniform(0.2, 1.0)),
         spot=replace(wanted.spot, half_angle=rng.uniform(0.8, 3.0)),
     )
-    for k in range(rng.integers(0, 6)):
+    for k in range(rng.integers(0, 5)):
         size = rng.uniform(0.05, 0.6, size=3)
         side = rng.random() < 0.5  # left of the partition, or behind the voxels
         low = np.array([-2.3, 0.2, 0.1]) if side else np.array([0.3, 2.0, 0.1])

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from generator.spec import NlosError
 from generator.transport import compiled, elements, integral, picture, shaded, silhouettes, traced
-from generator.transport.rays import FEW, Placed
+from generator.transport.rays import Placed
 from generator.transport.setting import Setting
 
 Floats = NDArray[Any]
@@ -47,6 +47,12 @@ _HALVINGS = 8
 """How often the elements at shadows' edges may be halved, from an eighth of the target."""
 
 
+CUT, _CUT_ROOM = 128, 40
+"""Most flat surfaces whose shadows are cut out as polygons, and most of a room that shades its own light on the wall:
+for up to some 200 a picture takes less time than with rays (`benchmarks/cutting.py`), but a background of 54 five
+times as long."""
+
+
 class Fields:
     """A setting, an accuracy, and the functions on its wall.
 
@@ -74,7 +80,7 @@ class Fields:
         # Where nothing is in the way a point on the wall costs little, and more panels cost their elements again.
         self._free_rule = picture.Rule(8 if accuracy > 3e-3 else 10 if accuracy > 3e-5 else 12)
         self._light = shaded.Light(setting.patch, setting.whole, self._digits)
-        self.few = compiled.COMPILED and max(len(setting.room.origin), len(setting.target.origin)) <= FEW
+        self.few = compiled.COMPILED and max(len(setting.room.origin), len(setting.target.origin)) <= CUT
         first = np.argsort(~setting.obstacles.is_blocker, kind="stable")
         self._room, self._room_tint = silhouettes.facets(setting.room)[first], setting.room.tint[first]
         # A sphere's outline is a polygon of its area, which errs with the fourth power of the angle.
@@ -173,7 +179,7 @@ class Fields:
         here, there, nothing = np.eye(3)[None], np.zeros((1, 3)), np.zeros(1, dtype=np.int64)
         cells, tint = setting.room_cells, setting.room.tint
         lost = np.ones(1, dtype=bool)
-        if self.few:
+        if self.few and len(self._setting.room.origin) <= _CUT_ROOM:
             orders = np.array([self._light.order(setting.room.samples())], dtype=np.int64)
             pixels, _, lost = self._received(cells, tint, here, there, nothing, orders)
             pixels = pixels[:, :, 0]
@@ -224,7 +230,7 @@ class Fields:
         again = np.flatnonzero(lost)
         if len(again):
             if moving:
-                raise NlosError(f"derivatives: the room or the target has more than {FEW} surfaces")
+                raise NlosError(f"derivatives: the room or the target has more than {CUT} surfaces")
             evaluate = self._hidden_arrays(turns[again], places[again])
             extent = setting.target.extent
             pixels[again, :, 0], drawn, _ = self._refined(evaluate, len(again), groups, extent, level[again, :, 0])
