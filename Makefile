@@ -2,6 +2,7 @@
 # make test    sets up .venv and runs the tests
 # make lint    ruff, mypy, and the check of the Blender extension
 # make gui     the extension in real windows of Blender 4.3 and 5.2; needs root and debootstrap
+# make slurm   a sweep as jobs of a real Slurm, which is installed on this machine; needs root
 # make results the full run behind docs/results.md, about an hour on 2 cores
 
 # The bpy wheel pinned in constraints.txt is built for one Python version only.
@@ -10,7 +11,7 @@ BIN := .venv/bin
 READY := .venv/ready
 DEMO := demo
 
-.PHONY: demo test lint setup extension gui results clean
+.PHONY: demo test lint setup extension gui slurm results clean
 
 setup: $(READY)
 
@@ -45,6 +46,9 @@ extension: $(READY)
 
 gui: $(READY)
 	$(BIN)/python tests/gui/run.py -o dist/gui
+
+slurm: $(READY)
+	benchmarks/slurm/run.sh $(CURDIR)/dist/slurm
 
 results: $(READY)
 	$(BIN)/python benchmarks/paper_table.py --output results --poses 100 --resolution 64 --samples 192 \

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import subprocess
 import time
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
@@ -100,10 +101,16 @@ def run(
         f"jobs {jobs[0].job_id} to {jobs[-1].job_id}; Ctrl-C leaves them running; what they print is in {path / LOGS}"
     )
     before = outcome.dataset.planned - todo
-    while not all(job.done() for job in jobs):
+    missing: set[str] = set()
+    while waiting := {job.job_id for job in jobs if not _ended(job, executor)}:
         progress(journal.read(path)["done"] - before, todo)
+        before_that, missing = missing, waiting - _queued() if executor == "slurm" else set()
+        if waiting <= missing & before_that:
+            break  # twice not in the queue, and no result: nothing more will come
         time.sleep(0.2 if executor == "debug" else _EVERY)
-    outcome.failed = [line for job in jobs for line in _failures(job)]
+    words = "left the queue without a result; it was killed, or ran out of time"
+    for job in jobs:
+        outcome.failed += [f"job {job.job_id}: {words}"] if job.job_id in waiting else _failures(job, executor)
     outcome.remaining = len(outcome.dataset.gather())
     outcome.rendered = todo - outcome.remaining
     progress(outcome.rendered, todo)
@@ -112,11 +119,31 @@ def run(
     return outcome
 
 
-def _failures(job: Any) -> Sequence[str]:
+def _ended(job: Any, executor: str) -> bool:
+    """Whether a job has come to an end; submitit itself asks Slurm's accounting, which not every cluster has."""
+    return bool(job.paths.result_pickle.exists() if executor == "slurm" else job.done())
+
+
+def _queued() -> set[str]:
+    """The jobs, and tasks of arrays, that Slurm still has to run or runs."""
+    answer = subprocess.run(["squeue", "-h", "-r", "-o", "%F_%K %i"], capture_output=True, text=True, check=False)
+    if answer.returncode:
+        raise NlosError(f"--jobs slurm: squeue does not answer ({answer.stderr.strip()}); the jobs may go on")
+    return set(answer.stdout.split())
+
+
+def _failures(job: Any, executor: str) -> Sequence[str]:
     """What a job could not render, or how it ended itself."""
-    error = job.exception()
+    if executor == "slurm":
+        from submitit.core import utils
+
+        outcome, result = utils.pickle_load(job.paths.result_pickle)
+        error = result if outcome == "error" else None
+    else:
+        error = job.exception()
+        result = None if error else job.result()
     if error is None:
-        failed: list[str] = job.result()
+        failed: list[str] = result
         return failed
     lines = [line.strip() for line in str(error).splitlines() if "Error: " in line]
     return [f"job {job.job_id}: {lines[-1].partition('Error: ')[2] if lines else type(error).__name__}"]
