@@ -111,7 +111,9 @@ def read_only(scene: Path, path: Path) -> tuple[int, str]:
     )
     while pictures(path) < 20:
         time.sleep(0.2)
-    subprocess.run(["mount", "-o", "remount,ro", str(path.parent)], check=False)
+    remount = ["mount", "-o", "remount,ro", str(path.parent)]
+    while subprocess.run(remount, check=False, capture_output=True).returncode:  # while a picture is being written
+        time.sleep(0.01)
     _, errors = process.communicate(timeout=600)
     subprocess.run(["mount", "-o", "remount,rw", str(path.parent)], check=True)
     assert process.returncode == 2, (process.returncode, errors)

@@ -163,7 +163,9 @@ def again(source: Path, plan: Plan, most: float) -> dict[str, tuple[float, float
         variant = planning.variant(source, cycles)
         every = [e.name for e in plan.effects if not e.note and e.name not in pieces]
         places, turns = other_poses(source, 5)
-        exact, _, _ = effects.measure(variant, every, places, turns, rounds=5, accuracy=budget.FINE, tolerance=0.0)
+        exact, _, _ = effects.measure(
+            variant, every, places, turns, rounds=5, accuracy=max(budget.FINE, plan.tolerance / 20.0), tolerance=0.0
+        )
         found |= {e.name: e.share for e in exact}
         found["all of it, against Cycles"] = _against_cycles(probe, variant, plan, most)
     return found

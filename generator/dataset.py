@@ -180,7 +180,7 @@ def atomic(path: Path) -> Iterator[Path]:
     except OSError as error:
         raise NlosError(f"{path}: cannot be written ({error.strerror or error})") from None
     finally:
-        if path.parent.is_dir():
+        with contextlib.suppress(OSError):  # gone with its folder, or on a disk that takes no changes any more
             temporary.unlink(missing_ok=True)
 
 

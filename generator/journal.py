@@ -99,7 +99,8 @@ class Journal:
         self._over.set()
         self._thread.join()
         self.state.state = ENDED
-        self._write()
+        with contextlib.suppress(NlosError):  # there is worse to tell then
+            self._write()
 
     def told(self, done: int, total: int) -> None:
         """Take note of how far the run is."""
@@ -126,25 +127,34 @@ def memory(pid: int) -> int:
     return pages * os.sysconf("SC_PAGE_SIZE")
 
 
+class _Appender(logging.Handler):
+    """Opens the file for every line: several machines may append to it, and none holds it, or its disk, open."""
+
+    def __init__(self, file: Path) -> None:
+        super().__init__()
+        self._file = file
+
+    def emit(self, record: logging.LogRecord) -> None:
+        """Append a line."""
+        # A full disk is for those who write pictures to complain of.
+        with contextlib.suppress(OSError), open(self._file, "a", encoding="utf-8") as file:
+            file.write(self.format(record) + "\n")
+
+
 @contextlib.contextmanager
 def logged(path: Path) -> Iterator[logging.Logger]:
     """Give a logger whose words go to the data set's log."""
     log = logging.getLogger(f"nlos.{path}")
     log.setLevel(logging.INFO)
     log.propagate = False
-    try:
-        handler = logging.FileHandler(path / LOG, encoding="utf-8")
-    except OSError as error:
-        raise NlosError(f"{path / LOG}: cannot be written ({error.strerror})") from None
+    handler = _Appender(path / LOG)
     words = f"%(asctime)s {socket.gethostname()} {os.getpid()} %(levelname)s %(message)s"
     handler.setFormatter(logging.Formatter(words))
-    handler.handleError = lambda record: None  # type: ignore[method-assign]  # a full disk must not end the run here
     log.addHandler(handler)
     try:
         yield log
     finally:
         log.removeHandler(handler)
-        handler.close()
 
 
 def read(path: Path) -> dict[str, Any]:

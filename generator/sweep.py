@@ -40,6 +40,9 @@ _PATIENCE = (6 * 3600.0, 600.0)
 _SLOWER = 20.0
 """Times the longest that a unit has taken, likewise."""
 
+_HOPELESS = 50
+"""Workers in a row that end before any has done anything: the fault is not in what they were to do."""
+
 _ON_GPU = 4
 """Workers that share a GPU, if none are asked for: more gain little, and each takes memory there."""
 
@@ -436,6 +439,7 @@ class Crew:
         self._log = log or logging.getLogger("nlos")
         self._patience = patience
         self._longest = 0.0
+        self._fallen = 0
         self._launch = launch
         self._todo: queue.SimpleQueue[tuple[Sequence[int], int]] = queue.SimpleQueue()
         self._lock = threading.Lock()
@@ -545,6 +549,7 @@ class Crew:
                     worker.done += len(batch)
                     self._longest = max(self._longest, time.monotonic() - begun)
                     with self._lock:
+                        self._fallen = 0
                         self._done += sum(map(self._size, batch))
                         self._progress(self._done, self._total)
                 elif not self._stopped.is_set():
@@ -552,6 +557,11 @@ class Crew:
                     self._log.warning("worker %d ended at %s: %s", worker.pid, self._name(batch[0]), words)
                     with self._lock:
                         self._workers.discard(worker)
+                        self._fallen += 1
+                        if self._fallen >= _HOPELESS:
+                            raise NlosError(
+                                f"{_HOPELESS} workers in a row ended before one picture was done: {words}"
+                            )
                     worker.stop()
                     worker = None
                     for unit in batch:  # one by one from now on: the others shall not fail with the one that did

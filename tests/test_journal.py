@@ -12,9 +12,11 @@ import tempfile
 import time
 from pathlib import Path
 
+import pytest
 from conftest import TINY
 
 from generator import journal, sweep
+from generator.spec import NlosError
 
 HANG = "import sys, time; print('nlos {}', flush=True); sys.stdin.readline(); time.sleep({})"
 
@@ -109,3 +111,10 @@ def test_a_worker_that_is_killed_leaves_nothing_behind(tmp_path, monkeypatch):
     one.work([1, 2], 1)
     assert len(one.failed) == 2
     assert not [p for p in Path(tmp_path).iterdir() if p.is_dir()]
+
+
+def test_workers_that_all_die_at_once_end_the_run(tmp_path):
+    """A machine without memory, or a Blender that cannot start: no use in trying every picture three times."""
+    one, _ = crew(tmp_path, "import sys; sys.exit('no memory')")
+    with pytest.raises(NlosError, match="50 workers in a row ended before one picture was done: no memory"):
+        one.work(range(200), 2)
