@@ -198,6 +198,9 @@ def _predicted(
         ("seconds", {**plan.settings, "leave_out": plan.dropped}),
         ("seconds_full", {"engine": "auto"}),
     ):
+        if name == "seconds_full" and not plan.dropped and plan.settings["engine"] != "surfel":
+            took[name] = took["seconds"]  # it is the same sweep
+            continue
         tell(f"rehearsing {'the plan' if name == 'seconds' else 'the whole'}")
         known = budget.rehearsed(source, settings, workers)
         if known.engine == "surfel":
