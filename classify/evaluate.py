@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import pickle
 import time
 import warnings
 from collections.abc import Callable, Sequence
@@ -240,6 +241,7 @@ def fit_and_test(model: Any, x: Array, y: Any, x_test: Array, y_test: Any) -> di
         "predicted": predicted,
         "train_seconds": fitted - start,
         "predict_seconds": end - fitted,
+        "bytes": len(pickle.dumps(model)),
         "chosen": models.chosen(model),
         "unconverged": sum(issubclass(w.category, ConvergenceWarning) for w in caught),
     }

@@ -37,6 +37,8 @@ class Point:
     accuracy : Interval
     train_seconds, predict_seconds : float
         Of the fit, and per picture.
+    size : int
+        Bytes of the trained model.
     unconverged : bool
         Whether the fit ended before it converged.
     """
@@ -46,6 +48,7 @@ class Point:
     accuracy: Interval
     train_seconds: float
     predict_seconds: float
+    size: int
     unconverged: bool
 
 
@@ -124,6 +127,7 @@ def curves(
                     accuracy=wilson(right, len(rows)),
                     train_seconds=fit["train_seconds"],
                     predict_seconds=fit["predict_seconds"] / len(rows),
+                    size=fit["bytes"],
                     unconverged=bool(fit["unconverged"]),
                 )
             )
@@ -157,12 +161,13 @@ def rows(points: Sequence[Point]) -> list[tuple[str, ...]]:
             p.accuracy.percent() + (" (not converged)" if p.unconverged else ""),
             f"{p.train_seconds:.3g} s",
             f"{1e6 * p.predict_seconds:.3g} us",
+            f"{p.size / 1e3:.3g} kB",
         )
         for p in ordered
     ]
 
 
-HEADINGS = ("classifier", "trained on", "right voxel", "training", "answer, each")
+HEADINGS = ("classifier", "trained on", "right voxel", "training", "answer, each", "model")
 
 
 def draw(path: Path, points: Sequence[Point], title: str) -> None:

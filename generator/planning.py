@@ -193,7 +193,7 @@ def _predicted(
 ) -> Plan:
     """Return the plan with what a sweep of it takes, beside one that leaves nothing out at the same accuracy."""
     pictures = voxels * Sweep.poses
-    took = {}
+    took: dict[str, float] = {}
     for name, settings in (
         ("seconds", {**plan.settings, "leave_out": plan.dropped}),
         ("seconds_full", {"engine": "auto"}),

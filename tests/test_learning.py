@@ -47,6 +47,7 @@ def test_a_classifier_learns_what_can_be_known(rendered):
         assert abs(point.accuracy.value - best) < 0.025  # four standard errors of 4000 answers
     assert points[0].accuracy.value < points[2].accuracy.value - 0.02
     assert len(learning.rows(points)) == 4
+    assert all(1_000 < point.size < 1_000_000 for point in points)
 
 
 def test_fewer_are_among_the_more_and_have_all_classes(rendered):
