@@ -138,9 +138,7 @@ def draw(path: Path, plan: Plan, title: str) -> None:
         axis.errorbar(shown, range(len(effects)), xerr=reach, fmt="none", ecolor="#24292f", capsize=2)
         axis.set_xscale("log")
     axis.axvline(100.0 * plan.tolerance, color="#cf222e", lw=1.0, ls="--")
-    axis.set_xlabel(
-        "error of a difference picture without it, % of it; blue: needed, grey: left out, yellow: told only"
-    )
+    axis.set_xlabel("error of a difference picture without it, % (blue: needed; grey: left out; yellow: told)")
     axis.set_title(title, fontsize=10)
     figures.save(path, figure)
 
