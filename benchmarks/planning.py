@@ -248,6 +248,7 @@ def random_scene(seed: int) -> bpy.types.Scene:
     )
     scene = room(
         wanted.target.kind,
+        resolution=(32, 32),
         room=walls,
         wall=replace(wanted.wall, x=(-2.4, far), z=(0.0, top), albedo=rng.uniform(0.3, 0.9)),
         partition=replace(

@@ -558,12 +558,10 @@ class Crew:
                     with self._lock:
                         self._workers.discard(worker)
                         self._fallen += 1
-                        if self._fallen >= _HOPELESS:
-                            raise NlosError(
-                                f"{_HOPELESS} workers in a row ended before one picture was done: {words}"
-                            )
                     worker.stop()
                     worker = None
+                    if self._fallen >= _HOPELESS:
+                        raise NlosError(f"{_HOPELESS} workers in a row ended before one picture was done: {words}")
                     for unit in batch:  # one by one from now on: the others shall not fail with the one that did
                         if attempt < TRIES:
                             self._todo.put(([unit], attempt + 1))
