@@ -35,6 +35,7 @@ def make(
     seed: int = 0,
     most: float = 180.0,
     workers: int = 0,
+    predict: bool = True,
     tell: Callable[[str], None] = lambda words: None,
 ) -> Plan:
     """Measure a scene's effects, and plan a sweep of it.
@@ -57,6 +58,8 @@ def make(
         Seconds for Cycles' effects; 0 measures none of them, and keeps them all.
     workers : int
         Of the sweep that is predicted.
+    predict : bool
+        What the sweep will take, by rehearsing it; else that is left open, and a plan for Cycles has no samples.
     tell : callable
         Is told what is being done.
 
@@ -102,6 +105,8 @@ def make(
         together = replace(together, share=(next(both), next(both), next(both)))
         settings = {"engine": "surfel", "accuracy": accuracy}
         plan = Plan(_sorted([*found, *exact]), [*dropped, *more], together, settings, tolerance, words)
+    if not predict:
+        return plan
     return _predicted(source, plan, described.grid.n_voxels, described.resolution, workers, tell)
 
 
