@@ -13,7 +13,6 @@ from generator import journal, sweep
 from generator.dataset import SCENE
 from generator.spec import NlosError
 
-EXECUTORS = ("slurm", "local", "debug")
 LOGS = ".jobs"
 """Folder of what jobs print, in the data set."""
 _EVERY = 5.0

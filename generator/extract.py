@@ -398,10 +398,7 @@ def _colours(obj: Any, slots: Any) -> tuple[Array, tuple[str, ...]]:
 def _material_flaw(material: Any) -> str:
     if material is None:
         return "has no material, so that Cycles takes one of its own, which is glossy"
-    tree = material.node_tree
-    output = (
-        next((n for n in tree.nodes if n.type == "OUTPUT_MATERIAL" and n.is_active_output), None) if tree else None
-    )
+    output = stage.material_output(material)
     if output is not None and output.inputs["Volume"].is_linked:
         return "has a material that fills it with a volume"
     if output is not None and output.inputs["Displacement"].is_linked:

@@ -199,15 +199,17 @@ def read(path: Path) -> dict[str, Any]:
 
 def words(found: Mapping[str, Any]) -> list[str]:
     """Return what `read` found, for a person."""
+    from generator.sweep import clock  # which keeps a journal itself
+
     made = [f"{found['path']}: {found['done']} of {found['planned']} pictures"]
     if found["seconds_left"] is not None:
-        made[0] += f", {found['rate']:.3g} a second, about {_clock(found['seconds_left'])} left"
+        made[0] += f", {found['rate']:.3g} a second, about {clock(found['seconds_left'])} left"
     for run in found["runs"]:
-        heard = f", last heard of {_clock(run['heard'])} ago" if run["state"] == "lost" else ""
+        heard = f", last heard of {clock(run['heard'])} ago" if run["state"] == "lost" else ""
         shard = "" if run["shard"] == "0/1" else f", shard {run['shard']}"
         made.append(
             f"run {run['pid']} on {run['host']}{shard}: {run['state']}{heard}, {run['done']} of {run['total']} in "
-            f"{_clock(run['seconds'])}"
+            f"{clock(run['seconds'])}"
         )
         if run["state"] == RUNNING:
             made += [
@@ -216,11 +218,6 @@ def words(found: Mapping[str, Any]) -> list[str]:
                 for worker in run["workers"]
             ]
     return [*made, *(f"failed: {name}" for name in found["failed"])]
-
-
-def _clock(seconds: float) -> str:
-    minutes, rest = divmod(round(seconds), 60)
-    return f"{minutes // 60}:{minutes % 60:02d}:{rest:02d}" if minutes >= 60 else f"{minutes}:{rest:02d}"
 
 
 def _alive(state: State, heard: float) -> bool:

@@ -190,7 +190,7 @@ def _room(source: Path, dropped: Sequence[str]) -> list[str]:
 
 
 def _sorted(found: Sequence[Effect]) -> list[Effect]:
-    return sorted(found, key=lambda effect: -effect.share[0] if effect.share[0] == effect.share[0] else -math.inf)
+    return sorted(found, key=lambda effect: -math.inf if math.isnan(effect.share[0]) else -effect.share[0])
 
 
 def _predicted(

@@ -53,12 +53,11 @@ class Probe:
     def __post_init__(self) -> None:
         self.lights = simplify.lights(stage.open_file(self.source))
 
-    def errors(self, dropped: Sequence[str], number: int) -> tuple[Array, Array]:
-        """Return what a round shows of the pieces left out, and of the whole: two noises each, (2, n, pixels)."""
+    def errors(self, dropped: Sequence[str], number: int) -> Array:
+        """Return what a round shows of the pieces left out, in two noises, (2, n, pixels)."""
         lights = frozenset(self.lights)
         gone, rest = lights & set(dropped), frozenset(dropped) - lights
-        error = np.array([self._share(rest, gone, number, twin) for twin in range(2)])
-        return error, np.array([self._whole(number, twin) for twin in range(2)])
+        return np.array([self._share(rest, gone, number, twin) for twin in range(2)])
 
     def together(self, dropped: Sequence[str]) -> tuple[float, float, float]:
         """Return the error of pieces left out together, by the rounds that are made of each of them already."""
@@ -67,8 +66,7 @@ class Probe:
                 *({key[2] for key in self._made if name in key[0] | (key[1] or set())} for name in dropped)
             )
         )
-        errors = [self.errors(dropped, number) for number in numbers]
-        return share([e for e, _ in errors], [w for _, w in errors])
+        return share([self.errors(dropped, k) for k in numbers], [self.whole(k) for k in numbers])
 
     def raised(self, order: int, number: int) -> Array:
         """Return what a round shows of reflections up to an order, beyond the scene's own, (2, n, pixels)."""
@@ -179,7 +177,7 @@ def measure(
     found: dict[str, tuple[float, float, float]] = {}
     for number in range(min(ROUNDS[1], len(probe.rounds))):
         for name, order in todo:
-            got = probe.raised(order, number) if order else probe.errors([name], number)[0]
+            got = probe.raised(order, number) if order else probe.errors([name], number)
             errors[name, order].append(got)
         wholes = [probe.whole(k) for k in range(number + 1)]
         for one in todo:

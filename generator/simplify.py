@@ -142,9 +142,10 @@ def _paint(obj: bpy.types.Object) -> None:
     """Give an object without a material the grey of Cycles' own, but none of its gloss."""
     material = bpy.data.materials.new("NLOS plain")
     _make_plain(material)
-    obj.data.materials.append(material) if not obj.material_slots else setattr(
-        obj.material_slots[0], "material", material
-    )
+    if obj.material_slots:
+        obj.material_slots[0].material = material
+    else:
+        obj.data.materials.append(material)
 
 
 def _make_plain(material: bpy.types.Material) -> None:
@@ -162,10 +163,7 @@ def _make_plain(material: bpy.types.Material) -> None:
 
 def _colour(material: bpy.types.Material) -> tuple[float, ...]:
     """What part of the light a material reflects, as far as its nodes tell; that of a lamp is black."""
-    tree = material.node_tree
-    output = (
-        next((n for n in tree.nodes if n.type == "OUTPUT_MATERIAL" and n.is_active_output), None) if tree else None
-    )
+    output = stage.material_output(material)
     if output is None:
         return (_GREY,) * 3
     if not output.inputs["Surface"].is_linked:

@@ -502,10 +502,7 @@ def material_colour(material: bpy.types.Material) -> tuple[float, float, float] 
     if bpy.app.version < (5, 0) and not material.use_nodes:
         colour = material.diffuse_color  # what Cycles takes then; Blender 5 always uses the nodes
         return (float(colour[0]), float(colour[1]), float(colour[2]))
-    tree = material.node_tree
-    output = (
-        next((n for n in tree.nodes if n.type == "OUTPUT_MATERIAL" and n.is_active_output), None) if tree else None
-    )
+    output = material_output(material)
     if output is None or not output.inputs["Surface"].is_linked:
         return None
     if output.inputs["Displacement"].is_linked or output.inputs["Volume"].is_linked:
@@ -521,6 +518,13 @@ def material_colour(material: bpy.types.Material) -> tuple[float, float, float] 
     else:
         return None
     return (float(colour[0]), float(colour[1]), float(colour[2]))
+
+
+def material_output(material: bpy.types.Material) -> Any:
+    """Return the node whose inputs are what a material renders as, or None."""
+    tree = material.node_tree
+    active = (n for n in tree.nodes if n.type == "OUTPUT_MATERIAL" and n.is_active_output) if tree else iter(())
+    return next(active, None)
 
 
 def _only_diffuse(inputs: Any) -> bool:

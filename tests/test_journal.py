@@ -85,7 +85,10 @@ def crew(tmp_path, script, **options):
     log.addHandler(logging.Handler())
     log.handlers[0].emit = lambda record: lines.append(record.getMessage())
     log.setLevel(logging.INFO)
-    launch = lambda arguments: [sys.executable, "-c", script]  # noqa: E731
+
+    def launch(arguments):
+        return [sys.executable, "-c", script]
+
     return sweep.Crew(lambda threads: [], str, lambda done, total: None, launch=launch, log=log, **options), lines
 
 
