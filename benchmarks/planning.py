@@ -17,7 +17,7 @@ from typing import Any
 import bpy
 import numpy as np
 
-from generator import budget, effects, planning, poses, probing, simplify, spec, stage, worker
+from generator import budget, effects, planning, plans, poses, probing, simplify, spec, stage, worker
 from generator.clearance import clearance
 from generator.dataset import csv_text, write_text
 from generator.intervals import relative
@@ -162,9 +162,15 @@ def again(source: Path, plan: Plan, most: float) -> dict[str, tuple[float, float
         cycles = [name for name in plan.dropped if name in pieces]
         variant = planning.variant(source, cycles)
         every = [e.name for e in plan.effects if not e.note and e.name not in pieces]
-        places, turns = other_poses(source, 5)
+        places, turns = other_poses(source, plans.POSES)
         exact, _, _ = effects.measure(
-            variant, every, places, turns, rounds=5, accuracy=max(budget.FINE, plan.tolerance / 20.0), tolerance=0.0
+            variant,
+            every,
+            places,
+            turns,
+            rounds=plans.POSES,
+            accuracy=max(budget.FINE, plan.tolerance / 20.0),
+            tolerance=0.0,
         )
         found |= {e.name: e.share for e in exact}
         found["all of it, against Cycles"] = _against_cycles(probe, variant, plan, most)
@@ -275,7 +281,7 @@ def run_random(options: argparse.Namespace) -> None:
         source = saved(random_scene(seed), options.output / f"random-{seed}.blend")
         try:
             plan = planning.make(source, tolerance=tolerance, most=0.0, predict=False)
-            places, turns = other_poses(source, 5)
+            places, turns = other_poses(source, plans.POSES)
         except spec.NlosError as error:
             print(f"{seed}: left out: {error}", flush=True)
             continue
@@ -283,7 +289,7 @@ def run_random(options: argparse.Namespace) -> None:
         whole, _ = effects.differences(variant, (), places, turns, max(budget.FINE, tolerance / 30.0))
         accuracy = plan.settings["accuracy"]
         made, _ = effects.differences(variant, plan.dropped, places, turns, accuracy)
-        squares = (((one**2).mean(axis=(1, 2))).reshape(5, -1) for one in (made - whole, whole))
+        squares = (((one**2).mean(axis=(1, 2))).reshape(plans.POSES, -1) for one in (made - whole, whole))
         error = relative(*squares)[0]
         ratios = []
         for _ in range(3):  # in turn

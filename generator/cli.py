@@ -13,7 +13,7 @@ from dataclasses import fields
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from generator import budget, spec
+from generator import budget, plans, spec
 from generator.dataset import Dataset
 from generator.spec import NlosError, Sweep
 from generator.sweep import clock
@@ -264,7 +264,9 @@ def _parser() -> argparse.ArgumentParser:
         help="error of a difference picture that is allowed, 0.01 or 1%% (default: 1%%)",
     )
     plan.add_argument("-o", "--output", type=Path, metavar="FOLDER", help="for plan.toml, plan.csv and plan.png")
-    plan.add_argument("--poses", type=int, default=5, metavar="N", help="per voxel (default: 5)")
+    plan.add_argument(
+        "--poses", type=int, default=plans.POSES, metavar="N", help=f"per voxel (default: {plans.POSES})"
+    )
     plan.add_argument("--seed", type=int, default=0, metavar="N", help="of the poses (default: 0)")
     plan.add_argument(
         "--most",
@@ -533,8 +535,6 @@ def _sweep(options: argparse.Namespace) -> int:
         accuracy, options.accuracy = options.accuracy, None  # decides on settings, and is none itself
     chosen, pace = chosen_settings(options), None
     if planned:
-        from generator import plans
-
         chosen = plans.followed(planned, options.scene, chosen)
     if limit and Dataset.exists(options.output):
         print(f"{options.output}: goes on as it was begun; --budget is for new sets")
@@ -614,7 +614,7 @@ def _tradeoff(options: argparse.Namespace) -> int:
 
 
 def _plan(options: argparse.Namespace) -> int:
-    from generator import planning, plans
+    from generator import planning
 
     if options.output and options.output.exists() and not options.output.is_dir():
         raise NlosError(f"{options.output}: is a file; name a folder")

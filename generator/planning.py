@@ -13,7 +13,7 @@ import numpy as np
 from generator import budget, effects, extract, poses, probing, simplify, stage, worker
 from generator.clearance import clearance
 from generator.dataset import PoseRecord
-from generator.plans import Effect, Plan
+from generator.plans import POSES, Effect, Plan
 from generator.spec import NlosError, Sweep
 from generator.transport import World, partial
 
@@ -31,7 +31,7 @@ def make(
     source: Path,
     *,
     tolerance: float = 0.01,
-    count: int = 5,
+    count: int = POSES,
     seed: int = 0,
     most: float = 180.0,
     workers: int = 0,
