@@ -48,7 +48,7 @@ from generator.spec import Array, NlosError, Sweep, Vector, VoxelGrid, dump_toml
 from generator.strangers import stranger
 from generator.sweep import Crew, Progress, Worker, check_same, compiling_words
 from generator.transport.store import load_world, save_world, world_hash
-from generator.transport.world import Mesh, World
+from generator.transport.world import World
 
 FORMAT = 1
 MANIFEST = "bulk.toml"
@@ -263,10 +263,10 @@ def check_free(path: Path) -> None:
 
 def is_grey(world: World) -> bool:
     """Whether light and surfaces are the same in all three colour channels, and hence every picture."""
-    meshes = [body for body in (*world.target, *world.room) if isinstance(body, Mesh)]
-    spheres = [body for body in world.target if not isinstance(body, Mesh)]
     light = [world.patch.intensity, world.patch.albedo, world.watched.albedo]
-    colours = [np.atleast_2d(c) for c in (*light, *(b.albedo for b in meshes), *(b.albedo for b in spheres))]
+    if world.ambient is not None:
+        light += [world.ambient.radiance, world.ambient.wall.albedo]
+    colours = [np.atleast_2d(c) for c in (*light, *(body.albedo for body in (*world.target, *world.room)))]
     return all(bool((c == c[:, :1]).all()) for c in colours)
 
 
@@ -688,6 +688,7 @@ class Engine:
         self._make = partial(Transport, accuracy=plan.accuracy, threads=threads)
         self._world = bulk.world().seen_by(*plan.resolution)
         self._known = None if plan.unknown else self._make(self._world)
+        self._last: Transport | None = None
 
     def pictures(
         self, numbers: NDArray[np.int64], positions: Array, rotations: Array, *, shadows: bool = True
@@ -710,7 +711,8 @@ class Engine:
         made = []
         for some in np.split(np.arange(len(numbers)), np.flatnonzero(np.diff(index)) + 1):
             one = replace(self._world, target=(stranger(bulk.grid, bulk.plan.sweep, int(index[some[0]])),))
-            made.append(self._make(one).pictures(positions[some], rotations[some], shadows=shadows))
+            self._last = self._make(one, like=self._last)
+            made.append(self._last.pictures(positions[some], rotations[some], shadows=shadows))
         return np.concatenate(made)
 
 

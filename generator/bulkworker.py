@@ -50,7 +50,7 @@ def plan(scene: bpy.types.Scene, source: Path, path: Path, chosen: Mapping[str, 
     if chosen.get("unknown"):
         chosen = {"rotation": list(worker.TURNS["mesh"]), **chosen}
     settings: Settings = spec.from_dict(Settings, worker.with_defaults(described, chosen), "")
-    world, reasons = extract.world(scene, resolution=settings.resolution)
+    world, reasons = extract.world(scene, resolution=settings.resolution, ambient=True)
     if world is None:
         raise NlosError(
             f"{source}: a bulk set is made by the engine 'surfel', which cannot honour that "

@@ -111,7 +111,7 @@ class SurfelRenderer:
     def render(self, *, samples: int = 0, seed: int = 0, target: bool = True, ambient: bool = True) -> Picture:
         """Render one picture with the target where it stands in the scene; samples and seed change nothing."""
         if not target:
-            return self._transport.background().astype(np.float32)
+            return self._transport.background(ambient=ambient).astype(np.float32)
         refuse_hidden(self._scene)
         position, turn, _ = stage.find(self._scene, "target").matrix_world.decompose()
         return self.at(tuple(position), tuple(math.degrees(angle) for angle in turn.to_euler("XYZ")))

@@ -13,7 +13,7 @@ import numpy as np
 
 from generator import spec, stage
 from generator.spec import Array, NlosError, rotation_matrix
-from generator.transport.world import LitPatch, Mesh, Sphere, Watched, World
+from generator.transport.world import AmbientLight, LitPatch, Mesh, Sphere, Watched, World
 
 MAX_ORDER = 3
 """The most reflections that `surfel` knows."""
@@ -67,14 +67,16 @@ def surfel_world(scene: bpy.types.Scene, *, resolution: tuple[int, int] | None =
     NlosError
         The message names everything that `surfel` cannot honour, and the engine that can.
     """
-    found, reasons = world(scene, resolution=resolution)
+    found, reasons = world(scene, resolution=resolution, ambient=True)
     if found is None:
         patch, _ = _lit_patch(scene, _read(scene))
         _refuse("surfel", reasons, instead="path" if patch is None else "patch")
     return found
 
 
-def world(scene: bpy.types.Scene, *, resolution: tuple[int, int] | None = None) -> tuple[World | None, list[str]]:
+def world(
+    scene: bpy.types.Scene, *, resolution: tuple[int, int] | None = None, ambient: bool = False
+) -> tuple[World | None, list[str]]:
     """Return what the engine `surfel` needs of a scene, and what it cannot honour.
 
     Parameters
@@ -83,6 +85,8 @@ def world(scene: bpy.types.Scene, *, resolution: tuple[int, int] | None = None) 
         The target is moved on the way, and put back.
     resolution : (int, int), optional
         Of the pictures, width and height; the scene's own if not given.
+    ambient : bool
+        Whether uniform ambient light may be followed, which is right to a few per cent only; else it is a reason.
 
     Returns
     -------
@@ -104,6 +108,12 @@ def world(scene: bpy.types.Scene, *, resolution: tuple[int, int] | None = None) 
         patch, patch_reasons = _lit_patch(scene, reading)
         watched, view_reasons = _watched(scene, reading, size)
     reasons = [*patch_reasons, *view_reasons, *reasons]
+    sky = None
+    if reading.sky is not None and ambient:
+        walls = [s for s in reading.surfaces if s.role == "relay_wall"]
+        sky = AmbientLight(reading.sky, _mesh(walls)) if walls else None
+    elif reading.sky is not None:
+        reasons.append(f"the world {scene.world.name!r} gives ambient light")
     if patch is not None and watched is not None and patch.normal @ watched.normal < 0:
         reasons.append(f"the camera {camera.name!r} and the spot {spot.name!r} stand on opposite sides of the wall")
     order = stage.reflection_order(scene)
@@ -126,7 +136,7 @@ def world(scene: bpy.types.Scene, *, resolution: tuple[int, int] | None = None) 
         reasons.append(f"the target {target.name!r} has no surface to reflect light")
     if reasons or patch is None or watched is None:
         return None, list(dict.fromkeys(reasons))
-    return World(patch=patch, watched=watched, target=tuple(bodies), room=tuple(room), order=order), []
+    return World(patch=patch, watched=watched, target=tuple(bodies), room=tuple(room), order=order, ambient=sky), []
 
 
 def room_names(scene: bpy.types.Scene) -> list[str]:
@@ -169,11 +179,13 @@ class _Surface:
 
 @dataclass
 class _Reading:
-    """All rendered surfaces, where the objects with a role stand (4 x 4 matrices), and what else there is."""
+    """All rendered surfaces, where the objects with a role stand (4 x 4 matrices), what else there is, and the
+    radiance (3,) of a world that shines alike from everywhere, if it does."""
 
     surfaces: list[_Surface] = field(default_factory=list)
     places: dict[str, Array] = field(default_factory=dict)
     reasons: list[str] = field(default_factory=list)
+    sky: Array | None = None
 
 
 def _as_rendered(scene: bpy.types.Scene, look: Callable[[Any], Result]) -> Result:
@@ -246,6 +258,8 @@ def _read(scene: bpy.types.Scene) -> _Reading:
 
     def look(depsgraph: Any) -> _Reading:
         reading = _Reading(reasons=_layer_reasons(scene, depsgraph))
+        reading.sky, more = _sky(depsgraph.scene.world)
+        reading.reasons += more
         layer = scene.view_layers[depsgraph.view_layer.name]
         known: dict[int, _Shape] = {}
         for instance in depsgraph.object_instances:
@@ -437,31 +451,38 @@ def _layer_reasons(scene: bpy.types.Scene, depsgraph: Any) -> list[str]:
             reasons.append(f"the view layer {layer.name!r} leaves out solid faces")
         if getattr(layer, "world_override", None) is not None:
             reasons.append(f"the view layer {layer.name!r} has a world of its own")
-    background = depsgraph.scene.world
-    if background is not None:
-        tree = background.node_tree
-        if bpy.app.version < (5, 0) and not background.use_nodes:
-            tree = None
-        if tree is not None and any(
-            n.type == "OUTPUT_WORLD" and n.is_active_output and n.inputs["Volume"].is_linked for n in tree.nodes
-        ):
-            reasons.append(f"the world {background.name!r} is filled with a volume")
-        if not (_is_dark(tree) if tree else not any(background.color)):
-            reasons.append(f"the world {background.name!r} gives ambient light")
     return reasons
 
 
-def _is_dark(tree: Any) -> bool:
+def _sky(world: Any) -> tuple[Array | None, list[str]]:
+    """Radiance (3,), W/m^2/sr, of a world that shines alike from everywhere, if it shines; what else is amiss."""
+    if world is None:
+        return None, []
+    tree, reasons = world.node_tree, []
+    if bpy.app.version < (5, 0) and not world.use_nodes:
+        tree = None
+    if tree is None:
+        return _lit(world.color), []
     output = next((n for n in tree.nodes if n.type == "OUTPUT_WORLD" and n.is_active_output), None)
-    if output is None or not output.inputs["Surface"].is_linked:
-        return True
+    if output is None:
+        return None, []
+    if output.inputs["Volume"].is_linked:
+        reasons.append(f"the world {world.name!r} is filled with a volume")
+    if not output.inputs["Surface"].is_linked:
+        return None, reasons
     shader = output.inputs["Surface"].links[0].from_node
-    if shader.type != "BACKGROUND":
-        return False
-    colour, strength = shader.inputs["Color"], shader.inputs["Strength"]
-    if not strength.is_linked and strength.default_value == 0.0:
-        return True
-    return not colour.is_linked and not any(colour.default_value[:3])
+    if shader.type == "BACKGROUND":
+        colour, strength = shader.inputs["Color"], shader.inputs["Strength"]
+        if not strength.is_linked and (strength.default_value == 0.0 or not colour.is_linked):
+            return _lit(strength.default_value * np.array(colour.default_value[:3])), reasons
+        if not colour.is_linked and not any(colour.default_value[:3]):
+            return None, reasons
+    return None, [*reasons, f"the world {world.name!r} gives ambient light that is not one constant radiance"]
+
+
+def _lit(radiance: Any) -> Array | None:
+    values = np.array(radiance, dtype=np.float64)[:3]
+    return values if values.any() else None
 
 
 def _mesh(surfaces: Sequence[_Surface], origin: Any = 0.0) -> Mesh:

@@ -510,7 +510,6 @@ def indirect_only(blender):
 
 OBSTACLES = {
     "other lamp": (other_lamp, "the lamp 'Bulb' shines too"),
-    "ambient": (ambient, "the world '[^']+' gives ambient light"),
     "textured world": (textured_world, "the world '[^']+' gives ambient light"),
     "foggy world": (foggy_world, "the world '[^']+' is filled with a volume"),
     "glossy target": (made_of("Target", "ShaderNodeBsdfGlossy"), "the target 'Target' .* not one constant diffuse"),
@@ -566,6 +565,17 @@ def test_obstacles_are_named(name):
     assert [r for r in reasons if re.search(words, r)], reasons
     with pytest.raises(NlosError, match=f"'surfel' cannot honour that (.*{words}).*; use --engine pat[ch]+"):
         extract.surfel_world(blender)
+
+
+def test_uniform_ambient_light_is_followed_by_those_who_ask_for_it():
+    blender = built()
+    ambient(blender)
+    assert re.search("the world '[^']+' gives ambient light$", reasons_of(blender)[0])
+    assert engines.choose(blender)[0] == "patch"
+    found = extract.surfel_world(blender)
+    np.testing.assert_allclose(found.ambient.radiance, 0.1, rtol=1e-6)
+    assert len(found.ambient.wall.triangles) == 2
+    assert extract.surfel_world(built()).ambient is None
 
 
 def test_all_reasons_are_told():

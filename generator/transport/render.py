@@ -9,8 +9,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from generator.spec import Array, NlosError, rotation_rows
+from generator.spec import Array, NlosError, rotation_matrix, rotation_rows
 from generator.transport import compiled, direct, picture
+from generator.transport.ambient import Ambient, Sky
 from generator.transport.fields import Fields
 from generator.transport.setting import Setting
 from generator.transport.world import World
@@ -32,11 +33,13 @@ class Rendered:
     Attributes
     ----------
     pixels : ndarray
-        What the camera sees: ``background + added - hidden``.
+        What the camera sees: ``background + added - hidden + ambient``.
     added : ndarray
         Light that took its second reflection on the target.
     hidden : ndarray
         Light of the room that the target keeps from the wall.
+    ambient : ndarray
+        What it changes of ambient light: nothing where there is none.
     derivatives : ndarray of shape (7, height, width, 3), optional
         Of ``pixels``: with respect to the target's position (3, per metre), its rotation about the world's axes
         through its origin (3, per radian), and its strength (a factor on all its albedo).
@@ -50,6 +53,7 @@ class Rendered:
     pixels: Array
     added: Array
     hidden: Array
+    ambient: Array
     derivatives: Array | None
     report: dict[str, Any]
 
@@ -65,6 +69,8 @@ class Transport:
         adds; of the background, relative to itself.
     threads : int, default=0
         0 takes all cores. The pixels do not depend on it.
+    like : Transport, optional
+        Of the same scene with another target, and as exact: what the empty scene takes is not done again.
 
     Raises
     ------
@@ -85,7 +91,9 @@ class Transport:
     >>> (picture.added - picture.hidden).max()                             # doctest: +SKIP
     """
 
-    def __init__(self, world: World, *, accuracy: float = 1e-3, threads: int = 0) -> None:
+    def __init__(
+        self, world: World, *, accuracy: float = 1e-3, threads: int = 0, like: Transport | None = None
+    ) -> None:
         if not FINEST <= accuracy <= COARSEST:
             raise NlosError(f"accuracy: {accuracy:g} must lie between {FINEST:g} and {COARSEST:g}")
         self.world = world
@@ -94,14 +102,30 @@ class Transport:
         self._setting = Setting(world)
         self._fields = Fields(self._setting, accuracy)
         self._background: Array | None = None
+        self._sky: Sky | None = None
+        if like is not None and like._setting.tint.shape[1] == self._setting.tint.shape[1]:
+            self._background, self._sky = like._background, like._sky
+        if world.ambient is not None:
+            self._sky = self._sky or Sky(self._setting, world.order)
+        self._ambient = Ambient(self._setting, self._sky) if self._sky else None
 
-    def background(self) -> Array:
-        """Return the picture without the target, (height, width, 3), W/m^2/sr: room, and patch where in view."""
+    def background(self, *, ambient: bool = True) -> Array:
+        """Return the picture without the target, (height, width, 3), W/m^2/sr: room, and patch where in view.
+
+        Parameters
+        ----------
+        ambient : bool, default=True
+            With ambient light.
+        """
+        if not ambient and self._ambient is not None:
+            return self.background() - self._ambient_colour(self._ambient.background())
         if self._background is None:
             compiled.limit_threads(self._threads)
             self._background = self._directly_lit()
             if self.world.order >= 3 and len(self._setting.room):
                 self._background = self._background + self._colour(self._fields.room())
+            if self._ambient is not None:
+                self._background = self._background + self._ambient_colour(self._ambient.background())
         return self._background.copy()
 
     def render(self, position: Any, rotation: Any, *, derivatives: bool = False) -> Rendered:
@@ -125,6 +149,8 @@ class Transport:
         NlosError
             The target reaches through the relay wall, lies in it, or stands in the lamp's cone or the camera's view.
         """
+        if derivatives and self._ambient is not None:
+            raise NlosError("derivatives: are not known under ambient light")
         added, hidden, reports = self._render(np.array([position], float), np.array([rotation], float), derivatives)
         light = self._colour(added[0, :, 0])
         shade = self._colour(hidden[0, :, 0])
@@ -134,7 +160,8 @@ class Transport:
             moves = np.stack([self._colour(added[0, :, 1 + k] - hidden[0, :, 1 + k]) for k in range(6)])
             turned = np.tensordot(self._setting.frame.axes.T, moves.reshape(2, 3, *light.shape), axes=(1, 1))
             slopes = np.concatenate([turned[:, 0] / self._setting.frame.unit, turned[:, 1], light[None]])
-        return Rendered(self.background() + light - shade, light, shade, slopes, reports[0])
+        ambient = self._changed(position, rotation)
+        return Rendered(self.background() + light - shade + ambient, light, shade, ambient, slopes, reports[0])
 
     def difference(self, position: Any, rotation: Any, *, shadows: bool = True) -> Array:
         """Return what the target at a pose changes, (height, width, 3), W/m^2/sr: the picture less the background.
@@ -154,7 +181,7 @@ class Transport:
             As `render`.
         """
         added, hidden, _ = self._render(np.array([position], float), np.array([rotation], float), False, shadows)
-        return self._colour(added[0, :, 0] - hidden[0, :, 0])
+        return self._colour(added[0, :, 0] - hidden[0, :, 0]) + self._changed(position, rotation, shadows)
 
     def pictures(self, positions: Any, rotations: Any, *, shadows: bool = True) -> Picture:
         """Return the pictures of many poses, (n, height, width, 3), float32, W/m^2/sr.
@@ -202,13 +229,32 @@ class Transport:
         channel, light, shade = np.array(setting.channel, dtype=np.int64), added[:, :, 0], hidden[:, :, 0]
         every = (made, self._background, light, shade, channel, setting.factor)
         compiled.in_parts(picture.colour, len(made), *every)
+        if self._ambient is not None:
+            for one, position, rotation in zip(made, positions, rotations, strict=True):
+                one += self._changed(position, rotation, shadows)
 
     def _colour(self, groups: Floats) -> Array:
         """Radiance (height, width, 3) of relative pictures (groups, height, width)."""
+        return self._times(groups, self._setting.factor)
+
+    def _ambient_colour(self, groups: Floats) -> Array:
+        """The same of pictures relative to the sky's light."""
+        return self._times(groups, self._setting.sky)
+
+    def _times(self, groups: Floats, factors: Array) -> Array:
         coloured: Array = np.stack(
-            [groups[g] * f for g, f in zip(self._setting.channel, self._setting.factor, strict=True)], axis=-1
+            [groups[g] * f for g, f in zip(self._setting.channel, factors, strict=True)], axis=-1
         )
         return coloured
+
+    def _changed(self, position: Any, rotation: Any, shadows: bool = True) -> Array:
+        """What the target changes of ambient light, (height, width, 3), W/m^2/sr."""
+        setting = self._setting
+        if self._ambient is None:
+            return np.zeros((*setting.resolution[::-1], 3))
+        turn = setting.frame.axes @ rotation_matrix(rotation)
+        place = setting.frame.points(np.asarray(position, float))
+        return self._ambient_colour(self._ambient.change(turn, place, shadows=shadows))
 
     def _render(
         self, positions: Floats, rotations: Floats, moving: bool, shadows: bool = True

@@ -73,7 +73,10 @@ class Setting:
         What rays meet of it, in its own frame.
     convex : bool
         Whether the target is one convex body or one flat sheet, so that no part of it hides another.
-    room : Surfaces
+    room, around : Surfaces
+        Without and with the relay wall, where it counts.
+    sky : ndarray of shape (3,)
+        Radiance, W/m^2/sr, of the watched wall where all of the sky's light is on it; of worlds with ambient light.
     room_cells : ndarray
     obstacles : Obstacles
     """
@@ -110,12 +113,19 @@ class Setting:
         if not len(self.flat) + len(self.balls):
             raise NlosError("the target has no surface")
         room = _joined([Mesh(frame.points(m.triangles), m.albedo) for m in world.room])
-        every = np.concatenate([tint, room.albedo])
+        around = [room]
+        if world.ambient is not None:
+            wall = world.ambient.wall
+            around.append(Mesh(frame.points(wall.triangles), wall.albedo))
+            self.sky = world.ambient.radiance * watched.albedo
+        every = np.concatenate([tint, *(m.albedo for m in around)])
         self.channel = [0, 0, 0] if (every == every[:, :1]).all() else [0, 1, 2]
         kept = sorted(set(self.channel))
         self.tint = np.ascontiguousarray(tint[:, kept])
         self.faces = Faces(self.flat, len(self.balls), self.to_wall, self.patch)
         self.room = Surfaces(room.triangles, room.albedo[:, kept])
+        whole = _joined(around)
+        self.around = Surfaces(whole.triangles, whole.albedo[:, kept])
         self.room_cells = elements.cells((room,))[0]
         # A room is seen from inside, however it is closed.
         self.room_cells[:, 1] = 0.0

@@ -62,6 +62,8 @@ def world_hash(world: World) -> str:
 
 def _flatten(value: Any, name: str = "") -> Arrays:
     """Every figure inside nested dataclasses and tuples of them, by dotted name."""
+    if value is None:
+        return {}
     if is_dataclass(value):
         inner = {f.name: getattr(value, f.name) for f in fields(value)}
         prefix = f"{name}." if name else ""
@@ -76,6 +78,9 @@ def _flatten(value: Any, name: str = "") -> Arrays:
 
 
 def _unflatten(hint: Any, arrays: Arrays, name: str) -> Any:
+    if type(None) in get_args(hint):
+        there = any(key.startswith(f"{name}.") for key in arrays)
+        return _unflatten(get_args(hint)[0], arrays, name) if there else None
     if is_dataclass(hint) and isinstance(hint, type):
         prefix = f"{name}." if name else ""
         return hint(**{key: _unflatten(part, arrays, f"{prefix}{key}") for key, part in get_type_hints(hint).items()})

@@ -135,6 +135,22 @@ Body = Sphere | Mesh
 
 
 @dataclass(frozen=True)
+class AmbientLight:
+    """Light that shines alike from all directions in which no surface stands.
+
+    Attributes
+    ----------
+    radiance : ndarray of shape (3,)
+        Per colour channel, W/m^2/sr.
+    wall : Mesh
+        The whole relay wall, which reflects it and stands in its way.
+    """
+
+    radiance: Array
+    wall: Mesh
+
+
+@dataclass(frozen=True)
 class World:
     """A whole scene, as far as three diffuse reflections need it.
 
@@ -148,6 +164,7 @@ class World:
         Every other surface but the relay wall: they reflect, and they hide what is behind them.
     order : int
         How many reflections a picture holds, 1 to 3.
+    ambient : AmbientLight, optional
     """
 
     patch: LitPatch
@@ -155,6 +172,7 @@ class World:
     target: tuple[Body, ...]
     room: tuple[Mesh, ...] = ()
     order: int = 3
+    ambient: AmbientLight | None = None
 
     def seen_by(self, width: int, height: int) -> World:
         """Return the world with a picture of so many pixels."""

@@ -1,0 +1,145 @@
+"""Ambient light as the engine follows it: against closed forms, a conservation law, and Cycles."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from generator import bulk, engines, extract, poses, stage, worker
+from generator.clearance import clearance
+from generator.spec import NlosError, Sweep, preset
+from generator.transport import AmbientLight, Mesh, Sphere, Transport, ambient
+from generator.transport.store import load_world, save_world, world_hash
+from tests import worlds
+
+
+def under_sky(target, *, albedo=worlds.WALL, half=2.0, room=(), radiance=1.0, **changes):
+    """A world with a wall of 2 half x 2 half in the plane y = 0, under a uniform sky."""
+    wall = worlds.quad((-half, 0.0, -half), (2.0 * half, 0.0, 0.0), (0.0, 0.0, 2.0 * half), albedo)
+    made = worlds.world(target, room=room, **changes)
+    return replace(made, ambient=AmbientLight(np.full(3, radiance), wall))
+
+
+def ball(radius=0.2, albedo=1.0):
+    return Sphere(np.zeros(3), radius, np.full(3, albedo))
+
+
+def changed(world, position, rotation=(0.0, 0.0, 0.0), **options):
+    return Transport(world, accuracy=1e-2).difference(position, rotation, **options)[..., 0]
+
+
+PLACE = (0.8, 1.1, 0.3)
+
+
+def test_a_sphere_hides_as_much_of_the_sky_as_its_form_factor_says():
+    """From an element of a plane, a sphere wholly above it is seen by (r / d)^2 cos: Howell, catalogue, B-43."""
+    world = under_sky(ball(), order=1)
+    points, weights = worlds.picture_points(world.watched, 3)
+    away = np.array(PLACE) - points
+    far = np.linalg.norm(away, axis=-1)
+    hidden = ((0.2 / far) ** 2 * away[..., 1] / far) @ weights
+    assert worlds.error(changed(world, PLACE), -worlds.WALL * hidden) < 0.01
+
+
+def test_the_background_is_the_whole_sky_less_what_a_floor_hides():
+    """From a wall, an endless floor hides half of the sky; a white one gives it back, less its own wall's half."""
+    whole = Transport(under_sky(ball(), order=1), accuracy=1e-2).background()
+    assert whole.mean() == pytest.approx(worlds.WALL, rel=1e-6)  # the lit patch is out of view
+    floor = worlds.quad((-500.0, 0.0, -1.0), (1000.0, 0.0, 0.0), (0.0, 500.0, 0.0), 0.0)
+    half = Transport(under_sky(ball(), order=3, room=(floor,)), accuracy=1e-2).background()
+    assert half.mean() == pytest.approx(0.5 * worlds.WALL, rel=0.01)
+
+
+def test_a_white_body_is_as_bright_as_the_sky_it_hides():
+    """The white furnace: with nothing else there, nobody sees it."""
+    small = {"half": 0.05, "view": worlds.watched(x=(-0.04, 0.04), z=(-0.04, 0.04))}
+    hidden = changed(under_sky(ball(), order=1, **small), PLACE)
+    both = changed(under_sky(ball(), order=2, **small), PLACE)
+    assert abs(both).max() < 0.01 * abs(hidden).max()
+    sheet = worlds.sheet(0.4, 1.0)
+    hidden = changed(under_sky(sheet, order=1, **small), PLACE, (0.0, 0.0, 40.0))
+    both = changed(under_sky(sheet, order=2, **small), PLACE, (0.0, 0.0, 40.0))
+    assert abs(both).max() < 0.01 * abs(hidden).max()
+
+
+def test_what_a_black_body_sends_is_nothing():
+    world = under_sky(ball(albedo=0.0))
+    assert not changed(world, PLACE, shadows=False).any()
+    assert changed(world, PLACE).max() < 0.0
+
+
+def test_pictures_differences_and_backgrounds_agree():
+    world = under_sky(ball(albedo=0.6), room=(worlds.quad((-2.0, 0.0, -1.0), (4.0, 0.0, 0.0), (0.0, 3.0, 0.0), 0.7),))
+    engine, dark = (Transport(w, accuracy=1e-2) for w in (world, replace(world, ambient=None)))
+    rendered = engine.render(PLACE, (0.0, 0.0, 0.0))
+    rest = rendered.pixels - engine.background() - rendered.added + rendered.hidden
+    np.testing.assert_allclose(rest, rendered.ambient, atol=1e-12)
+    lamp = dark.difference(PLACE, (0.0, 0.0, 0.0))
+    np.testing.assert_allclose(engine.difference(PLACE, (0.0, 0.0, 0.0)), lamp + rendered.ambient, atol=1e-12)
+    np.testing.assert_allclose(engine.pictures([PLACE], [(0.0, 0.0, 0.0)])[0], rendered.pixels, rtol=1e-5)
+    np.testing.assert_allclose(engine.background(ambient=False), dark.background(), atol=1e-12)
+    other = Transport(replace(world, target=(ball(0.1),)), accuracy=1e-2, like=engine)
+    fresh = Transport(replace(world, target=(ball(0.1),)), accuracy=1e-2)
+    np.testing.assert_array_equal(*(e.pictures([PLACE], [(0.0, 0.0, 0.0)]) for e in (other, fresh)))
+    with pytest.raises(NlosError, match="derivatives: are not known under ambient light"):
+        engine.render(PLACE, (0.0, 0.0, 0.0), derivatives=True)
+
+
+@pytest.mark.parametrize("factor", [1e-3, 1e3])
+def test_size_and_brightness_change_nothing_else(factor):
+    floor = worlds.quad((-2.0, 0.0, -1.0), (4.0, 0.0, 0.0), (0.0, 3.0, 0.0), 0.7)
+    world = under_sky(ball(albedo=0.6), room=(floor,))
+    wall = world.ambient.wall
+    larger = replace(
+        worlds.scaled(world, factor),
+        ambient=AmbientLight(np.full(3, 1e20), Mesh(factor * wall.triangles, wall.albedo)),
+    )
+    place = tuple(factor * p for p in PLACE)
+    skies = [
+        Transport(w, accuracy=1e-2).render(p, (0.0, 0.0, 0.0)).ambient for w, p in ((world, PLACE), (larger, place))
+    ]
+    assert worlds.error(skies[1], 1e20 * skies[0]) < 1e-6
+
+
+def test_a_world_keeps_its_sky_in_a_file(tmp_path):
+    dark = worlds.world(ball())
+    for number, world in enumerate((dark, under_sky(ball(), radiance=0.3))):
+        save_world(tmp_path / f"{number}.npz", world)
+        assert world_hash(load_world(tmp_path / f"{number}.npz")) == world_hash(world)
+    assert load_world(tmp_path / "0.npz").ambient is None
+    assert load_world(tmp_path / "1.npz").ambient.radiance[0] == 0.3
+    coloured = replace(dark, ambient=AmbientLight(np.array([0.1, 0.2, 0.3]), under_sky(ball()).ambient.wall))
+    assert (bulk.is_grey(dark), bulk.is_grey(coloured)) == (True, False)
+
+
+def test_too_many_surfaces_are_refused():
+    floor = worlds.quad((-2.0, 0.0, -1.0), (4.0, 0.0, 0.0), (0.0, 3.0, 0.0), 0.7)
+    moved = np.arange(ambient._MOST_SURFACES + 1)[:, None, None, None] * np.array([0.0, 1e-3, 1e-3])
+    many = Mesh((floor.triangles + moved).reshape(-1, 3, 3), np.tile(floor.albedo, (len(moved), 1)))
+    with pytest.raises(NlosError, match=r"ambient light: .* surfaces are more than"):
+        Transport(under_sky(ball(), room=(many,)), accuracy=1e-2)
+
+
+@pytest.mark.parametrize("kind", ["sphere", "sheet"])
+def test_cycles_sees_the_same(kind):
+    """In the preset room under a sky that outshines the lamp; by slope over poses, four standard errors and 5 %."""
+    scene = stage.new_file()
+    stage.build(scene, replace(preset("room", kind).with_ambient(1.0), resolution=(12, 12)))
+    described = stage.read(scene)
+    sweep, _ = worker.settled(scene, described, {"engine": "patch", "poses": 2, "seed": 4})
+    planned = poses.plan(described.grid, sweep, stage.hull(scene), clearance(scene, described, engine="patch"))
+    engine = Transport(extract.surfel_world(scene), accuracy=1e-2)
+    products = []
+    with engines.opened(scene, "patch", **{**engines.settings(Sweep()), "resolution": (12, 12)}) as renderer:
+        for pose in planned:
+            stage.move_target(scene, pose.position, pose.rotation)
+            seen, empty = (renderer.render(samples=192, seed=pose.seed, target=there) for there in (True, False))
+            expected = engine.difference(pose.position, pose.rotation).mean(axis=2)
+            products.append((((seen - empty).mean(axis=2) * expected).mean(), (expected**2).mean()))
+    ours, squares = np.array(products).T
+    slope = ours.sum() / squares.sum()
+    error = np.sqrt(((ours - slope * squares) ** 2).sum()) / squares.sum()
+    assert error < 0.1  # or the test could not fail
+    assert abs(slope - 1.0) < 4.0 * error + 0.05
+    background = Transport(extract.surfel_world(scene), accuracy=1e-2).background()
+    assert background.mean() == pytest.approx(empty.mean(), rel=0.05)
