@@ -769,9 +769,12 @@ def _bound(options: argparse.Namespace) -> int:
     found, simulated = _loaded(options), Bulk.open(options.simulated)
     if found.about.get("fingerprints") != [simulated.meta["fingerprint"]]:
         raise NlosError(f"{options.atlas}: is not an atlas of {options.simulated}; make it anew")
-    one = not simulated.plan.unknown  # Cramer and Rao ask about a known object
+    # Cramer and Rao ask about a known object, by derivatives.
+    lit = simulated.world().ambient is not None
+    one = not simulated.plan.unknown and not lit
     if options.map and not one:
-        raise NlosError(f"--map: draws what can be known of one object, and {options.simulated} is of many")
+        what = "is under ambient light, where the engine knows no derivatives" if lit else "is of many"
+        raise NlosError(f"--map: draws what can be known of one object, and {options.simulated} {what}")
     with _progress("asking", "pictures") as progress:
         best = bound.reachable(
             found,

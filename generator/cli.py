@@ -335,7 +335,7 @@ def _add_engine_options(parser: argparse.ArgumentParser) -> None:
         choices=["auto", "path", "patch", "surfel"],
         help="path: Cycles from the spot lamp, any scene, very noisy; "
         "patch: the lit patch as an emitter, same picture, far less noise; "
-        "surfel: the integral itself, plain diffuse scenes, no noise and far faster; "
+        "surfel: the integral itself, plain diffuse scenes, no noise, far faster, ambient light to a few per cent; "
         f"auto: the cheapest that the scene allows, and says why (default: {default.engine})",
     )
     parser.add_argument(

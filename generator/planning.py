@@ -95,6 +95,9 @@ def make(
         if dropped and not set(others) - set(dropped):
             _, reasons = _simplified(source, dropped)
     if reasons:
+        if engine != "path" and most > 0.0:
+            bias = probing.denoiser_bias(probe, described.resolution, most=most / 3.0, progress=tell)
+            found.append(Effect(probing.DENOISER, bias, note="not used"))
         words += [f"surfel cannot render this: {reason}" for reason in reasons if engine != "path"]
         plan = Plan(_sorted(found), dropped, spent, {"engine": engine}, tolerance, words)
     else:

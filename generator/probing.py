@@ -6,6 +6,7 @@ import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -20,6 +21,9 @@ rays fewer pixels make products of two noises smaller."""
 SAMPLES = 1024
 ROUNDS = (4, 48)
 """Fewest and most."""
+DENOISED = 64
+"""Samples that the denoiser is measured with; its pictures are of full size, for detail is what it takes."""
+DENOISER = f"the denoiser, at {DENOISED} samples"
 SURE = 0.4
 """Of an effect that is to be known and not decided on: its interval is no wider than this, relative to it."""
 
@@ -110,18 +114,41 @@ class Probe:
             simplify.without_light(scene)
         width = max(1, round(PIXELS * min(1.0, self.aspect)))
         height = max(1, round(PIXELS * min(1.0, 1.0 / self.aspect)))
+        engine = self.engine if lit is None else "path"
+        self._made[key] = self._rendered(scene, engine, (width, height), SAMPLES, number, twin)
+        return self._made[key]
+
+    def _rendered(
+        self,
+        scene: Any,
+        engine: str,
+        resolution: tuple[int, int],
+        samples: int,
+        number: int,
+        twin: int,
+        denoise: bool = False,
+    ) -> Array:
+        """Difference pictures (n, pixels) of an open scene at a round's poses."""
         made = []
-        with engines.opened(scene, self.engine if lit is None else "path", resolution=(width, height)) as renderer:
+        with engines.opened(scene, engine, resolution=resolution, denoise=denoise) as renderer:
             for pose in self.rounds[number]:
                 stage.move_target(scene, pose.position, pose.rotation)
                 seed = (pose.seed + 7919 * twin) % 2**31
                 seen, empty = (
-                    renderer.render(samples=SAMPLES, seed=seed, target=target).astype(np.float64)
+                    renderer.render(samples=samples, seed=seed, target=target).astype(np.float64)
                     for target in (True, False)
                 )
                 made.append((seen - empty).mean(axis=2).ravel())
-        self._made[key] = np.array(made)
-        return self._made[key]
+        return np.array(made)
+
+    def denoised(self, resolution: tuple[int, int], number: int) -> tuple[Array, Array]:
+        """Return what the denoiser changes of a round's pictures, and the pictures, in two noises, (2, n, pixels)."""
+        scene = stage.open_file(self.source)
+        plain, smooth = (
+            np.array([self._rendered(scene, self.engine, resolution, DENOISED, number, k, on) for k in range(2)])
+            for on in (False, True)
+        )
+        return smooth - plain, plain
 
 
 def share(errors: Sequence[Array], wholes: Sequence[Array]) -> tuple[float, float, float]:
@@ -187,6 +214,45 @@ def measure(
         progress(f"round {number + 1}: {len(todo)} of {len(errors)} effects not decided yet")
         left = most - (time.monotonic() - begun)
         if not todo or (number + 1 >= ROUNDS[0] and left < (time.monotonic() - begun) / (number + 1)):
+            break
+    return found
+
+
+def denoiser_bias(
+    probe: Probe,
+    resolution: tuple[int, int],
+    *,
+    most: float = 60.0,
+    progress: Callable[[str], None] = lambda words: None,
+) -> tuple[float, float, float]:
+    """Measure by how much denoised pictures are wrong in the mean, whatever their noise.
+
+    Parameters
+    ----------
+    probe : Probe
+    resolution : (int, int)
+        Of the pictures that will be swept.
+    most : float
+        Seconds.
+    progress : callable
+        Is told what is being done.
+
+    Returns
+    -------
+    (float, float, float)
+        As `share` does.
+    """
+    begun, errors, wholes = time.monotonic(), [], []
+    for number in range(min(ROUNDS[1], len(probe.rounds))):
+        error, whole = probe.denoised(resolution, number)
+        errors.append(error)
+        wholes.append(whole)
+        found = share(errors, wholes)
+        progress(f"round {number + 1} of the denoiser's bias")
+        left = most - (time.monotonic() - begun)
+        value, low, high = found
+        sure = number + 1 >= ROUNDS[0] and high - low < SURE * value
+        if sure or (number + 1 >= ROUNDS[0] and left < (time.monotonic() - begun) / (number + 1)):
             break
     return found
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from functools import cached_property
 from pathlib import Path
 from typing import Any
@@ -90,8 +91,14 @@ class Simulated:
         return self._bulk.background
 
     def ambient_background(self) -> Picture | None:
-        """Return None: the engine knows no ambient light."""
-        return None
+        """Return what ambient light alone adds to it, (height, width, 3); None where there is none."""
+        world = self._bulk.world()
+        if world.ambient is None:
+            return None
+        from generator.transport import Transport  # readers of sets need no compiler
+
+        lamp = Transport(replace(world, ambient=None), accuracy=self._bulk.plan.accuracy).background()
+        return self.background() - lamp.astype(np.float32)
 
     def picture(self, record: PoseRecord) -> Picture:
         """Return a pose's picture, (height, width, 3), W/m^2/sr."""

@@ -6,7 +6,9 @@ import numpy as np
 import pytest
 
 from generator import bulk, engines, extract, poses, stage, worker
+from generator import simulated as simulations
 from generator.clearance import clearance
+from generator.dataset import Dataset
 from generator.spec import NlosError, Sweep, preset
 from generator.transport import AmbientLight, Mesh, Sphere, Transport, ambient
 from generator.transport.store import load_world, save_world, world_hash
@@ -118,6 +120,26 @@ def test_too_many_surfaces_are_refused():
     many = Mesh((floor.triangles + moved).reshape(-1, 3, 3), np.tile(floor.albedo, (len(moved), 1)))
     with pytest.raises(NlosError, match=r"ambient light: .* surfaces are more than"):
         Transport(under_sky(ball(), room=(many,)), accuracy=1e-2)
+
+
+def test_from_the_shell(tmp_path, command):
+    """A set under ambient light, by `bulk` and by `sweep`, and what can be known of it."""
+    scene, simulated, atlas = tmp_path / "lit.blend", tmp_path / "simulated", tmp_path / "lit.atlas"
+    few = ("--target", "sphere", "--set", "resolution=[16,16]", "--ambient", "0.0008")
+    assert command("generator", "scene", "room", *few, "-o", scene).returncode == 0
+    asked = ("--pictures", "90", "--accuracy", "1e-2")
+    assert command("generator", "bulk", scene, "-o", simulated, *asked).returncode == 0
+    assert command("classify", "atlas", simulated, "-o", atlas).returncode == 0
+    told = command("classify", "bound", atlas, simulated, "--count", "45")
+    assert (told.returncode, "right voxel" in told.stdout, "Cramer" in told.stdout) == (0, True, False)
+    mapped = command("classify", "bound", atlas, simulated, "--count", "45", "--map", tmp_path / "map.png")
+    assert mapped.returncode == 2
+    assert "is under ambient light, where the engine knows no derivatives" in mapped.stderr
+    swept = command("generator", "sweep", scene, "-o", tmp_path / "swept", "--engine", "surfel", "--poses", "1")
+    assert swept.returncode == 0, swept.stderr
+    one, other = Dataset.open(tmp_path / "swept"), simulations.opened(simulated)
+    assert worlds.error(one.background(), other.background()) < 0.01
+    assert worlds.error(one.ambient_background(), other.ambient_background()) < 0.02
 
 
 @pytest.mark.parametrize("kind", ["sphere", "sheet"])

@@ -186,6 +186,22 @@ def test_a_small_mirror_far_away_is_left_out_and_surfel_takes_over(tmp_path):
     assert more.note == "not in the scene"
 
 
+def test_the_denoiser_is_wrong_in_the_mean_and_its_noise_is_not_counted(tmp_path):
+    """Twenty-four pictures' noise is far above their signal, yet what is told is the bias alone."""
+    path = tmp_path / "room.blend"
+    scene = built()
+    stage.save_file(path)
+    described = stage.read(scene)
+    planned = planning._planned(scene, described, "patch", probing.ROUNDS[0], 0)
+    rounds = [[p for p in planned if p.index == k][::3] for k in range(probing.ROUNDS[0])]
+    probe = probing.Probe(path, "patch", rounds)
+    value, low, high = probing.denoiser_bias(probe, (24, 24), most=1.0)
+    error, plain = probe.denoised((24, 24), 0)
+    signal = (plain[0] * plain[1]).mean()
+    assert 0.02 < value < np.sqrt((error**2).mean() / signal)
+    assert low < value < high
+
+
 def test_from_the_shell(tmp_path, command):
     scene_file, folder, data = tmp_path / "room.blend", tmp_path / "plan", tmp_path / "data"
     few = ("--target", "sphere", "--set", "resolution=[16,16]")
