@@ -21,7 +21,7 @@ from pathlib import Path
 from typing import Any, Protocol
 
 from generator import journal as journals
-from generator import spec
+from generator import links, spec
 from generator.dataset import SCENE, Dataset, check_free, scene_hash
 from generator.spec import NlosError, Sweep
 
@@ -237,13 +237,17 @@ class _Made(Protocol):
     """A set on disk that knows what it was made with."""
 
     path: Path
+    meta: dict[str, Any]
 
     @property
     def settings(self) -> dict[str, Any]: ...
 
 
 def check_same(dataset: _Made, scene: Path, chosen: Mapping[str, Any]) -> None:
-    """Raise NlosError, naming each difference, if a data set was made from another scene or with other settings."""
+    """Raise NlosError, naming each difference, if a data set was made from another scene or with other settings.
+
+    Or if files that its scene refers to have changed, or may not be read (`links.check`).
+    """
     own = {"device": Sweep.device, "denoise": Sweep.denoise, **dataset.settings}  # older sets knew of no other
     width, height = own["resolution"]
     differences = []
@@ -267,6 +271,7 @@ def check_same(dataset: _Made, scene: Path, chosen: Mapping[str, Any]) -> None:
             f"{dataset.path}: holds a sweep with other settings: {'; '.join(differences)}; "
             "use the same settings or another folder"
         )
+    links.check(dataset.meta.get("links", {}), dataset.path, scene)
 
 
 def pending_positions(dataset: Dataset, shard: tuple[int, int] = (0, 1)) -> list[int]:

@@ -358,3 +358,22 @@ def test_a_machine_without_a_gpu_says_so_and_one_with_it_renders_the_same_radian
             means.append(renderer.render(samples=256, seed=3).astype(np.float64).mean())
     # The same random numbers, but rounding may send a ray another way.
     assert means[1] == pytest.approx(means[0], rel=1e-2)
+
+
+def test_a_mesh_whose_modifiers_leave_only_curves_has_no_surface(scene_file):
+    """Blender gives no mesh at all of it."""
+    from generator import check, clearance, simplify
+
+    scene = stage.open_file(scene_file)
+    tree = bpy.data.node_groups.new("curves", "GeometryNodeTree")
+    tree.interface.new_socket("Geometry", in_out="OUTPUT", socket_type="NodeSocketGeometry")
+    line, output = tree.nodes.new("GeometryNodeCurvePrimitiveLine"), tree.nodes.new("NodeGroupOutput")
+    tree.links.new(line.outputs[0], output.inputs[0])
+    obj = bpy.data.objects.new("Wire", bpy.data.meshes.new("Wire"))
+    scene.collection.objects.link(obj)
+    obj.modifiers.new("curves", "NODES").node_group = tree
+    bpy.context.view_layer.update()
+    assert stage.evaluated_vertices(obj).shape == (0, 3)
+    assert clearance.clearance(scene, stage.read(scene), engine="path")
+    assert simplify.found(scene)
+    assert check.findings(scene, engine="path")
