@@ -484,8 +484,8 @@ class Crew:
         threading.Thread(target=self._watch, daemon=True).start()
         self._log.info("%d units to do by %d workers", len(units), crew)
         try:
-            if first:
-                with self._start(cores) as worker:
+            if first and (worker := self._start(cores)):
+                with worker:
                     worker.begin(first)
                     if worker.answer() is None and not self._stopped.is_set():
                         raise NlosError(f"{first} could not be rendered: {worker.last_words()}")
@@ -498,8 +498,8 @@ class Crew:
         finally:
             self._stopped.set()
             with self._lock:
-                for worker in self._workers:
-                    worker.stop()
+                for each in self._workers:
+                    each.stop()
             self._log.info("%d of %d done, %d failed", self._done, self._total, len(self.failed))
         if self._error:
             raise self._error
@@ -529,13 +529,14 @@ class Crew:
             for worker in self._workers:
                 worker.kill()
 
-    def _start(self, threads: int) -> Worker:
+    def _start(self, threads: int) -> Worker | None:
+        """Start a worker, unless all are stopped: nobody would stop one that comes after."""
         with self._lock:
+            if self._stopped.is_set():
+                return None
             worker = Worker(self._command(threads), self._launch)
             self._workers.add(worker)
             self._log.info("worker %d begins", worker.pid)
-            if self._stopped.is_set():
-                worker.kill()
         return worker
 
     def _feed(self, threads: int) -> None:
@@ -547,6 +548,8 @@ class Crew:
                 except queue.Empty:
                     break
                 worker = worker or self._start(threads)
+                if worker is None:
+                    break
                 begun = time.monotonic()
                 worker.begin(", ".join(map(self._name, batch)))
                 if self._do(worker, batch):
