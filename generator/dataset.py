@@ -19,6 +19,7 @@ import csv
 import hashlib
 import io
 import json
+import math
 import os
 import re
 import socket
@@ -369,10 +370,13 @@ class Dataset:
             raise NlosError(
                 f"{path}: has data set format {version}; this software reads up to {FORMAT}, so update it"
             )
-        for name, kind in {"sweep": dict, "scene": dict, "reference_radiance": float, "fingerprint": str}.items():
-            if not isinstance(meta.get(name), kind):
-                raise NlosError(f"{path / MANIFEST}: lacks the field '{name}'")
-        return cls(path, meta, _read_poses(path / POSES))
+        try:
+            check_meta(meta)
+            dataset = cls(path, meta, _read_poses(path / POSES))
+            dataset.sweep, dataset.grid  # noqa: B018 (refuse what cannot be one)
+        except NlosError as error:
+            raise NlosError(f"{path / MANIFEST}: {error}") from None
+        return dataset
 
     @classmethod
     def create(cls, path: Path, meta: Mapping[str, Any], poses: Sequence[PoseRecord]) -> Dataset:
@@ -560,6 +564,29 @@ class Dataset:
             elif found.pixel_hash != pose.pixel_hash:
                 faults.append(f"{file}: its pixels differ from the hash in {POSES}")
         return faults
+
+
+_TABLES = {"sweep": dict, "scene": dict, "reference_radiance": float, "fingerprint": str}
+_IN_SCENE = {"grid": (dict,), "target": (dict,), "ambient": (int, float), "reflection_order": (int,)}
+_OPTIONAL = {"software": dict, "links": dict, "engine_reasons": list, "extra_objects": list}
+
+
+def check_meta(meta: Mapping[str, Any], **needed: type) -> None:
+    """Raise NlosError unless a manifest has what every set's has, and some fields more."""
+    for name, kind in {**_TABLES, **needed}.items():
+        if not isinstance(meta.get(name), kind):
+            raise NlosError(f"lacks the field '{name}'")
+    for name, kind in _OPTIONAL.items():
+        if name in meta and not isinstance(meta[name], kind):
+            raise NlosError(f"{name}: must be a {'table' if kind is dict else 'list'}")
+    scene = meta["scene"]
+    for name, some in _IN_SCENE.items():
+        if name in scene and not isinstance(scene[name], some):
+            raise NlosError(f"scene.{name}: {scene[name]!r} cannot be")
+    if not isinstance(meta["sweep"].get("engine"), str):
+        raise NlosError("lacks the field 'sweep.engine'")
+    if not 0.0 <= meta["reference_radiance"] < math.inf:
+        raise NlosError(f"reference_radiance: {meta['reference_radiance']} must be 0 or more")
 
 
 def check_free(path: Path) -> None:

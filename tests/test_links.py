@@ -23,7 +23,7 @@ def asked_for_nothing(monkeypatch):
 
 @pytest.fixture
 def edited(tmp_path, scene_file):
-    """Return what edits the room and saves it into a folder of its own, beside a folder that is none of its business."""
+    """Return what edits the room and saves it into a folder of its own, beside one that is none of its business."""
     (tmp_path / "work").mkdir()
     (tmp_path / "elsewhere").mkdir()
 
