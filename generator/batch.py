@@ -56,7 +56,8 @@ def _run(options: argparse.Namespace) -> int:
         batches = sweep.in_batches(pending, sweep.batch_size(dataset))
         worker.render(scene, dataset, (dict.fromkeys(batch, 0) for batch in batches), report=report)
     finally:
-        remaining = len(dataset.gather())
+        sweep.gather(dataset, shard, pending)
+    remaining = sum(not pose.done for pose in dataset.poses)
     print(cli.summary(dataset, rendered=done, remaining=remaining))
     return 0
 

@@ -23,7 +23,7 @@ import math
 import os
 import re
 import socket
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
@@ -520,9 +520,20 @@ class Dataset:
             samples=int(header.get("samples", "0")),
         )
 
-    def gather(self) -> list[PoseRecord]:
-        """Look at every picture on disk, bring the manifest up to date, and return the poses still to render."""
-        self.poses = [self.inspect(pose) for pose in self.poses]
+    def gather(self, some: Collection[int] | None = None) -> list[PoseRecord]:
+        """Look at pictures on disk, bring the manifest up to date, and return the poses still to render.
+
+        Parameters
+        ----------
+        some : collection of int, optional
+            Positions of poses whose pictures are looked at; of the others only those that the manifest does not know
+            yet, so that of many shares that end together the last leaves it whole. Without it, all are.
+        """
+        known = self.poses if some is None else _read_poses(self.path / POSES)
+        look = range(len(known)) if some is None else set(some)
+        self.poses = [
+            self.inspect(pose) if position in look or not pose.done else pose for position, pose in enumerate(known)
+        ]
         self.write_manifest()
         return [pose for pose in self.poses if not pose.done]
 

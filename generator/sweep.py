@@ -188,7 +188,8 @@ def _crew(dataset: Dataset, shard: tuple[int, int], progress: Progress, **option
             with journals.Journal(dataset.path, shard, crew.look) as journal:
                 yield crew
         finally:
-            dataset.gather()
+            mine = range(shard[0], dataset.planned, shard[1])
+            gather(dataset, shard, [position for position in mine if not dataset.poses[position].done])
 
 
 def available_cores() -> int:
@@ -279,8 +280,16 @@ def pending_positions(dataset: Dataset, shard: tuple[int, int] = (0, 1)) -> list
     index, count = shard
     if not 0 <= index < count:
         raise NlosError(f"--shard {index}/{count}: must be i/n with i from 0 to n - 1")
-    dataset.gather()
-    return [i for i, pose in enumerate(dataset.poses) if i % count == index and not pose.done]
+    return gather(dataset, shard, range(index, dataset.planned, count))
+
+
+def gather(dataset: Dataset, shard: tuple[int, int], own: Sequence[int]) -> list[int]:
+    """Bring a manifest up to date, and return which of the share's own poses are still to be rendered.
+
+    A share looks at its own pictures: were each to look at all, a thousand shares would read each a thousand times.
+    """
+    dataset.gather(own if shard[1] > 1 else None)
+    return [position for position in own if not dataset.poses[position].done]
 
 
 def batch_size(dataset: Dataset) -> int:
