@@ -1,7 +1,7 @@
-"""What looking costs: shares of a set that begin and end one after the other, each looking at its own pictures or at all.
+"""What looking costs: shares that begin and end one after the other, each looking at its own pictures or at all.
 
-Run: ``python benchmarks/shares.py [--pictures 5000] [--shares 10]``. Nothing is rendered: the pictures are 16 x 16, of
-noise, and put in place between a share's beginning and its end. Prints the pictures that were read, and seconds.
+Run: ``python benchmarks/shares.py [--pictures 5000] [--shares 10]``. Nothing is rendered: the pictures are 16 x 16,
+of noise, and put in place between a share's beginning and its end. Prints the pictures that were read, and seconds.
 """
 
 from __future__ import annotations
@@ -23,7 +23,9 @@ def all_of_them(dataset: Dataset, shard: tuple[int, int], own: Sequence[int]) ->
     dataset.gather()
 
 
-def run(folder: Path, pictures: int, shares: int, look: Callable[[Dataset, tuple[int, int], Sequence[int]], object]) -> str:
+def run(
+    folder: Path, pictures: int, shares: int, look: Callable[[Dataset, tuple[int, int], Sequence[int]], object]
+) -> str:
     """Let every share begin, put its pictures in place, and let it end."""
     scene = spec.preset("room")
     settings = spec.Sweep(poses=-(-pictures // scene.grid.n_voxels), resolution=(16, 16), inside="centre")

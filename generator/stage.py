@@ -22,7 +22,7 @@ import bmesh  # exists only once bpy is imported
 import numpy as np
 from mathutils import Euler, Matrix, Quaternion, Vector
 
-from generator import links, spec
+from generator import links, meshes, spec
 from generator.spec import Array, NlosError
 
 ROLE = "nlos_role"
@@ -718,8 +718,9 @@ def _import_mesh(wanted: spec.Target) -> bpy.types.Object:
     importers = {".obj": bpy.ops.wm.obj_import, ".ply": bpy.ops.wm.ply_import, ".stl": bpy.ops.wm.stl_import}
     before = set(bpy.data.objects)
     try:
-        importers[path.suffix.lower()](filepath=str(path.absolute()))
-    except (RuntimeError, KeyError):
+        with meshes.importable(path) as sound:
+            importers[path.suffix.lower()](filepath=str(sound.absolute()))
+    except (OSError, RuntimeError, KeyError):
         raise NlosError(f"target.mesh: {path} is not a mesh file Blender can read (.obj, .ply, .stl)") from None
     shape = bmesh.new()
     for obj in [o for o in bpy.data.objects if o not in before]:

@@ -65,7 +65,7 @@ def _check(world: World) -> None:
             if part.name == "resolution" or isinstance(value, float):
                 continue
             wanted = (-1, 3) if isinstance(body, Mesh) and part.name == "albedo" else _SHAPES.get(part.name, (3,))
-            shape = value.shape if isinstance(value, np.ndarray) and value.dtype == np.float64 else ()
+            shape = value.shape if isinstance(value, np.ndarray) and value.dtype.kind == "f" else ()
             if len(shape) != len(wanted) or any(w not in (-1, n) for n, w in zip(shape, wanted, strict=True)):
                 raise ValueError(f"{part.name} must be numbers of shape {wanted}")
             if not np.isfinite(value).all():
