@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from classify.features import FeatureSettings, describe, feature_names, software
 from classify.physics import Setup
-from generator.bombs import excessive, limited
+from generator.bombs import check_heaps, excessive, limited
 from generator.dataset import Picture, PoseRecord, Readable, atomic
 from generator.sensor import Camera, Sensor
 from generator.spec import NlosError, Scene, VoxelGrid, from_dict, to_dict
@@ -215,6 +215,7 @@ def opened(path: Path, what: str, newest: int) -> Iterator[Any]:
     if not path.is_file():
         raise NlosError(f"{path}: no such {what} file")
     try:
+        check_heaps(path)
         with h5py.File(path, "r") as file:
             with limited(_SPARE):
                 claimed = _check_inside(file, what, newest)

@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import contextlib
+import mmap
 import os
+import struct
 import zipfile
 from collections.abc import Iterator
 from pathlib import Path
@@ -39,6 +41,39 @@ def limited(spare: int) -> Iterator[None]:
         yield
     finally:
         resource.setrlimit(resource.RLIMIT_AS, (soft, hard))
+
+
+_HEAP = b"GCOL\x01\0\0\0"
+"""Where HDF5 keeps texts: a collection of objects, each a head of 16 bytes, its size last, and what it holds."""
+_SIGNATURE = b"\x89HDF\r\n\x1a\n"
+_SIZES = {0: 13, 1: 13, 2: 9, 3: 9}
+"""Where a file says how many bytes its addresses and lengths take, by the version of its head."""
+
+
+def check_heaps(path: Path) -> None:
+    """Raise ValueError if the texts of an HDF5 file lie one over the other: HDF5 would look for the next for ever."""
+    if not path.stat().st_size:
+        raise ValueError("it is empty")
+    with path.open("rb") as file, mmap.mmap(file.fileno(), 0, access=mmap.ACCESS_READ) as data:
+        head = data[:16]
+        where = _SIZES.get(head[8] if len(head) == 16 else -1)
+        if head[:8] != _SIGNATURE or where is None or head[where : where + 2] != b"\x08\x08":
+            raise ValueError("it does not start like an HDF5 file of this software")
+        at = data.find(_HEAP)
+        while at >= 0:
+            if len(data) >= at + 16:
+                end = min(len(data), at + struct.unpack_from("<Q", data, at + 8)[0])
+                _check_heap(data, at + 16, end)
+            at = data.find(_HEAP, at + 1)
+
+
+def _check_heap(data: mmap.mmap, at: int, end: int) -> None:
+    while at + 16 <= end:
+        number, _, _, size = struct.unpack_from("<HHIQ", data, at)
+        step = size if number == 0 else 16 + -(-size // 8) * 8
+        if step < 16 or at + step > end:
+            raise ValueError("its texts lie where they cannot")
+        at += step
 
 
 def check_archive(path: Path) -> None:

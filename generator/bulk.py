@@ -42,7 +42,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from generator import dataset
-from generator.bombs import MUCH, excessive, limited
+from generator.bombs import MUCH, check_heaps, excessive, limited
 from generator.dataset import BACKGROUND, SCENE, Picture, atomic, fingerprint, read_picture, write_picture, write_text
 from generator.poses import Pose
 from generator.spec import Array, NlosError, Sweep, Vector, VoxelGrid, dump_toml, from_dict, read_toml, to_dict
@@ -75,6 +75,8 @@ _LARGEST_PART = 1024**3
 _MOST_PARTS = 512
 """HDF5 holds every part open that it has read through the master, and a process may have 1024 files open."""
 _OPEN = 128
+_SMALL = 2**24
+"""Bytes of a part that is looked through before it is opened; to read more would take longer than to use it."""
 _TOO_MANY = 2**19
 """Parts; a billion pictures of 64 x 64 are half of these."""
 _BATCH = 16 * 1024**2
@@ -488,8 +490,10 @@ class Bulk:
         if not path.is_file():
             raise NlosError(f"{path}: is not there yet; run the same command again to make it")
         try:
+            if path.stat().st_size <= _SMALL:
+                check_heaps(path)
             file = h5py.File(path, "r")
-        except OSError as error:
+        except (OSError, ValueError) as error:
             raise NlosError(f"{path}: is broken ({_short(error)}); run the same command again to make it") from None
         count = len(self.part_range(number))
         try:
@@ -630,6 +634,7 @@ class Bulk:
 
     def _has_master(self) -> bool:
         try:
+            check_heaps(self.path / MASTER)
             with h5py.File(self.path / MASTER, "r") as file, limited(MUCH):
                 return bool(file.attrs.get("fingerprint") == self.meta["fingerprint"])
         except Exception:  # HDF5's and h5py's, of many kinds

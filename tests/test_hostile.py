@@ -156,6 +156,16 @@ def many_texts(path):
     path.write_bytes(data)
 
 
+def endless(path):
+    """Free room between texts that takes no room: HDF5 goes on from there to there."""
+    data = bytearray(path.read_bytes())
+    at = data.index(b"GCOL\x01") + 16
+    while int.from_bytes(data[at : at + 2], "little"):
+        at += 16 + -(-int.from_bytes(data[at + 8 : at + 16], "little") // 8) * 8
+    data[at + 8 : at + 16] = bytes(8)
+    path.write_bytes(data)
+
+
 def zeros_in(path, name, head=b""):
     """An archive one of whose files is half a gigabyte of zeros."""
     with zipfile.ZipFile(path) as archive:
@@ -209,6 +219,7 @@ def test_bombs_take_neither_time_nor_memory(sound, tmp_path):
     for where in ("dataset", "attribute"):
         bomb("store.read", "f.h5", f"{where}.h5", lambda path, w=where: long_text(path, w), "is not a features file")
     bomb("store.read", "f.h5", "many.h5", many_texts, "is not a features file")
+    bomb("atlas.load", "a.atlas", "endless.atlas", endless, "is not an atlas file")
     for change in (in_a_loop, out_of_bounds):
         name = f"{change.__name__}.skops"
         bomb("models.load", "CART.skops", name, lambda path, c=change: rebuilt(path, c), "leads nowhere")
