@@ -319,7 +319,7 @@ def load(path: Path) -> Model:
             about=json.loads(bundle["about"]),
         )
         width = int(model.estimator.n_features_in_)
-        _check_inside(model.estimator)
+        _check_inside(model.estimator, width)
     except Exception as error:  # whatever is wrong with what the file says, and NlosError is a ValueError
         raise NlosError(f"{path}: is not a model file ({type(error).__name__}: {error})") from None
     given = len(feature_names(model.settings))
@@ -349,15 +349,17 @@ def _answer(estimator: Any, row: NDArray[np.float64], name: str) -> NDArray[np.f
     return answer
 
 
-def _check_inside(estimator: Any) -> None:
+def _check_inside(estimator: Any, width: int) -> None:
     """Raise ValueError for numbers by which scikit-learn's compiled code would read where nothing is."""
     for part in _parts(estimator):
         if isinstance(part, Tree):
-            _check_tree(part)
+            _check_tree(part, width)
         elif isinstance(part, KDTree | BallTree):
-            _check_neighbours(part)
+            _check_search(part, width)
+        elif isinstance(part, KNeighborsClassifier) and hasattr(part, "_fit_X"):
+            _check_neighbours(part, width)
         elif isinstance(part, SVC) and hasattr(part, "support_vectors_"):  # fitted
-            _check_vectors(part)
+            _check_vectors(part, width)
 
 
 def _parts(value: Any, depth: int = 0) -> Iterator[Any]:
@@ -377,7 +379,7 @@ def _parts(value: Any, depth: int = 0) -> Iterator[Any]:
             yield from _parts(part, depth + 1)
 
 
-def _check_tree(tree: Any) -> None:
+def _check_tree(tree: Any, width: int) -> None:
     count = tree.node_count
     left, right, feature = tree.children_left, tree.children_right, tree.feature
     inner = left != -1
@@ -385,26 +387,43 @@ def _check_tree(tree: Any) -> None:
     # A child comes after its parent, as they grow: so no way down is endless.
     below = all(((child[inner] > numbers[inner]) & (child[inner] < count)).all() for child in (left, right))
     asked = feature[inner]
-    known = (asked >= 0).all() and (asked < tree.n_features).all()
+    known = (asked >= 0).all() and (asked < width).all()
     if not (count and below and (right[~inner] == -1).all() and known):
         raise ValueError("a decision tree in it leads nowhere")
     if tree.value.shape != (count, tree.n_outputs, tree.max_n_classes):
         raise ValueError("a decision tree in it lacks answers")
 
 
-def _check_neighbours(tree: Any) -> None:
+def _check_search(tree: Any, width: int) -> None:
     data, index, nodes, _ = tree.get_arrays()
     first, last = nodes["idx_start"], nodes["idx_end"]
     count = len(data)
-    whole = data.ndim == 2 and len(index) == count and np.array_equal(np.sort(index), np.arange(count))
+    whole = (
+        data.ndim == 2
+        and data.shape[1] == width
+        and len(index) == count
+        and np.array_equal(np.sort(index), np.arange(count))
+    )
     if not (whole and (first >= 0).all() and (first <= last).all() and (last <= count).all()):
         raise ValueError("a tree of neighbours in it leads nowhere")
 
 
-def _check_vectors(machine: Any) -> None:
+def _check_neighbours(machine: Any, width: int) -> None:
+    known, labels, most = machine._fit_X, machine._y, len(machine.classes_)
+    if known.ndim != 2 or known.shape[1] != width or known.dtype != np.float64 or labels.shape != (len(known),):
+        raise ValueError("its neighbours do not fit together")
+    if labels.dtype.kind not in "iu" or labels.min() < 0 or labels.max() >= most:
+        raise ValueError("its neighbours are of no class")
+    if not 1 <= machine.n_neighbors <= len(known) or machine.effective_metric_ not in ("euclidean", "minkowski"):
+        raise ValueError("its neighbours cannot be asked")
+
+
+def _check_vectors(machine: Any, width: int) -> None:
     vectors, counts = machine.support_vectors_, machine._n_support
-    classes, width = len(machine.classes_), machine.n_features_in_
+    classes = len(machine.classes_)
     n = len(vectors)
+    if machine.kernel not in ("rbf", "linear") or machine._impl != "c_svc" or machine.support_.shape != (n,):
+        raise ValueError("it is no support vector machine of this software")
     pairs = classes * (classes - 1) // 2
     shapes = [vectors.shape, counts.shape, machine._dual_coef_.shape, machine._intercept_.shape]
     if shapes != [(n, width), (classes,), (classes - 1, n), (pairs,)] or counts.min() < 0 or counts.sum() != n:

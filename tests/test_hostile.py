@@ -36,7 +36,7 @@ def sound(tmp_path_factory):
     folder = tmp_path_factory.mktemp("sound")
     features = store.extract(make_dataset(folder / "set", n=4), FeatureSettings())
     store.write(folder / "f.h5", features)
-    for name in ("LDA", "CART", "SVM"):
+    for name in ("LDA", "CART", "KNN", "SVM"):
         models.save(folder / f"{name}.skops", models.train(features, name, "paper"))
     made = make_bulk(folder / "bulk", pictures=80, resolution=(8, 8))
     atlas.save(folder / "a.atlas", atlas.build(made, Sensor(frames=10)))
@@ -194,6 +194,14 @@ def vectors_that_are_not_there(bundle):
     machine._n_support = machine._n_support + 10**5
 
 
+def of_no_class(bundle):
+    bundle["estimator"][-1]._y = bundle["estimator"][-1]._y + 10**6
+
+
+def narrow(bundle):
+    bundle["estimator"][-1]._fit_X = bundle["estimator"][-1]._fit_X[:, :2].copy()
+
+
 TOML = {
     "lists": "a = " + "[" * 100_000,
     "tables": "a = " + "{a = " * 5000,
@@ -220,6 +228,9 @@ def test_bombs_take_neither_time_nor_memory(sound, tmp_path):
         bomb("store.read", "f.h5", f"{where}.h5", lambda path, w=where: long_text(path, w), "is not a features file")
     bomb("store.read", "f.h5", "many.h5", many_texts, "is not a features file")
     bomb("atlas.load", "a.atlas", "endless.atlas", endless, "is not an atlas file")
+    for change in (of_no_class, narrow):
+        name = f"{change.__name__}.skops"
+        bomb("models.load", "KNN.skops", name, lambda path, c=change: rebuilt(path, c), "its neighbours")
     for change in (in_a_loop, out_of_bounds):
         name = f"{change.__name__}.skops"
         bomb("models.load", "CART.skops", name, lambda path, c=change: rebuilt(path, c), "leads nowhere")
@@ -365,11 +376,8 @@ def test_spoilt_manifests_are_refused(copied, change, words):
         Dataset.open(path)
 
 
-plain = st.recursive(
-    st.none() | st.booleans() | st.integers() | st.floats() | st.text(max_size=5),
-    lambda inner: st.lists(inner, max_size=3) | st.dictionaries(st.text(max_size=5), inner, max_size=3),
-    max_leaves=5,
-)
+leaf = st.none() | st.booleans() | st.integers() | st.floats() | st.text(max_size=5)
+plain = leaf | st.lists(leaf, max_size=3) | st.dictionaries(st.text(max_size=5), leaf | st.lists(leaf), max_size=3)
 
 
 @given(st.sampled_from(["grid", "settings", "provenance", "target", "format"]), plain)
