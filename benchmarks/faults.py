@@ -1,13 +1,16 @@
 """Faults put into sweeps on purpose: what is lost (nothing) and whether the pixels are those of an undisturbed run.
 
 Run: ``python benchmarks/faults.py -o DIR [--kills 200]``, as root where disks are to be full or read-only (a small
-tmpfs is mounted for that). Prints a table, a row per fault, and exits with 1 if a picture was lost or differs.
+tmpfs is mounted for that). The clock is set back by libfaketime, and the network's file system is `slowfs`, mounted
+twice: ``apt-get install faketime fuse3 python3-pyfuse3``. Prints a table, a row per fault, and exits with 1 if a
+picture was lost or differs.
 """
 
 from __future__ import annotations
 
 import argparse
 import contextlib
+import itertools
 import os
 import shutil
 import signal
@@ -180,6 +183,84 @@ def lost_manifest(scene: Path, path: Path) -> tuple[int, str]:
     return 1, f"{len(torn)} pictures torn"
 
 
+def clock(scene: Path, path: Path) -> tuple[int, str]:
+    """Set the clock back by days while pictures are rendered, and by a year before a second run goes on."""
+    found = sorted(Path("/usr/lib").glob("*/faketime/libfaketimeMT.so.1"))
+    assert found, "apt-get install faketime"
+    told = path.parent / "clock"
+    told.write_text("+0d\n")
+    fake = {"LD_PRELOAD": str(found[0]), "FAKETIME_TIMESTAMP_FILE": str(told), "FAKETIME_CACHE_DURATION": "1"}
+    environment = {**os.environ, **fake, "FAKETIME_DONT_FAKE_MONOTONIC": "1", "NO_FAKE_STAT": "1"}
+    for back, until in (("-3d", 90), ("-365d", 140)):
+        process = subprocess.Popen(
+            command("sweep", scene, "-o", path, *SWEEP),
+            stdout=subprocess.DEVNULL,
+            stderr=subprocess.DEVNULL,
+            env=environment,
+        )
+        while pictures(path) < until - 40:
+            time.sleep(0.1)
+        told.write_text(f"{back}\n")
+        time.sleep(2.0)  # until that is read
+        os.kill(children(process.pid)[0], signal.SIGKILL)  # which is told in the log, with the time of day
+        while pictures(path) < until:
+            time.sleep(0.1)
+        process.terminate()
+        process.wait()
+    days = [line[:10] for line in (path / "log.txt").read_text().splitlines()]
+    jumps = sum(later < earlier for earlier, later in itertools.pairwise(days))
+    assert jumps >= 2, days
+    return 2, f"the log goes back in time {jumps} times, to {min(days)}"
+
+
+@contextlib.contextmanager
+def network(backing: Path, *mounts: Path) -> Iterator[None]:
+    """Mount a folder by `slowfs`, once for each machine that shares it."""
+    servers = []
+    script = Path(__file__).with_name("slowfs.py")
+    try:
+        for mount in mounts:
+            mount.mkdir()
+            servers.append(subprocess.Popen(["/usr/bin/python3", str(script), str(backing), str(mount)]))
+            while not mount.is_mount():
+                assert servers[-1].poll() is None, "apt-get install fuse3 python3-pyfuse3"
+                time.sleep(0.1)
+        yield
+    finally:
+        for mount, server in zip(mounts, servers, strict=False):
+            subprocess.run(["umount", "-l", str(mount)], check=False)
+            server.wait(10)
+
+
+def shared(scene: Path, path: Path) -> tuple[int, str]:
+    """Render two shares on two machines that share a slow and forgetful file system; kill one of them once."""
+    backing, *mounts = (path.parent / name for name in ("backing", "here", "there"))
+    backing.mkdir()
+    with network(backing, *mounts):
+
+        def share(k: int) -> subprocess.Popen[bytes]:
+            line = command("sweep", scene, "-o", mounts[k] / "set", *SWEEP[:-1], "1", "--shard", f"{k}/2")
+            return subprocess.Popen(line, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE)
+
+        runs = [share(0)]
+        while not (mounts[1] / "set" / "background.exr").exists():
+            assert runs[0].poll() is None, runs[0].communicate()
+            time.sleep(0.2)
+        runs.append(share(1))
+        while pictures(backing / "set") < 60:
+            time.sleep(0.2)
+        runs[1].kill()
+        runs[1].communicate()
+        time.sleep(1.0)
+        runs[1] = share(1)
+        ends = [(run.communicate(timeout=900)[1].decode(), run.returncode) for run in runs]
+        made = pictures(backing / "set")
+    assert not any(code for _, code in ends), ends
+    assert made == 180, (made, ends)
+    backing.joinpath("set").rename(path)
+    return 1, "two shares, one killed, by two mounts; nothing was left for a third run"
+
+
 def main() -> int:
     """Put in every fault, finish each sweep, and compare."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
@@ -208,6 +289,8 @@ def main() -> int:
         "full": ("tmpfs of 700 kB", lambda p: full_disk(scene, p), "700k"),
         "read-only": ("tmpfs remounted read-only", lambda p: read_only(scene, p), "64m"),
         "power": ("manifest of before, pictures cut in half", lambda p: lost_manifest(scene, p), ""),
+        "clock": ("set back by 3 days while it runs, and by a year before it goes on", lambda p: clock(scene, p), ""),
+        "network": ("renames 0.15 s late, attributes 3 s old, two machines", lambda p: shared(scene, p), ""),
         "two at once": ("the same command twice", lambda p: together(scene, p), ""),
     }
     table, bad = [], 0

@@ -1,7 +1,20 @@
-"""Coverage-guided fuzzing of what reads files from elsewhere: pictures, manifests, plans, sensors, scenes as TOML.
+"""Coverage-guided fuzzing of what reads files from elsewhere.
 
-Run: ``pip install atheris; python benchmarks/fuzz.py exr|poses|toml [-max_total_time=60]`` (libFuzzer's options).
-Anything but a sentence (NlosError) is a find, and so is an input that takes more than 10 s or 1 GiB.
+Run: ``pip install atheris; python benchmarks/fuzz.py TARGET [-max_total_time=60]`` (libFuzzer's options). Anything
+but a sentence (NlosError) is a find, and so is an input that takes more than 10 s or 1 GiB.
+
+========  ==================================================================================
+exr       pictures
+poses     manifests of poses, trajectories' too
+toml      scenes, sweeps, sensors and plans
+dataset   ``dataset.toml``, and all that is asked of it
+features  feature files, as bytes and with their contents changed through HDF5 (`hostile`)
+atlas     atlas files, likewise, and an answer by what could be read
+bulk      simulated sets: ``bulk.toml``, a part, ``set.h5`` and ``world.npz``, likewise
+model     model files: the schema and the arrays inside, and an answer by what could be read
+status    what runs tell of themselves
+mesh      PLY, OBJ and STL through Blender
+========  ==================================================================================
 """
 
 from __future__ import annotations
@@ -9,18 +22,36 @@ from __future__ import annotations
 import contextlib
 import csv
 import io
+import json
+import os
+import shutil
 import sys
 import tempfile
+from collections.abc import Callable
 from pathlib import Path
 
 import atheris
 import numpy as np
 
-with atheris.instrument_imports(include=["generator"]):
-    from generator import dataset, exr, plans, spec
+sys.path[:0] = [str(Path(__file__).resolve().parents[k]) for k in (0, 1)]
+sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "tests"))
+
+# What is compiled, numba must see as it was written.
+_COMPILED = {path.stem for path in Path(__file__).parents[1].glob("generator/transport/*.py")} - {"store", "world"}
+with atheris.instrument_imports(
+    include=["generator", "classify", "skops"], exclude=[f"generator.transport.{name}" for name in _COMPILED]
+):
+    from classify import atlas, localise, models, store
+    from classify.features import FeatureSettings
+    from generator import bulk, dataset, exr, journal, plans, simulated, spec
     from generator.sensor import Sensor
+    from generator.transport import store as worlds
+
+import hostile  # noqa: E402
 
 _FILE = Path(tempfile.mkdtemp(prefix="nlos-fuzz-")) / "input"
+_OUTSIDE = _FILE.parent / "outside"
+_SOUND: dict[str, bytes] = {}
 
 
 def read_exr(data: bytes) -> None:
@@ -47,25 +78,245 @@ def read_toml(data: bytes) -> None:
         plans.read(_FILE, _FILE)
 
 
-TARGETS = {"exr": read_exr, "poses": read_poses, "toml": read_toml}
+def read_dataset(data: bytes) -> None:
+    """Open a data set, and ask all that is asked of one."""
+    folder = _FILE.parent / "set"
+    folder.mkdir(exist_ok=True)
+    chance = atheris.FuzzedDataProvider(data)
+    if chance.ConsumeIntInRange(0, 3):
+        plain = hostile.spoilt_json(chance, _SOUND["dataset"].decode())
+        with contextlib.suppress(Exception):  # not all of it can be TOML
+            (folder / dataset.MANIFEST).write_text(spec.dump_toml(json.loads(plain)))
+    else:
+        (folder / dataset.MANIFEST).write_bytes(data[1:])
+    (folder / dataset.POSES).write_bytes(_SOUND["poses"])
+    with contextlib.suppress(spec.NlosError):
+        opened = simulated.opened(folder)
+        asks: list[Callable[[], object]] = [
+            lambda: opened.grid.labels,
+            lambda: opened.settings["engine"],
+            lambda: (opened.target_kind, opened.reference_radiance, opened.planned, opened.records),
+            lambda: opened.ambient_background(),
+            lambda: opened.sweep,
+            lambda: opened.verify(),
+            lambda: journal.words(journal.read(folder)),
+        ]
+        for ask in asks:
+            with contextlib.suppress(spec.NlosError):
+                ask()
+
+
+def read_features(data: bytes) -> None:
+    """Read features."""
+    _spoil_hdf5("features", data)
+    with contextlib.suppress(spec.NlosError):
+        found = store.read(_FILE)
+        store.check_comparable(found, found, ("a", "b"))
+        found.duplicates  # noqa: B018
+
+
+def read_atlas(data: bytes) -> None:
+    """Read an atlas, and locate something by it."""
+    _spoil_hdf5("atlas", data)
+    with contextlib.suppress(spec.NlosError):
+        found = atlas.load(_FILE)
+        picture = np.repeat(found.background[..., None] * 1.01, 3, axis=2).astype(np.float32)
+        with np.errstate(all="ignore"):
+            localise.locate(found, found.code(picture))
+
+
+def _spoil_hdf5(kind: str, data: bytes) -> None:
+    chance = atheris.FuzzedDataProvider(data)
+    if chance.ConsumeIntInRange(0, 3):
+        _FILE.write_bytes(hostile.spoilt_hdf5(chance, _SOUND[kind], str(_OUTSIDE)))
+    else:
+        _FILE.write_bytes(_bytes_changed(chance, _SOUND[kind]))
+
+
+def _bytes_changed(chance: atheris.FuzzedDataProvider, sound: bytes) -> bytes:
+    """Some bytes of a sound file changed, or cut off; more often at its head, where the structure is."""
+    made = bytearray(sound)
+    for _ in range(chance.ConsumeIntInRange(1, 8)):
+        at = chance.ConsumeIntInRange(0, (len(made) if chance.ConsumeBool() else min(len(made), 4096)) - 1)
+        some = chance.ConsumeBytes(chance.ConsumeIntInRange(1, 8))
+        made[at : at + len(some)] = some
+    return bytes(made[: chance.ConsumeIntInRange(0, len(made))] if chance.ConsumeIntInRange(0, 9) == 0 else made)
+
+
+def read_bulk(data: bytes) -> None:
+    """Open a simulated set, and read all of it."""
+    folder = _FILE.parent / "bulk"
+    sound = _FILE.parent / "sound-bulk"
+    shutil.rmtree(folder, ignore_errors=True)
+    shutil.copytree(sound, folder)
+    chance = atheris.FuzzedDataProvider(data)
+    part = next(sound.glob("part-*.h5")).name
+    name = hostile.pick(chance, [bulk.MANIFEST, part, part, bulk.MASTER, bulk.WORLD, bulk.WORLD, bulk.BACKGROUND])
+    whole = (sound / name).read_bytes()
+    if name == bulk.MANIFEST:
+        text = hostile.spoilt_json(chance, json.dumps(spec.read_toml(sound / name)))
+        with contextlib.suppress(Exception):  # not all of it can be TOML
+            (folder / name).write_text(spec.dump_toml(json.loads(text)))
+    elif name.endswith(".h5") and chance.ConsumeIntInRange(0, 3):
+        (folder / name).write_bytes(hostile.spoilt_hdf5(chance, whole, str(_OUTSIDE)))
+    elif name == bulk.WORLD and chance.ConsumeIntInRange(0, 3):
+        (folder / name).write_bytes(hostile.spoilt_zip(chance, whole, hostile.spoilt_npy))
+    else:
+        (folder / name).write_bytes(_bytes_changed(chance, whole))
+    with contextlib.suppress(spec.NlosError):
+        worlds.load_world(folder / bulk.WORLD)
+    with contextlib.suppress(spec.NlosError):
+        opened = bulk.Bulk.open(folder)
+        try:
+            with contextlib.suppress(spec.NlosError):
+                opened.verify()
+            read = simulated.Simulated(opened)
+            read.background()
+            for record in read.records[:: max(1, len(read.records) // 8)]:
+                read.picture(record)
+        finally:
+            opened.close()
+
+
+def read_model(data: bytes) -> None:
+    """Read a model, and answer by it."""
+    chance = atheris.FuzzedDataProvider(data)
+    sound = _SOUND[hostile.pick(chance, [name for name in sorted(_SOUND) if name.startswith("model-")])]
+    if chance.ConsumeIntInRange(0, 7):
+        made = hostile.spoilt_zip(chance, sound, _spoilt_member, names=["schema.json"] * 8)
+    else:
+        made = _bytes_changed(chance, sound)
+    _FILE.write_bytes(made)
+    with contextlib.suppress(spec.NlosError):
+        model = models.load(_FILE)
+        model.probabilities(np.full((12, 12, 3), 1e-3, dtype=np.float32))
+
+
+def _spoilt_member(chance: atheris.FuzzedDataProvider, name: str, data: bytes) -> bytes:
+    if name.endswith(".npy"):
+        return hostile.spoilt_npy(chance, name, data)
+    return hostile.spoilt_json(chance, data.decode(errors="replace")).encode()
+
+
+def read_status(data: bytes) -> None:
+    """Ask for the state of a set whose runs tell nonsense."""
+    folder = _FILE.parent / "set"
+    file = folder / journal.RUNS / "host-1.json"
+    file.parent.mkdir(parents=True, exist_ok=True)
+    (folder / dataset.MANIFEST).write_text(spec.dump_toml(json.loads(_SOUND["dataset"])))
+    (folder / dataset.POSES).write_bytes(_SOUND["poses"])
+    chance = atheris.FuzzedDataProvider(data)
+    whole = chance.ConsumeIntInRange(0, 3) == 0
+    file.write_bytes(data[1:] if whole else hostile.spoilt_json(chance, _SOUND["status"].decode()).encode())
+    with contextlib.suppress(spec.NlosError):
+        found = journal.read(folder)
+        json.dumps(found)
+        journal.words(found)
+
+
+def read_mesh(data: bytes) -> None:
+    """Import a mesh as the hidden object."""
+    from generator import stage
+
+    kind = hostile.pick(atheris.FuzzedDataProvider(data), spec.MESH_SUFFIXES)
+    file = _FILE.with_suffix(kind)
+    file.write_bytes(data[1:])
+    with contextlib.suppress(spec.NlosError):
+        made = stage._import_mesh(spec.Target(kind="mesh", size=0.0, albedo=0.5, mesh=str(file)))
+        stage.bpy.data.batch_remove([made, made.data])
+
+
+TARGETS = {
+    "exr": read_exr,
+    "poses": read_poses,
+    "toml": read_toml,
+    "dataset": read_dataset,
+    "features": read_features,
+    "atlas": read_atlas,
+    "bulk": read_bulk,
+    "model": read_model,
+    "status": read_status,
+    "mesh": read_mesh,
+}
 
 
 def seeds(target: str, folder: Path) -> None:
     """Write sound files to begin with."""
     folder.mkdir(parents=True, exist_ok=True)
+    text = io.StringIO()
+    rows = csv.writer(text)
+    rows.writerow(dataset._COLUMNS)
+    rows.writerow([0, 0, "A", 1.0, 1.0, 1.0, 0.0, 0.0, 0.0, 7, "A/0000.exr", "", "", ""])
+    _SOUND["poses"] = text.getvalue().encode()
     if target == "exr":
         picture = np.random.default_rng(0).normal(size=(5, 4)).astype(np.float32)
         exr.write(folder / "seed.exr", dict.fromkeys("RGB", picture), {"nlos:label": "A"})
     elif target == "poses":
-        text = io.StringIO()
-        rows = csv.writer(text)
-        rows.writerow(dataset._COLUMNS)
-        rows.writerow([0, 0, "A", 1.0, 1.0, 1.0, 0.0, 0.0, 0.0, 7, "A/0000.exr", "", "", ""])
-        (folder / "seed.csv").write_text(text.getvalue())
-    else:
+        (folder / "seed.csv").write_bytes(_SOUND["poses"])
+    elif target == "toml":
         (folder / "scene.toml").write_text(spec.dump_toml(spec.to_dict(spec.preset("room"))))
         (folder / "sweep.toml").write_text(spec.dump_toml(spec.to_dict(spec.Sweep())))
         (folder / "sensor.toml").write_text(spec.dump_toml(spec.to_dict(Sensor())))
+    elif target == "mesh":
+        _seed_meshes(folder)
+    else:
+        _seed_structured(target)
+        rng = np.random.default_rng(0)
+        for k in range(50):  # what is drawn from, not what is read
+            (folder / f"seed-{k}").write_bytes(rng.bytes(200))
+
+
+def _seed_structured(target: str) -> None:
+    """Make the sound files that are changed through their formats' own libraries."""
+    made = {
+        "format": 1,
+        "fingerprint": "0" * 16,
+        "sweep": {**spec.to_dict(spec.Sweep()), "scene_sha256": "0" * 64},
+        "scene": spec.to_dict(spec.preset("room")),
+        "reference_radiance": 1.0,
+        "software": {"blender": "none"},
+    }
+    _SOUND["dataset"] = json.dumps(made).encode()
+    worker = {"pid": 7, "doing": "A/0000.exr", "seconds": 1.0, "done": 3, "memory": 10**8}
+    state = journal.State("host", os.getpid(), done=3, total=9, seconds=2.0, failed=["A/0: it"], workers=[worker])
+    _SOUND["status"] = json.dumps(vars(state)).encode()
+    if target in ("dataset", "status"):
+        return
+    import classify_helpers
+
+    if target in ("features", "model"):
+        described = store.extract(classify_helpers.make_dataset(_FILE.parent / "small", n=4), FeatureSettings())
+        store.write(_FILE, described)
+        _SOUND["features"] = _FILE.read_bytes()
+        for name in models.ALL if target == "model" else ():
+            model = models.train(described, name, "paper")
+            if name == "RF":  # a hundred trees take the time of thirty smaller models
+                model.estimator[-1].estimators_ = model.estimator[-1].estimators_[:3]
+            models.save(_FILE, model)
+            _SOUND[f"model-{name}"] = _FILE.read_bytes()
+        return
+    made = classify_helpers.make_bulk(_FILE.parent / "sound-bulk", pictures=80, resolution=(8, 8))
+    if target == "atlas":
+        atlas.save(_FILE, atlas.build(made, Sensor(frames=10)))
+        _SOUND["atlas"] = _FILE.read_bytes()
+
+
+def _seed_meshes(folder: Path) -> None:
+    corners = [(0, 0, 0), (1, 0, 0), (0, 1, 0)]
+    head = ["ply", "format ascii 1.0", "element vertex 3", *(f"property float {a}" for a in "xyz"), "element face 1"]
+    head += ["property list uchar int vertex_indices", "end_header"]
+    lines = [" ".join(map(str, c)) for c in corners]
+    (folder / "a").write_bytes(b"\x01" + "\n".join([*head, *lines, "3 0 1 2", ""]).encode())
+    binary = np.array(corners, "<f4").tobytes() + b"\x03" + np.arange(3, dtype="<i4").tobytes()
+    text = "\n".join([*head, ""]).replace("ascii", "binary_little_endian").encode()
+    (folder / "b").write_bytes(b"\x01" + text + binary)
+    text = "".join(f"v {line}\n" for line in lines) + "vt 0 0\nvn 0 0 1\nf 1/1/1 2/1/1 3/1/1\n"
+    (folder / "c").write_bytes(b"\x00" + text.encode())
+    facet = np.zeros(1, dtype=[("n", "<f4", 3), ("v", "<f4", (3, 3)), ("a", "<u2")])
+    facet["v"] = corners
+    (folder / "d").write_bytes(b"\x02" + bytes(80) + np.array([1], "<u4").tobytes() + facet.tobytes())
+    text = "solid a\nfacet normal 0 0 1\nouter loop\n" + "".join(f"vertex {line}\n" for line in lines)
+    (folder / "e").write_bytes(b"\x02" + (text + "endloop\nendfacet\nendsolid a\n").encode())
 
 
 def main() -> None:
@@ -73,9 +324,13 @@ def main() -> None:
     target = sys.argv.pop(1) if len(sys.argv) > 1 else ""
     if target not in TARGETS:
         sys.exit(f"usage: {sys.argv[0]} {'|'.join(TARGETS)} [libFuzzer's options]")
+    _OUTSIDE.write_bytes(b"none of its business")
     corpus = _FILE.parent / "corpus"
     seeds(target, corpus)
-    atheris.Setup([*sys.argv, "-timeout=10", "-rss_limit_mb=1024", "-max_len=65536", str(corpus)], TARGETS[target])
+    limits = ["-timeout=10", "-rss_limit_mb=1024", "-max_len=65536"]
+    if target not in ("exr", "poses", "toml", "mesh"):
+        limits += ["-reduce_inputs=0", "-len_control=0", "-max_len=400"]  # what is drawn from: shorter is no better
+    atheris.Setup([*sys.argv, *limits, str(corpus)], TARGETS[target])
     atheris.Fuzz()
 
 

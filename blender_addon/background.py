@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import atexit
 import contextlib
+import os
 import sys
 import tempfile
 import threading
@@ -14,7 +15,7 @@ from typing import Any
 
 import bpy
 
-from generator import stage, sweep
+from generator import links, stage, sweep
 from generator.spec import NlosError
 
 from . import state
@@ -135,6 +136,7 @@ def launcher() -> sweep.Launch:
     """Return what starts a worker in a Blender without a window, the same as this one."""
     binary = bpy.app.binary_path  # to be asked in Blender's own thread
     # The bpy module has no Blender beside it, but Python can import it.
+    os.environ[links.TRUST] = "1"  # what is open in this Blender, Blender has followed already
     before = [binary, "--background", "--factory-startup", "-noaudio", "--python"] if binary else [sys.executable]
 
     def launch(arguments: Sequence[str]) -> list[str]:

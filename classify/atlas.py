@@ -23,7 +23,7 @@ from numpy.typing import NDArray
 from sklearn.utils.extmath import randomized_svd
 
 from classify import strengths
-from classify.store import opened
+from classify.store import numbers, opened
 from classify.strengths import Strengths
 from generator.bulk import Bulk, Engine
 from generator.dataset import Picture, atomic
@@ -37,6 +37,8 @@ _FEWEST = 100.0
 """Electrons in all frames of the darkest pixel, from which on a picture's code grows with the root of the frames."""
 _FOR_BASIS = 4096
 _FIRST = 64
+_ABSURD = 1e15
+"""No number in an atlas comes near, and the squares of these still are numbers."""
 _BLOCK = 2048
 
 
@@ -407,7 +409,11 @@ def save(path: Path, atlas: Atlas) -> None:
         file["rotations"].attrs["units"] = "degrees about x, y, z"
 
 
-_ARRAYS = ("codes", "basis", "background", "nuisances", "positions", "rotations", "voxels", "kinds")
+_ARRAYS: dict[str, type[Any]] = {
+    **dict.fromkeys(("codes", "basis", "nuisances"), np.float32),
+    **dict.fromkeys(("background", "positions", "rotations"), np.float64),
+    **dict.fromkeys(("voxels", "kinds"), np.int64),
+}
 
 
 def load(path: Path) -> Atlas:
@@ -420,25 +426,36 @@ def load(path: Path) -> Atlas:
     """
     with opened(path, "atlas", FORMAT) as file:
         atlas = Atlas(
-            **{name: np.asarray(file[name]) for name in _ARRAYS},
+            **{name: numbers(file, name, kind) for name, kind in _ARRAYS.items()},
             grid=from_dict(VoxelGrid, json.loads(str(file.attrs["grid"])), "grid."),
             sensor=from_dict(Sensor, json.loads(str(file.attrs["sensor"])), "sensor."),
             left_out=float(file.attrs["left_out"]),
             spread=float(file.attrs["spread"]),
             about=json.loads(str(file.attrs["about"])),
-            hiding=np.asarray(file["hiding"]) if "hiding" in file else None,
+            hiding=numbers(file, "hiding", np.float32) if "hiding" in file else None,
         )
         n, k = atlas.codes.shape
         shapes = [atlas.basis.shape, atlas.positions.shape, atlas.rotations.shape, atlas.voxels.shape]
         shapes += [atlas.nuisances.shape[1:], atlas.kinds.shape]
-        if shapes != [(k, atlas.background.size), (n, 3), (n, 3), (n,), (k,), (n,)] or not n:
+        wanted = [(k, atlas.background.size), (n, 3), (n, 3), (n,), (k,), (n,)]
+        if atlas.background.ndim != 2 or shapes != wanted or not n:
             raise ValueError("its codes, basis and poses differ in length")
         if atlas.hiding is not None and atlas.hiding.shape != (n, k):
             raise ValueError("its codes of light and of shadow differ in number")
-        if not all(np.isfinite(getattr(atlas, name)).all() for name in (*_ARRAYS, *["hiding"] * atlas.unknown)):
-            raise ValueError("it holds NaN or infinite values")
-        if not set(np.unique(atlas.kinds)) <= set(range(len(atlas.about["targets"]))):
+        arrays = [getattr(atlas, name) for name in (*_ARRAYS, *["hiding"] * atlas.unknown)]
+        if not all((np.abs(array) < _ABSURD).all() for array in arrays):
+            raise ValueError("it holds NaN, infinite or absurdly large values")
+        targets = atlas.about["targets"]
+        if not (isinstance(targets, list) and all(isinstance(target, str) for target in targets)):
+            raise ValueError("it does not name its targets")
+        if not (0.0 < atlas.spread < math.inf and 0.0 <= atlas.left_out < math.inf):
+            raise ValueError("its spread or what it leaves out is no positive number")
+        if atlas.kinds.min() < 0 or atlas.kinds.max() >= len(targets):
             raise ValueError("it names a target that it does not describe")
+        room = 1e-6 * np.subtract(atlas.grid.hi, atlas.grid.lo)
+        low, high = atlas.positions.min(axis=0), atlas.positions.max(axis=0)
+        if (low < atlas.grid.lo - room).any() or (high > atlas.grid.hi + room).any():
+            raise ValueError("it has poses outside its grid")
         if atlas.voxels.min() < 0 or atlas.voxels.max() >= atlas.grid.n_voxels:
             raise ValueError(f"it names a voxel that its grid of {atlas.grid.n_voxels} lacks")
     return atlas

@@ -92,7 +92,10 @@ def locate(atlas: Atlas, code: NDArray[np.float32], *, seed: int = 0, without: i
         some = np.flatnonzero(weights > weights.max() * 1e-7)
         position, covariance = _moments(atlas.positions[some], weights[some])
     else:
-        position, covariance, between = _sharpened(atlas, code, logs, seed)
+        try:
+            position, covariance, between = _sharpened(atlas, code, logs, seed)
+        except np.linalg.LinAlgError:
+            raise NlosError("atlas: its poses and codes cannot be of one scene; make it anew") from None
         voxels = between if between is not None and poses < _ALONE else voxels
     return Place(voxels, position, covariance, top + math.log(total / len(logs)), poses)
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Literal
@@ -18,15 +18,17 @@ from sklearn.ensemble import RandomForestClassifier
 from sklearn.linear_model import LogisticRegression
 from sklearn.model_selection import GridSearchCV, StratifiedKFold
 from sklearn.naive_bayes import GaussianNB
-from sklearn.neighbors import KNeighborsClassifier
+from sklearn.neighbors import BallTree, KDTree, KNeighborsClassifier
 from sklearn.neural_network import MLPClassifier
 from sklearn.pipeline import Pipeline
 from sklearn.preprocessing import MinMaxScaler, StandardScaler
 from sklearn.svm import SVC
 from sklearn.tree import DecisionTreeClassifier
+from sklearn.tree._tree import Tree
 
 from classify.features import FeatureSettings, describe, feature_names
 from classify.store import Features
+from generator.bombs import check_archive
 from generator.dataset import Picture, atomic
 from generator.spec import NlosError, VoxelGrid, from_dict, to_dict
 
@@ -47,6 +49,8 @@ ALL = {**NAMES, "MLP": "small neural network"}
 
 FORMAT = 1
 INNER_FOLDS = 3
+_DEPTH = 30
+"""Of what a classifier holds."""
 _MANY = 3000
 
 _SCALERS = [MinMaxScaler(), StandardScaler()]
@@ -166,7 +170,7 @@ class Model:
             background=self.background if background is None else background,
             name=name,
         )
-        values = self.estimator.predict_proba(row[None, :])[0]
+        values = _answer(self.estimator, row, name)
         return {str(label): float(p) for label, p in zip(self.estimator.classes_, values, strict=True)}
 
 
@@ -289,6 +293,7 @@ def load(path: Path) -> Model:
     if not path.is_file():
         raise NlosError(f"{path}: no such model file")
     try:
+        check_archive(path)
         unknown = sorted(set(skops.io.get_untrusted_types(file=path)) - _TRUSTED)
     except Exception as error:  # zip, JSON and key errors of many kinds
         raise NlosError(f"{path}: is not a model file ({type(error).__name__}: {error})") from None
@@ -313,10 +318,115 @@ def load(path: Path) -> Model:
             grid=from_dict(VoxelGrid, json.loads(bundle["grid"]), "grid."),
             about=json.loads(bundle["about"]),
         )
-        width, _ = int(model.estimator.n_features_in_), model.estimator.predict_proba
-    except (KeyError, TypeError, ValueError, AttributeError) as error:  # NlosError is a ValueError
+        width = int(model.estimator.n_features_in_)
+        _check_inside(model.estimator, width)
+    except Exception as error:  # whatever is wrong with what the file says, and NlosError is a ValueError
         raise NlosError(f"{path}: is not a model file ({type(error).__name__}: {error})") from None
     given = len(feature_names(model.settings))
     if width != given:
         raise NlosError(f"{path}: was trained on {width} features, but its settings give {given}")
+    if model.background.ndim != 3 or model.background.shape[2] != 3 or not np.isfinite(model.background).all():
+        raise NlosError(f"{path}: holds no background picture of shape (height, width, 3) without NaN")
+    if not (isinstance(model.about, dict) and 0.0 <= model.reference_radiance < np.inf):
+        raise NlosError(f"{path}: does not tell its origin, or has no reference radiance of 0 or more")
+    _answer(model.estimator, np.zeros(width), str(path))  # what is wrong inside shows when it answers
+    if not set(map(str, model.estimator.classes_)) <= set(model.grid.labels):
+        raise NlosError(f"{path}: answers by other voxels than its grid has")
     return model
+
+
+def _answer(estimator: Any, row: NDArray[np.float64], name: str) -> NDArray[np.float64]:
+    """Return a classifier's probabilities (n_classes,), or say that it has none: it may come from elsewhere."""
+    try:
+        with np.errstate(all="ignore"):
+            made = np.asarray(estimator.predict_proba(row[None, :]), dtype=np.float64)
+        sound = made.shape == (1, len(estimator.classes_)) and bool(np.isfinite(made).all())
+    except Exception as error:
+        raise NlosError(f"{name}: the model does not answer ({type(error).__name__}: {error})") from None
+    if not sound:
+        raise NlosError(f"{name}: the model's answer is no list of probabilities")
+    answer: NDArray[np.float64] = made[0]
+    return answer
+
+
+def _check_inside(estimator: Any, width: int) -> None:
+    """Raise ValueError for numbers by which scikit-learn's compiled code would read where nothing is."""
+    for part in _parts(estimator):
+        if isinstance(part, Tree):
+            _check_tree(part, width)
+        elif isinstance(part, KDTree | BallTree):
+            _check_search(part, width)
+        elif isinstance(part, KNeighborsClassifier) and hasattr(part, "_fit_X"):
+            _check_neighbours(part, width)
+        elif isinstance(part, SVC) and hasattr(part, "support_vectors_"):  # fitted
+            _check_vectors(part, width)
+
+
+def _parts(value: Any, depth: int = 0) -> Iterator[Any]:
+    """A fitted classifier and all that it holds."""
+    if depth > _DEPTH:
+        raise ValueError("it is nested too deeply")
+    yield value
+    inside: Iterable[Any] = ()
+    if isinstance(value, list | tuple | set) or (isinstance(value, np.ndarray) and value.dtype == object):
+        inside = value
+    elif isinstance(value, dict):
+        inside = value.values()
+    elif type(value).__module__.startswith("sklearn."):
+        inside = vars(value).values() if hasattr(value, "__dict__") else ()
+    for part in inside:
+        if not isinstance(part, str | bytes | int | float | np.generic):
+            yield from _parts(part, depth + 1)
+
+
+def _check_tree(tree: Any, width: int) -> None:
+    count = tree.node_count
+    left, right, feature = tree.children_left, tree.children_right, tree.feature
+    inner = left != -1
+    numbers = np.arange(count)
+    # A child comes after its parent, as they grow: so no way down is endless.
+    below = all(((child[inner] > numbers[inner]) & (child[inner] < count)).all() for child in (left, right))
+    asked = feature[inner]
+    known = (asked >= 0).all() and (asked < width).all()
+    if not (count and below and (right[~inner] == -1).all() and known):
+        raise ValueError("a decision tree in it leads nowhere")
+    if tree.value.shape != (count, tree.n_outputs, tree.max_n_classes):
+        raise ValueError("a decision tree in it lacks answers")
+
+
+def _check_search(tree: Any, width: int) -> None:
+    data, index, nodes, _ = tree.get_arrays()
+    first, last = nodes["idx_start"], nodes["idx_end"]
+    count = len(data)
+    whole = (
+        data.ndim == 2
+        and data.shape[1] == width
+        and len(index) == count
+        and np.array_equal(np.sort(index), np.arange(count))
+    )
+    if not (whole and (first >= 0).all() and (first <= last).all() and (last <= count).all()):
+        raise ValueError("a tree of neighbours in it leads nowhere")
+
+
+def _check_neighbours(machine: Any, width: int) -> None:
+    known, labels, most = machine._fit_X, machine._y, len(machine.classes_)
+    if known.ndim != 2 or known.shape[1] != width or known.dtype != np.float64 or labels.shape != (len(known),):
+        raise ValueError("its neighbours do not fit together")
+    if labels.dtype.kind not in "iu" or labels.min() < 0 or labels.max() >= most:
+        raise ValueError("its neighbours are of no class")
+    if not 1 <= machine.n_neighbors <= len(known) or machine.effective_metric_ not in ("euclidean", "minkowski"):
+        raise ValueError("its neighbours cannot be asked")
+
+
+def _check_vectors(machine: Any, width: int) -> None:
+    vectors, counts = machine.support_vectors_, machine._n_support
+    classes = len(machine.classes_)
+    n = len(vectors)
+    if machine.kernel not in ("rbf", "linear") or machine._impl != "c_svc" or machine.support_.shape != (n,):
+        raise ValueError("it is no support vector machine of this software")
+    pairs = classes * (classes - 1) // 2
+    shapes = [vectors.shape, counts.shape, machine._dual_coef_.shape, machine._intercept_.shape]
+    if shapes != [(n, width), (classes,), (classes - 1, n), (pairs,)] or counts.min() < 0 or counts.sum() != n:
+        raise ValueError("its support vectors do not fit together")
+    if {len(machine._probA), len(machine._probB)} - {0, pairs} or len(machine._probA) != len(machine._probB):
+        raise ValueError("its probabilities do not fit together")

@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 
 from classify.features import FeatureSettings, describe, feature_names, software
 from classify.physics import Setup
+from generator.bombs import check_heaps, excessive, limited
 from generator.dataset import Picture, PoseRecord, Readable, atomic
 from generator.sensor import Camera, Sensor
 from generator.spec import NlosError, Scene, VoxelGrid, from_dict, to_dict
@@ -24,6 +25,8 @@ FORMAT = 1
 
 _BLOCK, _FEW = 64, 32
 """Pictures described at once, and blocks that one process does as fast as several."""
+_SPARE, _COPIES = 2**28, 3
+"""Bytes that reading a file may take, besides so many times what it claims to hold."""
 
 
 @dataclass(frozen=True)
@@ -212,21 +215,48 @@ def opened(path: Path, what: str, newest: int) -> Iterator[Any]:
     if not path.is_file():
         raise NlosError(f"{path}: no such {what} file")
     try:
+        check_heaps(path)
         with h5py.File(path, "r") as file:
-            version = int(file.attrs["format"])
-            if version > newest:
-                raise NlosError(f"has {what} format {version}; this software reads up to {newest}, so update it")
-            for name in file:
-                if not isinstance(file.get(name, getlink=True), h5py.HardLink):
-                    raise NlosError(f"{name} is a link to somewhere else, which is not followed")
-                if file[name].external or file[name].is_virtual:  # HDF5 would read any file that is named there
-                    raise NlosError(f"{name} lies in another file, which is not followed")
-            yield file
+            with limited(_SPARE):
+                claimed = _check_inside(file, what, newest)
+            if excessive(claimed, size := path.stat().st_size):
+                raise NlosError(f"claims {claimed} bytes in {size}")
+            with limited(_SPARE + _COPIES * claimed):
+                yield file
     except NlosError as error:
         raise NlosError(f"{path}: {error}") from None
-    except (OSError, KeyError, ValueError, TypeError, AttributeError) as error:
+    except Exception as error:  # of HDF5, of its types, of JSON: of many kinds
         article = "an" if what[0] in "aeiou" else "a"
         raise NlosError(f"{path}: is not {article} {what} file of this software ({error})") from None
+
+
+def _check_inside(file: Any, what: str, newest: int) -> int:
+    """Return how many bytes an open HDF5 file claims to hold; NlosError if it is newer, or refers to others."""
+    version = int(file.attrs["format"])
+    if version > newest:
+        raise NlosError(f"has {what} format {version}; this software reads up to {newest}, so update it")
+    claimed = 0
+    for name in file:
+        if not isinstance(file.get(name, getlink=True), h5py.HardLink):
+            raise NlosError(f"{name} is a link to somewhere else, which is not followed")
+        if file[name].external or file[name].is_virtual:  # HDF5 would read any file that is named there
+            raise NlosError(f"{name} lies in another file, which is not followed")
+        claimed += file[name].nbytes
+    return claimed
+
+
+def numbers(file: Any, name: str, dtype: Any) -> NDArray[Any]:
+    """Return a dataset of an open HDF5 file as real or whole numbers; ValueError if it holds others."""
+    found = file[name]
+    if found.dtype.kind not in ("iu" if np.issubdtype(dtype, np.integer) else "iuf"):
+        raise ValueError(f"{name} holds {found.dtype}")
+    with np.errstate(over="ignore"):  # too large a number is infinite, which whoever reads it refuses
+        return np.asarray(found[()], dtype=dtype)
+
+
+def texts(file: Any, name: str) -> list[str]:
+    """Return a dataset of an open HDF5 file as texts."""
+    return list(map(str, file[name].asstr()[()]))
 
 
 def read(path: Path) -> Features:
@@ -239,22 +269,29 @@ def read(path: Path) -> Features:
     """
     with opened(path, "features", FORMAT) as file:
         features = Features(
-            values=np.asarray(file["features"], dtype=np.float64),
-            names=[str(n) for n in file["feature_names"].asstr()],
-            labels=np.array(file["label"].asstr()[:], dtype=np.str_),
-            voxels=np.asarray(file["voxel"]),
-            positions=np.asarray(file["position"]),
-            rotations=np.asarray(file["rotation"]),
-            files=[str(n) for n in file["file"].asstr()],
-            background=np.asarray(file["background"], dtype=np.float32),
+            values=numbers(file, "features", np.float64),
+            names=texts(file, "feature_names"),
+            labels=np.array(texts(file, "label"), dtype=np.str_),
+            voxels=numbers(file, "voxel", np.int64),
+            positions=numbers(file, "position", np.float64),
+            rotations=numbers(file, "rotation", np.float64),
+            files=texts(file, "file"),
+            background=numbers(file, "background", np.float32),
             reference_radiance=float(file.attrs["reference_radiance"]),
             settings=FeatureSettings.from_json(str(file.attrs["settings"])),
             grid=from_dict(VoxelGrid, json.loads(str(file.attrs["grid"])), "grid."),
             target=str(file.attrs["target"]),
             provenance=json.loads(str(file.attrs["provenance"])),
         )
+    if features.background.ndim != 3 or features.background.shape[2] != 3:
+        raise NlosError(f"{path}: its background has shape {features.background.shape}, not (height, width, 3)")
+    told = features.provenance
+    if not isinstance(told, dict) or not isinstance(told.get("sensor", {}), dict):
+        raise NlosError(f"{path}: does not tell where its features come from (attribute provenance)")
     columns = (features.labels, features.voxels, features.positions, features.rotations, features.files)
-    if features.values.ndim != 2 or any(len(column) != len(features.values) for column in columns):
+    if features.values.ndim != 2 or {features.positions.ndim, features.rotations.ndim} != {2}:
+        raise NlosError(f"{path}: its features and poses are not tables")
+    if any(len(column) != len(features.values) for column in columns):
         raise NlosError(f"{path}: its features, labels and poses differ in length")
     if features.names != feature_names(features.settings) or len(features.names) != features.values.shape[1]:
         raise NlosError(f"{path}: its feature names are not those of its settings")

@@ -6,6 +6,7 @@ several with ``--shard 0/4``, ``--shard 1/4`` ... on as many machines as there a
 
 from __future__ import annotations
 
+import argparse
 import sys
 from pathlib import Path
 
@@ -14,14 +15,19 @@ if __name__ == "__main__":  # a script given to Blender finds its package only b
 
 import bpy
 
-from generator import cli, stage, sweep, worker
-from generator.dataset import SCENE, Dataset, PoseRecord
+from generator import cli, links, sweep, worker
+from generator.dataset import Dataset, PoseRecord
 from generator.spec import NlosError
 
 
 def run(arguments: list[str]) -> int:
     """Render the open scene's shard; return the exit code."""
     options = cli.batch_parser().parse_args(arguments)
+    with links.trusting(options.trust_links):
+        return _run(options)
+
+
+def _run(options: argparse.Namespace) -> int:
     chosen = cli.chosen_settings(options)
     shard = cli.parse_shard(options.shard)
     source, path = Path(bpy.data.filepath), Path(options.output)
@@ -36,7 +42,7 @@ def run(arguments: list[str]) -> int:
             print(sweep.engine_words(dataset))
     worker.check_blender(dataset)
     pending = sweep.pending_positions(dataset, shard)
-    scene = stage.open_file(dataset.path / SCENE)
+    scene = worker.open_scene(dataset)
     show = cli.LineProgress()
     show(0, len(pending))
     done = 0
@@ -50,7 +56,8 @@ def run(arguments: list[str]) -> int:
         batches = sweep.in_batches(pending, sweep.batch_size(dataset))
         worker.render(scene, dataset, (dict.fromkeys(batch, 0) for batch in batches), report=report)
     finally:
-        remaining = len(dataset.gather())
+        sweep.gather(dataset, shard, pending)
+    remaining = sum(not pose.done for pose in dataset.poses)
     print(cli.summary(dataset, rendered=done, remaining=remaining))
     return 0
 

@@ -42,6 +42,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from generator import dataset
+from generator.bombs import MUCH, check_heaps, excessive, limited
 from generator.dataset import BACKGROUND, SCENE, Picture, atomic, fingerprint, read_picture, write_picture, write_text
 from generator.poses import Pose
 from generator.spec import Array, NlosError, Sweep, Vector, VoxelGrid, dump_toml, from_dict, read_toml, to_dict
@@ -74,6 +75,10 @@ _LARGEST_PART = 1024**3
 _MOST_PARTS = 512
 """HDF5 holds every part open that it has read through the master, and a process may have 1024 files open."""
 _OPEN = 128
+_SMALL = 2**24
+"""Bytes of a part that is looked through before it is opened; to read more would take longer than to use it."""
+_TOO_MANY = 2**19
+"""Parts; a billion pictures of 64 x 64 are half of these."""
 _BATCH = 16 * 1024**2
 
 Pictures = NDArray[np.float32]
@@ -318,16 +323,16 @@ class Bulk:
             raise NlosError(f"{path / MANIFEST}: lacks the field 'format'")
         if version > FORMAT:
             raise NlosError(f"{path}: has bulk format {version}; this software reads up to {FORMAT}, so update it")
-        kinds = {"sweep": dict, "scene": dict, "reference_radiance": float, "fingerprint": str, "channels": int}
-        for name, kind in kinds.items():
-            if not isinstance(meta.get(name), kind):
-                raise NlosError(f"{path / MANIFEST}: lacks the field '{name}'")
         try:
+            dataset.check_meta(meta, channels=int)
             bulk = cls(path, meta)
+            bulk.grid  # noqa: B018 (refuses what cannot be one)
         except NlosError as error:
             raise NlosError(f"{path / MANIFEST}: {error}") from None
         if bulk.plan.part < 1 or meta["channels"] not in (1, 3):
             raise NlosError(f"{path / MANIFEST}: sweep.part must be 1 or more, and channels 1 or 3")
+        if bulk.parts > _TOO_MANY:
+            raise NlosError(f"{path / MANIFEST}: sweep.part: {bulk.plan.part} makes {bulk.parts} files, too many")
         return bulk
 
     @classmethod
@@ -485,13 +490,18 @@ class Bulk:
         if not path.is_file():
             raise NlosError(f"{path}: is not there yet; run the same command again to make it")
         try:
+            if path.stat().st_size <= _SMALL:
+                check_heaps(path)
             file = h5py.File(path, "r")
-        except OSError as error:
+        except (OSError, ValueError) as error:
             raise NlosError(f"{path}: is broken ({_short(error)}); run the same command again to make it") from None
         count = len(self.part_range(number))
         try:
-            if file.attrs.get("fingerprint") != self.meta["fingerprint"] or file.attrs.get("part") != number:
+            with limited(MUCH):
+                fingerprint_there, number_there = (file.attrs.get(name) for name in ("fingerprint", "part"))
+            if fingerprint_there != self.meta["fingerprint"] or number_there != number:
                 raise ValueError("is of another set")
+            claimed = 0
             for name in ("pictures", *COLUMNS):
                 if not isinstance(file.get(name, getlink=True), h5py.HardLink):
                     raise ValueError(f"has no {name} of its own")
@@ -500,7 +510,12 @@ class Bulk:
                 inner = self.picture_shape if name == "pictures" else (3,) if name in COLUMNS[:2] else ()
                 if file[name].shape != (count, *inner):
                     raise ValueError(f"holds {name} of shape {file[name].shape}, not {(count, *inner)}")
-        except (ValueError, OSError, KeyError, AttributeError) as error:
+                if file[name].dtype.kind != ("i" if name in COLUMNS[2:] else "f"):
+                    raise ValueError(f"holds {name} as {file[name].dtype}")
+                claimed += file[name].nbytes
+            if excessive(claimed, path.stat().st_size):
+                raise ValueError(f"claims {claimed} bytes in {path.stat().st_size}")
+        except Exception as error:  # HDF5's and h5py's, of many kinds
             file.close()
             raise NlosError(f"{path}: {_short(error)}; run the same command again to make it anew") from None
         return file
@@ -619,9 +634,10 @@ class Bulk:
 
     def _has_master(self) -> bool:
         try:
-            with h5py.File(self.path / MASTER, "r") as file:
+            check_heaps(self.path / MASTER)
+            with h5py.File(self.path / MASTER, "r") as file, limited(MUCH):
                 return bool(file.attrs.get("fingerprint") == self.meta["fingerprint"])
-        except OSError:
+        except Exception:  # HDF5's and h5py's, of many kinds
             return False
 
     def verify(self, progress: Progress = lambda done, total: None) -> list[str]:
@@ -660,8 +676,9 @@ class Bulk:
                     digest.update(file[name][()].tobytes())
                 order = np.array_equal(file["voxel"][()], numbers % self.grid.n_voxels)
                 order &= np.array_equal(file["index"][()], numbers // self.grid.n_voxels)
-                told = file.attrs.get("sha256")
-        except OSError as error:
+                with limited(MUCH):
+                    told = str(file.attrs.get("sha256"))
+        except Exception as error:  # HDF5's and h5py's, of many kinds
             return f"{path}: is broken ({_short(error)}); take it away and run the same command again"
         if digest.hexdigest() != told:
             return f"{path}: its contents differ from their hash; take it away and run the same command again"
@@ -750,7 +767,7 @@ class Rows:
         part = self._bulk.plan.part
         if isinstance(which, int | np.integer):
             number = range(len(self))[which]
-            return self._bulk.rows(number // part, self._name)[number % part]
+            return self._read(number // part, number % part)
         if isinstance(which, slice):
             start, stop, step = which.indices(len(self))
             if step != 1:
@@ -758,8 +775,8 @@ class Rows:
             rows = np.empty((max(0, stop - start), *self.shape[1:]), self.dtype)
             for number in range(start // part, math.ceil(stop / part) if stop > start else 0):
                 low, high = max(start, number * part), min(stop, (number + 1) * part)
-                source = self._bulk.rows(number, self._name)
-                rows[low - start : high - start] = source[low - number * part : high - number * part]
+                first = number * part
+                rows[low - start : high - start] = self._read(number, slice(low - first, high - first))
             return rows
         numbers = self._numbers(which)
         rows = np.empty((len(numbers), *self.shape[1:]), self.dtype)
@@ -767,15 +784,22 @@ class Rows:
         for number in np.unique(owner).tolist():
             mine = np.flatnonzero(owner == number)
             wanted = numbers[mine] - number * part
-            source = self._bulk.rows(number, self._name)
             low, high = int(wanted.min()), int(wanted.max()) + 1
             # h5py's own way with lists of rows is slower than either of these.
             if high - low <= 4 * len(wanted):
-                rows[mine] = source[low:high][wanted - low]
+                rows[mine] = self._read(number, slice(low, high))[wanted - low]
             else:
                 for at, row in zip(mine.tolist(), wanted.tolist(), strict=True):
-                    rows[at] = source[row]
+                    rows[at] = self._read(number, row)
         return rows
+
+    def _read(self, number: int, which: int | slice) -> Any:
+        """Some rows of a part."""
+        try:
+            return self._bulk.rows(number, self._name)[which]
+        except OSError as error:
+            words = f"is broken ({_short(error)}); take it away and run the same command again"
+            raise NlosError(f"{self._bulk.part_path(number)}: {words}") from None
 
     def _numbers(self, which: Any) -> NDArray[np.int64]:
         numbers = np.asarray(which)

@@ -18,7 +18,7 @@ from typing import Any
 import bpy
 import numpy as np
 
-from generator import bulk, extract, poses, spec, stage, worker
+from generator import bulk, extract, links, poses, spec, stage, worker
 from generator.bulk import Bulk, Engine, Settings
 from generator.clearance import Surroundings, clearance
 from generator.dataset import SCENE, scene_hash
@@ -43,9 +43,11 @@ def plan(scene: bpy.types.Scene, source: Path, path: Path, chosen: Mapping[str, 
     Raises
     ------
     NlosError
-        The scene lacks a role, the engine cannot honour it, the target fits nowhere, or nothing can be written.
+        The scene lacks a role, the engine cannot honour it, the target fits nowhere, or nothing can be written;
+        or it refers to files elsewhere.
     """
     bulk.check_free(path)
+    linked = links.recorded(links.refuse(source), path)
     described = stage.read(scene)
     if chosen.get("unknown"):
         chosen = {"rotation": list(worker.TURNS["mesh"]), **chosen}
@@ -64,6 +66,7 @@ def plan(scene: bpy.types.Scene, source: Path, path: Path, chosen: Mapping[str, 
     meta = {
         "reference_radiance": described.reference_radiance,
         "scene": spec.to_dict(described),
+        **({"links": linked} if linked else {}),
         "software": {
             "nlos-lab": worker.version(),
             "blender": bpy.app.version_string,
@@ -95,7 +98,7 @@ def _poses(scene: bpy.types.Scene, settings: Settings) -> Callable[[int, int], p
 def render(found: Bulk, parts: Iterable[int], *, threads: int = 0) -> None:
     """Make parts of a set, telling of each."""
     worker.check_blender(found)
-    scene = stage.open_file(found.path / SCENE)
+    scene = worker.open_scene(found)
     draw = _poses(scene, found.plan)
     renderer = Engine(found, threads=threads)
     for number in parts:

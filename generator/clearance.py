@@ -161,6 +161,8 @@ def _polygons(obj: bpy.types.Object, depsgraph: Any) -> tuple[list[Vector], list
 
 def _mesh_of(evaluated: bpy.types.Object) -> tuple[list[Vector], list[tuple[int, ...]]]:
     mesh = evaluated.to_mesh()
+    if mesh is None:  # its modifiers leave only curves, points or a volume
+        return [], []
     vertices = [v.co.copy() for v in mesh.vertices]
     faces = [tuple(p.vertices) for p in mesh.polygons]
     evaluated.to_mesh_clear()

@@ -13,7 +13,7 @@ from dataclasses import fields
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from generator import budget, plans, spec
+from generator import budget, links, plans, spec
 from generator.dataset import Dataset
 from generator.spec import NlosError, Sweep
 from generator.sweep import clock
@@ -37,7 +37,8 @@ def main(argv: list[str] | None = None) -> int:
     """Run ``nlos-generate``; return the exit code: 0 well, 1 unfinished or faulty, 2 bad input, 130 interrupted."""
     parser = _parser()
     options = parser.parse_args(argv)
-    return guarded(lambda: int(options.run(options)))
+    with links.trusting(getattr(options, "trust_links", False)):
+        return guarded(lambda: int(options.run(options)))
 
 
 def guarded(work: Callable[[], int], interrupted: str = "interrupted; the same command goes on from here") -> int:
@@ -172,6 +173,7 @@ def _parser() -> argparse.ArgumentParser:
     bulk.add_argument("--part", type=int, metavar="N", help="pictures per file (default: about 64 MiB)")
     bulk.add_argument("--shard", default="0/1", metavar="i/n", help="make the i-th of n shares only (from 0)")
     bulk.add_argument("--workers", type=int, default=0, metavar="W", help="processes (default: one per core)")
+    _add_links_option(bulk)
     bulk.set_defaults(run=_bulk)
 
     checked = commands.add_parser(
@@ -187,6 +189,7 @@ def _parser() -> argparse.ArgumentParser:
     checked.add_argument("--poses", type=int, metavar="N", help=f"per voxel (default: {Sweep().poses})")
     _add_engine_options(checked)
     _add_pose_options(checked, "of all poses and all noise")
+    _add_links_option(checked)
     checked.set_defaults(run=_check)
 
     experiment = commands.add_parser(
@@ -218,6 +221,7 @@ def _parser() -> argparse.ArgumentParser:
     experiment.add_argument(
         "--repeats", type=int, default=8, metavar="N", help="with other noise, for intervals (default: 8)"
     )
+    _add_links_option(experiment)
     experiment.set_defaults(run=_experiment)
 
     trade = commands.add_parser(
@@ -242,6 +246,7 @@ def _parser() -> argparse.ArgumentParser:
         help="leave out what would take longer, judged by the cheaper (default: 10min)",
     )
     trade.add_argument("--workers", type=int, default=0, metavar="W", help="processes (default: one per core)")
+    _add_links_option(trade)
     trade.set_defaults(run=_tradeoff)
 
     plan = commands.add_parser(
@@ -276,6 +281,7 @@ def _parser() -> argparse.ArgumentParser:
         help="time for what only Cycles models, which has noise (default: 3min)",
     )
     plan.add_argument("--workers", type=int, default=0, metavar="W", help="of the sweep (default: one per core)")
+    _add_links_option(plan)
     plan.set_defaults(run=_plan)
 
     verify = commands.add_parser(
@@ -314,6 +320,15 @@ def _add_sweep_options(parser: argparse.ArgumentParser, *, frames: bool = False)
     _add_engine_options(parser)
     _add_pose_options(parser, "of all poses and all noise", inside=not frames)
     parser.add_argument("--shard", default="0/1", metavar="i/n", help="render the i-th of n parts only (from 0)")
+    _add_links_option(parser)
+
+
+def _add_links_option(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument(
+        "--trust-links",
+        action="store_true",
+        help="follow what the .blend refers to outside its own folder, and let it write caches",
+    )
 
 
 def _told(read: Callable[[str], float]) -> Callable[[str], float]:

@@ -19,10 +19,11 @@ import csv
 import hashlib
 import io
 import json
+import math
 import os
 import re
 import socket
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
@@ -156,9 +157,15 @@ def scene_hash(path: Path) -> str:
         It cannot be read.
     """
     try:
-        return hashlib.sha256(path.read_bytes()).hexdigest()
+        return file_hash(path)
     except OSError as error:
         raise NlosError(f"{path}: no such scene file ({error.strerror})") from None
+
+
+def file_hash(path: Path) -> str:
+    """Return the SHA-256 of a file, read piece by piece."""
+    with path.open("rb") as file:
+        return hashlib.file_digest(file, "sha256").hexdigest()
 
 
 @contextlib.contextmanager
@@ -363,10 +370,13 @@ class Dataset:
             raise NlosError(
                 f"{path}: has data set format {version}; this software reads up to {FORMAT}, so update it"
             )
-        for name, kind in {"sweep": dict, "scene": dict, "reference_radiance": float, "fingerprint": str}.items():
-            if not isinstance(meta.get(name), kind):
-                raise NlosError(f"{path / MANIFEST}: lacks the field '{name}'")
-        return cls(path, meta, _read_poses(path / POSES))
+        try:
+            check_meta(meta)
+            dataset = cls(path, meta, _read_poses(path / POSES))
+            dataset.sweep, dataset.grid  # noqa: B018 (refuse what cannot be one)
+        except NlosError as error:
+            raise NlosError(f"{path / MANIFEST}: {error}") from None
+        return dataset
 
     @classmethod
     def create(cls, path: Path, meta: Mapping[str, Any], poses: Sequence[PoseRecord]) -> Dataset:
@@ -510,9 +520,20 @@ class Dataset:
             samples=int(header.get("samples", "0")),
         )
 
-    def gather(self) -> list[PoseRecord]:
-        """Look at every picture on disk, bring the manifest up to date, and return the poses still to render."""
-        self.poses = [self.inspect(pose) for pose in self.poses]
+    def gather(self, some: Collection[int] | None = None) -> list[PoseRecord]:
+        """Look at pictures on disk, bring the manifest up to date, and return the poses still to render.
+
+        Parameters
+        ----------
+        some : collection of int, optional
+            Positions of poses whose pictures are looked at; of the others only those that the manifest does not know
+            yet, so that of many shares that end together the last leaves it whole. Without it, all are.
+        """
+        known = self.poses if some is None else _read_poses(self.path / POSES)
+        look = range(len(known)) if some is None else set(some)
+        self.poses = [
+            self.inspect(pose) if position in look or not pose.done else pose for position, pose in enumerate(known)
+        ]
         self.write_manifest()
         return [pose for pose in self.poses if not pose.done]
 
@@ -554,6 +575,29 @@ class Dataset:
             elif found.pixel_hash != pose.pixel_hash:
                 faults.append(f"{file}: its pixels differ from the hash in {POSES}")
         return faults
+
+
+_TABLES = {"sweep": dict, "scene": dict, "reference_radiance": float, "fingerprint": str}
+_IN_SCENE = {"grid": (dict,), "target": (dict,), "ambient": (int, float), "reflection_order": (int,)}
+_OPTIONAL = {"software": dict, "links": dict, "engine_reasons": list, "extra_objects": list}
+
+
+def check_meta(meta: Mapping[str, Any], **needed: type) -> None:
+    """Raise NlosError unless a manifest has what every set's has, and some fields more."""
+    for name, kind in {**_TABLES, **needed}.items():
+        if not isinstance(meta.get(name), kind):
+            raise NlosError(f"lacks the field '{name}'")
+    for name, kind in _OPTIONAL.items():
+        if name in meta and not isinstance(meta[name], kind):
+            raise NlosError(f"{name}: must be a {'table' if kind is dict else 'list'}")
+    scene = meta["scene"]
+    for name, some in _IN_SCENE.items():
+        if name in scene and not isinstance(scene[name], some):
+            raise NlosError(f"scene.{name}: {scene[name]!r} cannot be")
+    if not isinstance(meta["sweep"].get("engine"), str):
+        raise NlosError("lacks the field 'sweep.engine'")
+    if not 0.0 <= meta["reference_radiance"] < math.inf:
+        raise NlosError(f"reference_radiance: {meta['reference_radiance']} must be 0 or more")
 
 
 def check_free(path: Path) -> None:

@@ -265,7 +265,10 @@ def choose(scene: bpy.types.Scene) -> tuple[str, list[str]]:
 
 
 def _linear_output(scene: bpy.types.Scene, overrides: stage.Overrides) -> None:
-    """Float32 radiance straight from the renderer: no view transform, crop, compositor, dither or denoiser."""
+    """Float32 radiance straight from the renderer: no view transform, crop, compositor, dither or denoiser.
+
+    Nor Freestyle, whose style modules are Python that runs though a file's scripts are off.
+    """
     render = scene.render
     image = render.image_settings
     if hasattr(image, "media_type"):  # Blender 5
@@ -282,6 +285,7 @@ def _linear_output(scene: bpy.types.Scene, overrides: stage.Overrides) -> None:
         (render, "use_border", False),
         (render, "use_compositing", False),
         (render, "use_sequencer", False),
+        (render, "use_freestyle", False),
         (render, "use_motion_blur", False),
         (render, "use_simplify", False),
         (render, "use_file_extension", False),

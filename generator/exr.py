@@ -19,11 +19,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from generator.bombs import excessive
+
 Planes = dict[str, NDArray[np.float32]]
 
 MAX_PIXELS = 2**28
-_BOMB = (2**27, 100)
-"""Bytes of pixels from which a file is asked whether it holds so much, and how many times itself it may unpack to."""
 _MAGIC = b"\x76\x2f\x31\x01"
 _LONG_NAMES = 0x400
 _TILED, _DEEP, _MULTIPART = 0x200, 0x800, 0x1000
@@ -163,7 +163,7 @@ def _claim(header: Mapping[str, tuple[str, bytes]], size: int) -> tuple[int, int
         raise ExrError(f"it claims {width} x {height} pixels")
     # A channel takes a name and 16 bytes of the header, and 2 bytes a pixel at least.
     raw = width * height * 2 * max(1, len(header["channels"][1]) // 18)
-    if raw > _BOMB[0] and raw > _BOMB[1] * size:
+    if excessive(raw, size):
         raise ExrError(f"it claims {width} x {height} pixels in {size} bytes")
     return width, height, y0
 

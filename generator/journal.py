@@ -25,8 +25,16 @@ RUNS = ".runs"
 RUNNING, ENDED = "running", "ended"
 EVERY = 2.0
 """Seconds between two states."""
+_KEPT = 100
+"""Runs that are remembered."""
+_FORGOTTEN = 24 * 3600.0
+"""Seconds of silence after which a run that never said it ended is forgotten like one that did."""
 _LOST = 60.0
 """Seconds after which a run that another machine has not been heard of is called lost."""
+
+
+_BROKEN = (ValueError, TypeError, KeyError, RecursionError)
+"""What reading a state raises that is none."""
 
 
 @dataclass
@@ -62,6 +70,17 @@ class State:
     failed: list[str] = field(default_factory=list)
     workers: list[dict[str, Any]] = field(default_factory=list)
 
+    @classmethod
+    def read(cls, text: str) -> State:
+        """Return the state that a run has written; ValueError, TypeError or KeyError if it is none."""
+        state = cls(**json.loads(text))
+        texts = [state.host, state.shard, state.state, *state.failed, *(worker["doing"] for worker in state.workers)]
+        counts = [state.pid, state.done, state.total, state.seconds]
+        counts += [worker[name] for worker in state.workers for name in ("pid", "seconds", "done", "memory")]
+        if not all(isinstance(text, str) for text in texts) or not all(0 <= count < 1e15 for count in counts):
+            raise ValueError("is no run's state")
+        return state
+
     @property
     def rate(self) -> float:
         """Pictures a second."""
@@ -92,6 +111,7 @@ class Journal:
 
     def __enter__(self) -> Journal:
         self._write()
+        _forget(self._file.parent)
         self._thread.start()
         return self
 
@@ -116,6 +136,25 @@ class Journal:
         self.state.failed, workers = self._look()
         self.state.workers = [{**worker, "memory": memory(worker["pid"])} for worker in workers]
         write_text(self._file, json.dumps(asdict(self.state), indent=1) + "\n")
+
+
+def _forget(folder: Path) -> None:
+    """Remove the states of old runs but for the last; of one that goes on the file would come back in seconds.
+
+    Machines' clocks differ, so ages are differences between files, which one server dates.
+    """
+    found = []
+    for file in folder.glob("*.json"):
+        with contextlib.suppress(OSError):  # another machine forgets too
+            found.append((file.stat().st_mtime, file))
+    found.sort()
+    for heard, file in found[:-_KEPT]:
+        with contextlib.suppress(OSError, *_BROKEN):
+            running = State.read(file.read_text(encoding="utf-8")).state == RUNNING
+            if running and found[-1][0] - heard < _FORGOTTEN:
+                continue
+        with contextlib.suppress(OSError):
+            file.unlink(missing_ok=True)
 
 
 def memory(pid: int) -> int:
@@ -176,8 +215,8 @@ def read(path: Path) -> dict[str, Any]:
     done = sum((path / pose.file).is_file() for pose in dataset.poses)
     runs = []
     for file in sorted((path / RUNS).glob("*.json")):
-        with contextlib.suppress(OSError, ValueError, TypeError):
-            state = State(**json.loads(file.read_text(encoding="utf-8")))
+        with contextlib.suppress(OSError, *_BROKEN):
+            state = State.read(file.read_text(encoding="utf-8"))
             heard = max(0.0, time.time() - file.stat().st_mtime)
             if state.state == RUNNING and not _alive(state, heard):
                 state.state = "lost"

@@ -109,6 +109,8 @@ def _add_mesh(pieces: dict[str, Callable[[], None]], obj: bpy.types.Object, *, t
         return
     evaluated = obj.evaluated_get(bpy.context.evaluated_depsgraph_get())
     mesh = evaluated.to_mesh()
+    if mesh is None:  # its modifiers leave only curves, points or a volume
+        return
     faces, curved = len(mesh.polygons), extract.is_smooth(mesh)
     evaluated.to_mesh_clear()
     if curved:

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import json
 import math
+import re
 import tomllib
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass, field, fields, is_dataclass, replace
@@ -504,6 +505,7 @@ def from_dict(cls: type, data: Mapping[str, Any], where: str = "") -> Any:
     NlosError
         A field is unknown, missing or of the wrong type; the message names it with its dotted path.
     """
+    _check(isinstance(data, Mapping), f"{where.rstrip('. ') or 'scene'}: must be a table")
     hints = get_type_hints(cls)
     known = {f.name for f in fields(cls)}
     for key in data:
@@ -603,6 +605,10 @@ def merge(base: dict[str, Any], over: Mapping[str, Any]) -> dict[str, Any]:
     return merged
 
 
+_DEEP = re.compile(r"""(?<![\w-])(?:(?:[\w-]++|"[^"\n]*+"|'[^'\n]*+')[ \t]*+\.[ \t]*+){50}""")
+"""A key of more parts than any of ours: what tomllib remembers of one grows with their square, to gigabytes."""
+
+
 def read_toml(path: Path) -> dict[str, Any]:
     """Read a TOML file.
 
@@ -612,10 +618,13 @@ def read_toml(path: Path) -> dict[str, Any]:
         The file is missing or is not TOML.
     """
     try:
-        return tomllib.loads(path.read_text(encoding="utf-8"))
+        text = path.read_text(encoding="utf-8")
+        if _DEEP.search(text):
+            raise ValueError("a key in it has too many parts")
+        return tomllib.loads(text)
     except OSError as error:
         raise NlosError(f"{path}: cannot be read ({error.strerror})") from None
-    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
+    except (ValueError, RecursionError) as error:
         raise NlosError(f"{path}: is not a TOML file ({error})") from None
 
 

@@ -11,7 +11,7 @@ import contextlib
 import math
 import os
 import sys
-from collections.abc import Iterator
+from collections.abc import Collection, Iterator
 from pathlib import Path
 from typing import Any
 
@@ -22,7 +22,7 @@ import bmesh  # exists only once bpy is imported
 import numpy as np
 from mathutils import Euler, Matrix, Quaternion, Vector
 
-from generator import spec
+from generator import links, meshes, spec
 from generator.spec import Array, NlosError
 
 ROLE = "nlos_role"
@@ -89,16 +89,23 @@ class Overrides:
                 setattr(owner, name, value)
 
 
-def open_file(path: Path) -> bpy.types.Scene:
+def open_file(path: Path, known: Collection[Path] = ()) -> bpy.types.Scene:
     """Open a ``.blend``, running none of the scripts stored in it, and return its active scene.
+
+    Parameters
+    ----------
+    path : Path
+    known : collection of Path
+        Files outside its folder that it may refer to.
 
     Raises
     ------
     NlosError
-        There is no such file, or Blender cannot read it.
+        There is no such file, Blender cannot read it, or it refers to files elsewhere (`links.refuse`).
     """
     if not path.is_file():
         raise NlosError(f"{path}: no such scene file")
+    links.refuse(path, known)
     try:
         with quiet():
             bpy.ops.wm.open_mainfile(filepath=str(path), load_ui=False, use_scripts=False)
@@ -397,6 +404,8 @@ def _vertices(evaluated: bpy.types.Object) -> Array:
     try:
         mesh = evaluated.to_mesh()
     except RuntimeError:  # lamps, empties and the like
+        mesh = None
+    if mesh is None:  # or a mesh whose modifiers leave only curves, points or a volume
         return np.empty((0, 3))
     vertices = np.empty(3 * len(mesh.vertices), dtype=np.float32)
     mesh.vertices.foreach_get("co", vertices)
@@ -709,8 +718,9 @@ def _import_mesh(wanted: spec.Target) -> bpy.types.Object:
     importers = {".obj": bpy.ops.wm.obj_import, ".ply": bpy.ops.wm.ply_import, ".stl": bpy.ops.wm.stl_import}
     before = set(bpy.data.objects)
     try:
-        importers[path.suffix.lower()](filepath=str(path.absolute()))
-    except (RuntimeError, KeyError):
+        with meshes.importable(path) as sound:
+            importers[path.suffix.lower()](filepath=str(sound.absolute()))
+    except (OSError, RuntimeError, KeyError):
         raise NlosError(f"target.mesh: {path} is not a mesh file Blender can read (.obj, .ply, .stl)") from None
     shape = bmesh.new()
     for obj in [o for o in bpy.data.objects if o not in before]:

@@ -21,7 +21,7 @@ from pathlib import Path
 from typing import Any, Protocol
 
 from generator import journal as journals
-from generator import spec
+from generator import links, spec
 from generator.dataset import SCENE, Dataset, check_free, scene_hash
 from generator.spec import NlosError, Sweep
 
@@ -188,7 +188,8 @@ def _crew(dataset: Dataset, shard: tuple[int, int], progress: Progress, **option
             with journals.Journal(dataset.path, shard, crew.look) as journal:
                 yield crew
         finally:
-            dataset.gather()
+            mine = range(shard[0], dataset.planned, shard[1])
+            gather(dataset, shard, [position for position in mine if not dataset.poses[position].done])
 
 
 def available_cores() -> int:
@@ -237,13 +238,17 @@ class _Made(Protocol):
     """A set on disk that knows what it was made with."""
 
     path: Path
+    meta: dict[str, Any]
 
     @property
     def settings(self) -> dict[str, Any]: ...
 
 
 def check_same(dataset: _Made, scene: Path, chosen: Mapping[str, Any]) -> None:
-    """Raise NlosError, naming each difference, if a data set was made from another scene or with other settings."""
+    """Raise NlosError, naming each difference, if a data set was made from another scene or with other settings.
+
+    Or if files that its scene refers to have changed, or may not be read (`links.check`).
+    """
     own = {"device": Sweep.device, "denoise": Sweep.denoise, **dataset.settings}  # older sets knew of no other
     width, height = own["resolution"]
     differences = []
@@ -267,6 +272,7 @@ def check_same(dataset: _Made, scene: Path, chosen: Mapping[str, Any]) -> None:
             f"{dataset.path}: holds a sweep with other settings: {'; '.join(differences)}; "
             "use the same settings or another folder"
         )
+    links.check(dataset.meta.get("links", {}), dataset.path, scene)
 
 
 def pending_positions(dataset: Dataset, shard: tuple[int, int] = (0, 1)) -> list[int]:
@@ -274,8 +280,16 @@ def pending_positions(dataset: Dataset, shard: tuple[int, int] = (0, 1)) -> list
     index, count = shard
     if not 0 <= index < count:
         raise NlosError(f"--shard {index}/{count}: must be i/n with i from 0 to n - 1")
-    dataset.gather()
-    return [i for i, pose in enumerate(dataset.poses) if i % count == index and not pose.done]
+    return gather(dataset, shard, range(index, dataset.planned, count))
+
+
+def gather(dataset: Dataset, shard: tuple[int, int], own: Sequence[int]) -> list[int]:
+    """Bring a manifest up to date, and return which of the share's own poses are still to be rendered.
+
+    A share looks at its own pictures: were each to look at all, a thousand shares would read each a thousand times.
+    """
+    dataset.gather(own if shard[1] > 1 else None)
+    return [position for position in own if not dataset.poses[position].done]
 
 
 def batch_size(dataset: Dataset) -> int:
@@ -479,8 +493,8 @@ class Crew:
         threading.Thread(target=self._watch, daemon=True).start()
         self._log.info("%d units to do by %d workers", len(units), crew)
         try:
-            if first:
-                with self._start(cores) as worker:
+            if first and (worker := self._start(cores)):
+                with worker:
                     worker.begin(first)
                     if worker.answer() is None and not self._stopped.is_set():
                         raise NlosError(f"{first} could not be rendered: {worker.last_words()}")
@@ -493,8 +507,8 @@ class Crew:
         finally:
             self._stopped.set()
             with self._lock:
-                for worker in self._workers:
-                    worker.stop()
+                for each in self._workers:
+                    each.stop()
             self._log.info("%d of %d done, %d failed", self._done, self._total, len(self.failed))
         if self._error:
             raise self._error
@@ -524,13 +538,14 @@ class Crew:
             for worker in self._workers:
                 worker.kill()
 
-    def _start(self, threads: int) -> Worker:
+    def _start(self, threads: int) -> Worker | None:
+        """Start a worker, unless all are stopped: nobody would stop one that comes after."""
         with self._lock:
+            if self._stopped.is_set():
+                return None
             worker = Worker(self._command(threads), self._launch)
             self._workers.add(worker)
             self._log.info("worker %d begins", worker.pid)
-            if self._stopped.is_set():
-                worker.kill()
         return worker
 
     def _feed(self, threads: int) -> None:
@@ -542,6 +557,8 @@ class Crew:
                 except queue.Empty:
                     break
                 worker = worker or self._start(threads)
+                if worker is None:
+                    break
                 begun = time.monotonic()
                 worker.begin(", ".join(map(self._name, batch)))
                 if self._do(worker, batch):

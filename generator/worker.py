@@ -21,7 +21,7 @@ from typing import TYPE_CHECKING, Any
 import bpy
 import numpy as np
 
-from generator import check, engines, experiments, poses, rehearsal, simplify, spec, stage
+from generator import check, engines, experiments, links, poses, rehearsal, simplify, spec, stage
 from generator.clearance import clearance
 from generator.dataset import (
     BACKGROUND_AMBIENT,
@@ -62,9 +62,11 @@ def plan(scene: bpy.types.Scene, source: Path, path: Path, chosen: Mapping[str, 
     Raises
     ------
     NlosError
-        The scene lacks a role, the engine cannot honour it, the target fits nowhere, or nothing can be written.
+        The scene lacks a role, the engine cannot honour it, the target fits nowhere, or nothing can be written; or
+        it refers to files elsewhere.
     """
     check_free(path)
+    linked = links.recorded(links.refuse(source), path)
     described = stage.read(scene)
     engines.refuse_hidden(scene)
     sweep, reasons = settled(scene, described, chosen)
@@ -86,6 +88,7 @@ def plan(scene: bpy.types.Scene, source: Path, path: Path, chosen: Mapping[str, 
         "reference_radiance": described.reference_radiance,
         "scene": spec.to_dict(described),
         "extra_objects": stage.others(scene),
+        **({"links": linked} if linked else {}),
         "software": {"nlos-lab": version(), "blender": bpy.app.version_string, "numpy": np.__version__},
     }
     dataset = Dataset.create(path, meta, records)
@@ -137,6 +140,11 @@ def check_blender(dataset: Dataset | Bulk) -> None:
             f"{dataset.path}: was begun with Blender {planned}, and this is {bpy.app.version_string}, which may "
             "render other pixels; go on with the same version"
         )
+
+
+def open_scene(dataset: Dataset | Bulk) -> bpy.types.Scene:
+    """Open the scene that a data set keeps; it may refer to the files that the set remembers, and to no others."""
+    return stage.open_file(dataset.path / SCENE, links.of_dataset(dataset.meta.get("links", {}), dataset.path))
 
 
 def render(
@@ -278,7 +286,7 @@ def main(argv: list[str]) -> int:
         else:
             dataset = Dataset.open(Path(argv[1]))
             check_blender(dataset)
-            scene = stage.open_file(dataset.path / SCENE)
+            scene = open_scene(dataset)
             render(
                 scene,
                 dataset,

@@ -121,3 +121,59 @@ def test_workers_that_all_die_at_once_end_the_run(tmp_path):
     one, _ = crew(tmp_path, "import sys; sys.exit('no memory')")
     with pytest.raises(NlosError, match="50 workers in a row ended before one picture was done: no memory"):
         one.work(range(200), 2)
+
+
+def test_old_runs_are_forgotten_and_running_ones_are_not(tmp_path, tiny_dataset):
+    path = tmp_path / "set"
+    shutil.copytree(tiny_dataset, path)
+    folder = path / journal.RUNS
+    old = {"gone": journal.ENDED, "silent": journal.RUNNING, "at-work": journal.RUNNING}
+    now = time.time()
+    for name in (*old, *(f"later-{k}" for k in range(journal._KEPT))):
+        state = journal.State(name, 1, state=old.get(name, journal.ENDED))
+        (folder / f"{name}-1.json").write_text(json.dumps(vars(state)))
+        age = {"gone": 900.0, "silent": 2 * journal._FORGOTTEN, "at-work": 600.0}.get(name, 0.0)
+        os.utime(folder / f"{name}-1.json", (now - age, now - age))
+    (folder / "nonsense.json").write_text("[")
+    os.utime(folder / "nonsense.json", (1.0, 1.0))
+    with journal.Journal(path, (0, 1), lambda: ([], [])):
+        pass
+    left = {file.name for file in folder.iterdir()}
+    assert "at-work-1.json" in left
+    assert not {"gone-1.json", "silent-1.json", "nonsense.json"} & left
+    assert len(left) == journal._KEPT + 1
+
+
+@pytest.mark.parametrize(
+    "spoil",
+    [
+        {"failed": 3},
+        {"failed": [["A"]]},
+        {"seconds": float("nan")},
+        {"seconds": {}},
+        {"total": 10**400},
+        {"workers": 7},
+        {"workers": [{"pid": 1}]},
+        {"host": []},
+    ],
+)
+def test_nonsense_about_a_run_is_no_run(tmp_path, tiny_dataset, spoil):
+    path = tmp_path / "set"
+    shutil.copytree(tiny_dataset, path)
+    before = len(journal.read(path)["runs"])
+    state = {**vars(journal.State("host", 1, done=1, total=2, seconds=1.0)), **spoil}
+    (path / journal.RUNS / "host-1.json").write_text(json.dumps(state))
+    (path / journal.RUNS / "host-2.json").write_text("[" * 100_000)
+    found = journal.read(path)
+    assert len(found["runs"]) == before
+    assert journal.words(found)
+
+
+def test_no_worker_comes_after_all_are_stopped(monkeypatch):
+    made = []
+    monkeypatch.setattr(sweep, "Worker", lambda *_: made.append(1))
+    crew = sweep.Crew(lambda threads: [], str, lambda done, total: None)
+    crew._stopped.set()
+    assert crew._start(1) is None
+    crew.work([1, 2], 2, first="the background")
+    assert not made

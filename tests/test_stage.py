@@ -358,3 +358,44 @@ def test_a_machine_without_a_gpu_says_so_and_one_with_it_renders_the_same_radian
             means.append(renderer.render(samples=256, seed=3).astype(np.float64).mean())
     # The same random numbers, but rounding may send a ray another way.
     assert means[1] == pytest.approx(means[0], rel=1e-2)
+
+
+def test_a_mesh_whose_modifiers_leave_only_curves_has_no_surface(scene_file):
+    """Blender gives no mesh at all of it."""
+    from generator import check, clearance, simplify
+
+    scene = stage.open_file(scene_file)
+    tree = bpy.data.node_groups.new("curves", "GeometryNodeTree")
+    tree.interface.new_socket("Geometry", in_out="OUTPUT", socket_type="NodeSocketGeometry")
+    line, output = tree.nodes.new("GeometryNodeCurvePrimitiveLine"), tree.nodes.new("NodeGroupOutput")
+    tree.links.new(line.outputs[0], output.inputs[0])
+    obj = bpy.data.objects.new("Wire", bpy.data.meshes.new("Wire"))
+    scene.collection.objects.link(obj)
+    obj.modifiers.new("curves", "NODES").node_group = tree
+    bpy.context.view_layer.update()
+    assert stage.evaluated_vertices(obj).shape == (0, 3)
+    assert clearance.clearance(scene, stage.read(scene), engine="path")
+    assert simplify.found(scene)
+    assert check.findings(scene, engine="path")
+
+
+def test_a_ply_that_claims_what_it_cannot_hold_is_refused(tmp_path):
+    """Blender's importer would make room for 24 GB, or end the process."""
+    path = tmp_path / "claim.ply"
+    path.write_text(
+        "ply\nformat ascii 1.0\nelement vertex 2000000000\nproperty float x\nproperty float y\nproperty float z\n"
+        "element face 1\nproperty list uchar int vertex_indices\nend_header\n0 0 0\n1 0 0\n0 1 0\n3 0 1 2\n"
+    )
+    with pytest.raises(NlosError, match=r"claim\.ply claims 2000000000 elements in"):
+        stage._import_mesh(spec.Target(kind="mesh", size=0.0, albedo=0.5, mesh=str(path)))
+
+
+def test_an_obj_leads_nowhere_else(tmp_path):
+    """Its material library, and the textures that this names, may be any files of the machine."""
+    (tmp_path / "any.mtl").write_text(f"newmtl x\nmap_Kd {tmp_path / 'any.png'}\n")
+    text = f"mtllib {tmp_path / 'any.mtl'}\n  mtllib any.mtl\nv 0 0 0\nv 1 0 0\nv 0 1 0\nusemtl x\nf 1 2 3\n"
+    (tmp_path / "m.obj").write_text(text)
+    before = len(bpy.data.images)
+    made = stage._import_mesh(spec.Target(kind="mesh", size=0.0, albedo=0.5, mesh=str(tmp_path / "m.obj")))
+    assert len(made.data.polygons) == 1
+    assert len(bpy.data.images) == before

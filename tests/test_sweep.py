@@ -14,6 +14,7 @@ import numpy as np
 import pytest
 from conftest import ROOT, TINY
 
+from generator import sweep
 from generator.dataset import Dataset, read_picture
 
 SLOW = ("--poses", "2", "--samples", "48", "--resolution", "24")
@@ -379,3 +380,30 @@ def test_help_is_there(command, arguments):
     result = command("generator", *arguments)
     assert result.returncode == 0
     assert "usage: nlos-generate" in result.stdout
+
+
+def test_a_share_reads_its_own_pictures_and_the_last_leaves_the_manifest_whole(tmp_path, tiny_dataset, monkeypatch):
+    """A thousand shares that all read everything would read a million pictures a thousand times."""
+    path = tmp_path / "set"
+    shutil.copytree(tiny_dataset, path)
+    looked = []
+    inspect = Dataset.inspect
+    monkeypatch.setattr(Dataset, "inspect", lambda self, pose: looked.append(pose.file) or inspect(self, pose))
+    dataset = Dataset.open(path)
+    own = [pose.file for pose in dataset.poses[1::3]]
+    assert sweep.pending_positions(dataset, (1, 3)) == []
+    assert looked == own, "what others have gathered is believed"
+    (path / own[0]).write_bytes(b"torn")
+    assert sweep.pending_positions(Dataset.open(path), (1, 3)) == [1], "but its own pictures are not"
+    assert not Dataset.open(path).poses[1].done
+
+    late, early = Dataset.open(path), Dataset.open(path)
+    shutil.copy(tiny_dataset / own[0], path / own[0])
+    looked.clear()
+    assert sweep.gather(early, (1, 3), [1]) == []
+    assert looked == [own[0]]
+    # One that ends at the same time overwrites the manifest by what it knew; whoever ends last mends that.
+    late.write_manifest()
+    assert not Dataset.open(path).poses[1].done
+    assert sweep.gather(Dataset.open(path), (2, 3), []) == []
+    assert Dataset.open(path).poses == Dataset.open(tiny_dataset).poses

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import hashlib
-import zipfile
 from dataclasses import fields, is_dataclass
 from pathlib import Path
 from typing import Any, get_args, get_origin, get_type_hints
@@ -11,9 +10,10 @@ from typing import Any, get_args, get_origin, get_type_hints
 import numpy as np
 from numpy.typing import NDArray
 
+from generator.bombs import check_archive
 from generator.dataset import atomic
 from generator.spec import NlosError
-from generator.transport.world import World
+from generator.transport.world import Mesh, World
 
 Arrays = dict[str, NDArray[Any]]
 
@@ -41,14 +41,37 @@ def load_world(path: Path) -> World:
         The file is missing, or is not a world of this software.
     """
     try:
+        check_archive(path)
         with path.open("rb") as raw, np.load(raw, allow_pickle=False) as file:
             arrays = {name: file[name] for name in file.files}
         world: World = _unflatten(World, arrays, "")
+        _check(world)
     except FileNotFoundError:
         raise NlosError(f"{path}: no such file") from None
-    except (OSError, ValueError, KeyError, TypeError, EOFError, zipfile.BadZipFile) as error:
+    except Exception as error:  # of many kinds: the archive's, of what is in it, and of the text in its headers
         raise NlosError(f"{path}: is not a world of this software ({error})") from None
     return world
+
+
+_SHAPES = {"to_wall": (4, 3), "eye": (4,), "triangles": (-1, 3, 3)}
+"""Of arrays that are no vector or colour; -1 is any."""
+
+
+def _check(world: World) -> None:
+    """Raise ValueError unless all arrays are what compiled code takes them for: it reads on where they end."""
+    for body in (world.patch, world.watched, *world.target, *world.room):
+        for part in fields(body):
+            value = getattr(body, part.name)
+            if part.name == "resolution" or isinstance(value, float):
+                continue
+            wanted = (-1, 3) if isinstance(body, Mesh) and part.name == "albedo" else _SHAPES.get(part.name, (3,))
+            shape = value.shape if isinstance(value, np.ndarray) and value.dtype.kind == "f" else ()
+            if len(shape) != len(wanted) or any(w not in (-1, n) for n, w in zip(shape, wanted, strict=True)):
+                raise ValueError(f"{part.name} must be numbers of shape {wanted}")
+            if not np.isfinite(value).all():
+                raise ValueError(f"{part.name} must be finite")
+    if not 1 <= world.order <= 3 or not all(1 <= n <= 65536 for n in world.watched.resolution):
+        raise ValueError("its order or resolution cannot be")
 
 
 def world_hash(world: World) -> str:

@@ -1,0 +1,75 @@
+"""What looking costs: shares that begin and end one after the other, each looking at its own pictures or at all.
+
+Run: ``python benchmarks/shares.py [--pictures 5000] [--shares 10]``. Nothing is rendered: the pictures are 16 x 16,
+of noise, and put in place between a share's beginning and its end. Prints the pictures that were read, and seconds.
+"""
+
+from __future__ import annotations
+
+import argparse
+import tempfile
+import time
+from collections.abc import Callable, Sequence
+from pathlib import Path
+
+import numpy as np
+
+from generator import poses, spec, sweep
+from generator.dataset import BACKGROUND, Dataset
+
+
+def all_of_them(dataset: Dataset, shard: tuple[int, int], own: Sequence[int]) -> None:
+    """Look at every picture, as every share did once."""
+    dataset.gather()
+
+
+def run(
+    folder: Path, pictures: int, shares: int, look: Callable[[Dataset, tuple[int, int], Sequence[int]], object]
+) -> str:
+    """Let every share begin, put its pictures in place, and let it end."""
+    scene = spec.preset("room")
+    settings = spec.Sweep(poses=-(-pictures // scene.grid.n_voxels), resolution=(16, 16), inside="centre")
+    meta = {"sweep": spec.to_dict(settings), "scene": spec.to_dict(scene), "reference_radiance": 1.0, "software": {}}
+    made = Dataset.create(folder, meta, poses.plan(scene.grid, settings, np.zeros((1, 3))))
+    pixels = np.random.default_rng(0).random((16, 16, 3)).astype(np.float32)
+    made.write_background(BACKGROUND, pixels, seed=0, samples=1)
+    read, seconds = 0, 0.0
+    inspect = Dataset.inspect
+
+    def counted(self: Dataset, pose: object) -> object:
+        nonlocal read
+        read += (self.path / pose.file).exists()
+        return inspect(self, pose)
+
+    Dataset.inspect = counted
+    try:
+        for k in range(shares):
+            dataset = Dataset.open(folder)
+            own = range(k, dataset.planned, shares)
+            begun = time.perf_counter()
+            look(dataset, (k, shares), own)
+            seconds += time.perf_counter() - begun
+            for position in own:
+                dataset.write_pose(dataset.poses[position], pixels, seconds=1.0, samples=1)
+            begun = time.perf_counter()
+            look(dataset, (k, shares), own)
+            seconds += time.perf_counter() - begun
+    finally:
+        Dataset.inspect = inspect
+    assert len(Dataset.open(folder).records) == made.planned
+    return f"{made.planned} pictures, {shares} shares: {read} read, {seconds:.1f} s"
+
+
+def main() -> None:
+    """Look both ways."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--pictures", type=int, default=5000)
+    parser.add_argument("--shares", type=int, default=10)
+    options = parser.parse_args()
+    for name, look in {"all": all_of_them, "its own": sweep.gather}.items():
+        with tempfile.TemporaryDirectory() as folder:
+            print(f"{name}: {run(Path(folder) / 'set', options.pictures, options.shares, look)}", flush=True)
+
+
+if __name__ == "__main__":
+    main()
