@@ -13,9 +13,10 @@ import numpy as np
 from generator import budget, effects, extract, poses, probing, simplify, stage, worker
 from generator.clearance import clearance
 from generator.dataset import PoseRecord
+from generator.intervals import relative
 from generator.plans import POSES, Effect, Plan
 from generator.spec import NlosError, Sweep
-from generator.transport import World, partial
+from generator.transport import Transport, World, partial
 
 _REFERENCE = 1 / 10
 """Accuracy of the engine that effects are measured with, in units of the tolerance."""
@@ -25,6 +26,10 @@ _COARSEST = 0.1
 _ORDERS = (4, 5)
 _NOTHING = Effect("nothing", (0.0, 0.0, 0.0))
 _PIXEL_BYTES = 12
+_SKY = 0.01
+"""Accuracy of the lamp's light, beside ambient light."""
+_SMALL = (16, 16)
+"""Pixels that tell of ambient light, which has no detail."""
 
 
 def make(
@@ -72,10 +77,14 @@ def make(
     described = stage.read(scene)
     pieces = simplify.found(scene)
     _, reasons = extract.world(scene)
-    engine = _cycles_engine(scene)
+    engine, order = _cycles_engine(scene), stage.reflection_order(scene)
     planned = _planned(scene, described, engine, max(count, probing.ROUNDS[1]), seed)
     fine = [piece for piece in pieces if piece.startswith(simplify.FINE)]  # costs Cycles nothing
     others = [piece for piece in pieces if piece not in fine]
+    some = sorted((p for p in planned if p.index < count), key=lambda p: (p.index, p.voxel))
+    sky = _ambient(source, some) if simplify.AMBIENT in others else None
+    if sky is not None:
+        others.remove(simplify.AMBIENT)
     found = [Effect(name, (math.nan, 0.0, math.inf)) for name in others]
     dropped: list[str] = []
     words: list[str] = []
@@ -83,7 +92,7 @@ def make(
     if engine == "path":
         words.append(f"only path can render this scene, too noisily to measure anything by: {'; '.join(reasons)}")
     elif most > 0.0:
-        orders = [order for order in _ORDERS if order > stage.reflection_order(scene) >= extract.MAX_ORDER]
+        orders = [more for more in _ORDERS if more > order >= extract.MAX_ORDER]
         rounds = [[p for p in planned if p.index == k] for k in range(probing.ROUNDS[1])]
         probe = probing.Probe(source, engine, rounds, described.resolution[0] / described.resolution[1])
         tell(f"rendering {len(others) + len(orders)} effects that only Cycles models, for up to {most:.0f} s")
@@ -92,7 +101,12 @@ def make(
         dropped, spent = _droppable(probe, found, tolerance)
         names = map(probing.order_name, orders)
         found += [Effect(name, shares[name], note="not in the scene") for name in names]
-        if dropped and not set(others) - set(dropped):
+        if sky is not None:
+            found.append(sky)
+            both = _joined(spent, sky)
+            if both.share[2] <= tolerance:
+                dropped, spent = [*dropped, sky.name], both
+        if dropped and not {*others, *([sky.name] if sky else [])} - set(dropped):
             _, reasons = _simplified(source, dropped)
     if reasons:
         if engine != "path" and most > 0.0:
@@ -102,15 +116,37 @@ def make(
         plan = Plan(_sorted(found), dropped, spent, {"engine": engine}, tolerance, words)
     else:
         left = tolerance - spent.share[2]
-        some = sorted((p for p in planned if p.index < count), key=lambda p: (p.index, p.voxel))
         exact, more, together, accuracy = _exact(source, dropped, fine, some, left, tell)
-        both = (math.hypot(a, b) for a, b in zip(together.share, spent.share, strict=True))
-        together = replace(together, share=(next(both), next(both), next(both)))
+        together = _joined(together, spent)
         settings = {"engine": "surfel", "accuracy": accuracy}
         plan = Plan(_sorted([*found, *exact]), [*dropped, *more], together, settings, tolerance, words)
     if not predict:
         return plan
     return _predicted(source, plan, described.grid.n_voxels, described.resolution, workers, tell)
+
+
+def _joined(one: Effect, other: Effect) -> Effect:
+    """Two errors that have nothing to do with each other."""
+    low, value, high = (math.hypot(one.share[k], other.share[k]) for k in (1, 0, 2))
+    return replace(one, share=(value, low, high))
+
+
+def _ambient(source: Path, some: Sequence[PoseRecord]) -> Effect | None:
+    """What ambient light contributes, as the engine follows it, if it knows all the rest of a scene.
+
+    Cycles' noise of a sky that every ray may find would hide it; and a few per cent of it decide on nothing.
+    """
+    world, _ = extract.world(stage.open_file(source), ambient=True)
+    if world is None or world.ambient is None:
+        return None
+    engine = Transport(world.seen_by(*_SMALL), accuracy=_SKY)
+    dark = Transport(replace(world, ambient=None).seen_by(*_SMALL), accuracy=_SKY)
+    whole, lamp = (
+        np.array([e.difference(p.position, p.rotation).mean(axis=2) for p in some]) for e in (engine, dark)
+    )
+    rounds = 1 + max(pose.index for pose in some)
+    error, signal = (((x**2).mean(axis=(1, 2))).reshape(rounds, -1) for x in (whole - lamp, whole))
+    return Effect(simplify.AMBIENT, relative(error, signal))
 
 
 def _exact(

@@ -24,6 +24,8 @@ ROUNDS = (4, 48)
 DENOISED = 64
 """Samples that the denoiser is measured with; its pictures are of full size, for detail is what it takes."""
 DENOISER = f"the denoiser, at {DENOISED} samples"
+_SPREAD = 3
+"""Every so many voxels it is measured in."""
 SURE = 0.4
 """Of an effect that is to be known and not decided on: its interval is no wider than this, relative to it."""
 
@@ -115,7 +117,7 @@ class Probe:
         width = max(1, round(PIXELS * min(1.0, self.aspect)))
         height = max(1, round(PIXELS * min(1.0, 1.0 / self.aspect)))
         engine = self.engine if lit is None else "path"
-        self._made[key] = self._rendered(scene, engine, (width, height), SAMPLES, number, twin)
+        self._made[key] = self._rendered(scene, engine, (width, height), SAMPLES, self.rounds[number], twin)
         return self._made[key]
 
     def _rendered(
@@ -124,14 +126,14 @@ class Probe:
         engine: str,
         resolution: tuple[int, int],
         samples: int,
-        number: int,
+        poses: Sequence[PoseRecord],
         twin: int,
         denoise: bool = False,
     ) -> Array:
-        """Difference pictures (n, pixels) of an open scene at a round's poses."""
+        """Difference pictures (n, pixels) of an open scene at poses."""
         made = []
         with engines.opened(scene, engine, resolution=resolution, denoise=denoise) as renderer:
-            for pose in self.rounds[number]:
+            for pose in poses:
                 stage.move_target(scene, pose.position, pose.rotation)
                 seed = (pose.seed + 7919 * twin) % 2**31
                 seen, empty = (
@@ -142,10 +144,11 @@ class Probe:
         return np.array(made)
 
     def denoised(self, resolution: tuple[int, int], number: int) -> tuple[Array, Array]:
-        """Return what the denoiser changes of a round's pictures, and the pictures, in two noises, (2, n, pixels)."""
+        """Return what the denoiser changes of some of a round's pictures, and these, in two noises, (2, n, pixels)."""
         scene = stage.open_file(self.source)
+        some = self.rounds[number][::_SPREAD]
         plain, smooth = (
-            np.array([self._rendered(scene, self.engine, resolution, DENOISED, number, k, on) for k in range(2)])
+            np.array([self._rendered(scene, self.engine, resolution, DENOISED, some, k, on) for k in range(2)])
             for on in (False, True)
         )
         return smooth - plain, plain

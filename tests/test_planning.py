@@ -193,7 +193,7 @@ def test_the_denoiser_is_wrong_in_the_mean_and_its_noise_is_not_counted(tmp_path
     stage.save_file(path)
     described = stage.read(scene)
     planned = planning._planned(scene, described, "patch", probing.ROUNDS[0], 0)
-    rounds = [[p for p in planned if p.index == k][::3] for k in range(probing.ROUNDS[0])]
+    rounds = [[p for p in planned if p.index == k] for k in range(probing.ROUNDS[0])]
     probe = probing.Probe(path, "patch", rounds)
     value, low, high = probing.denoiser_bias(probe, (24, 24), most=1.0)
     error, plain = probe.denoised((24, 24), 0)
