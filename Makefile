@@ -5,7 +5,7 @@
 # make slurm   a sweep as jobs of a real Slurm, which is installed on this machine; needs root
 # make results the full run behind docs/results.md, about an hour on 2 cores
 
-# The bpy wheel pinned in constraints.txt is built for one Python version only.
+# Each bpy wheel is built for one Python version only; constraints.txt pins one for 3.11 and one for 3.13.
 PYTHON ?= python3.11
 BIN := .venv/bin
 READY := .venv/ready
@@ -20,7 +20,7 @@ $(READY): pyproject.toml constraints.txt
 	  echo "error: $(PYTHON) is missing; install it with: apt-get install python3.11 python3.11-venv" \
 	       "(or name one: make PYTHON=/path/to/python3.11 ...)"; exit 2; }
 	$(PYTHON) -m venv .venv
-	$(BIN)/python -m pip install --quiet --disable-pip-version-check -c constraints.txt setuptools
+	$(BIN)/python -m pip install --quiet --disable-pip-version-check -c constraints.txt hatchling
 	$(BIN)/python -m pip install --quiet --disable-pip-version-check -c constraints.txt \
 	  --no-build-isolation -e ".[bpy,test]"
 	@$(BIN)/python -c "import bpy" || { \
