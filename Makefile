@@ -1,6 +1,8 @@
 # make demo    sets up .venv and runs the whole chain on real renders, in a few minutes after the set-up
 # make test    sets up .venv and runs the tests
 # make lint    ruff, mypy, and the check of the Blender extension
+# make package sdist, wheel, extension and the bill of materials of .venv, into dist
+# make matrix  builds that twice, installs and uses it under each Python and bpy, half an hour; needs Python 3.13 or root
 # make gui     the extension in real windows of Blender 4.3 and 5.2; needs root and debootstrap
 # make slurm   a sweep as jobs of a real Slurm, which is installed on this machine; needs root
 # make results the full run behind docs/results.md, about an hour on 2 cores
@@ -11,7 +13,7 @@ BIN := .venv/bin
 READY := .venv/ready
 DEMO := demo
 
-.PHONY: demo test lint setup extension gui slurm results clean
+.PHONY: demo test lint setup extension package matrix gui slurm results clean
 
 setup: $(READY)
 
@@ -43,6 +45,14 @@ lint: $(READY)
 
 extension: $(READY)
 	$(BIN)/python -m blender_addon.build -o dist
+
+package: $(READY)
+	SOURCE_DATE_EPOCH=$$(git log -1 --format=%ct) $(BIN)/python -m hatchling build -d dist
+	$(BIN)/python -m blender_addon.build -o dist
+	$(BIN)/python -m blender_addon.sbom -o dist/environment.cdx.json
+
+matrix: $(READY)
+	$(BIN)/python tests/matrix/run.py -o dist/matrix
 
 gui: $(READY)
 	$(BIN)/python tests/gui/run.py -o dist/gui
