@@ -32,6 +32,7 @@ import places
 from packaging.requirements import Requirement
 
 from blender_addon import sbom
+from generator.spec import NlosError
 
 HERE = Path(__file__).resolve().parent
 ROOT = HERE.parents[1]
@@ -43,7 +44,7 @@ from pathlib import Path
 from cyclonedx.schema import SchemaVersion
 from cyclonedx.validation.json import JsonStrictValidator
 faults = {path: JsonStrictValidator(SchemaVersion.V1_6).validate_str(Path(path).read_text()) for path in sys.argv[1:]}
-sys.exit("; ".join(f"{path}: {fault}" for path, fault in faults.items() if fault))
+sys.exit("; ".join(f"{path}: {fault}" for path, fault in faults.items() if fault) or 0)
 """
 
 
@@ -158,11 +159,10 @@ class Matrix:
                 raise places.AbsentError("there is no wheel")
             if not row.blender and not self.rendered:
                 raise places.AbsentError("no row has rendered anything to train on")
-            wheels = self._wheels(row.python, pins, log)
             folder = self._new(f"rows/{row.name}")
             named = self.arguments.python.get(row.python)
             with places.place(row.python, named, folder, self.arguments.root, log) as place:
-                run = chain.Run(place, log, did)
+                run, wheels = chain.Run(place, log, did), self._wheels(row.python, pins, log)
                 try:
                     chain.install(run, self.made["wheel"], wheels, pins, bpy)
                     if row.blender:
@@ -186,7 +186,10 @@ class Matrix:
         """Compare what two rows have rendered."""
         if lacking := [row.name for row in (one, other) if row not in self.rendered]:
             raise places.AbsentError(f"{' and '.join(lacking)} rendered nothing")
-        good, words = pictures.compared(self.rendered[one] / engine, self.rendered[other] / engine, engine)
+        try:
+            good, words = pictures.compared(self.rendered[one] / engine, self.rendered[other] / engine, engine)
+        except NlosError as error:
+            raise FailedError(str(error)) from None
         if not good:
             raise FailedError(words)
         return f": {words}"
@@ -244,7 +247,7 @@ def pinned(python: str, bpy: str | None = None) -> Iterator[str]:
                 yield f"bpy=={bpy}" if bpy and pin.name == "bpy" else f"{pin.name}{pin.specifier}"
 
 
-def written(table: list[tuple[str, ...]], wide: int = 60) -> str:
+def written(table: list[tuple[str, ...]], wide: int = 48) -> str:
     """Return a table as text; cells that are wider go on below."""
     rows = [[_wrapped(cell, wide) for cell in line] for line in (HEAD, *table)]
     widths = [max(len(part) for row in rows for part in row[column]) for column in range(len(HEAD))]
@@ -325,6 +328,8 @@ def main() -> int:
     matrix = Matrix(arguments)
     try:
         matrix.run([row for row in ROWS if row.name in arguments.rows])
+    except KeyboardInterrupt:
+        return 128 + signal.SIGINT
     finally:
         text = written(matrix.table)
         (arguments.output / "matrix.txt").write_text(text, encoding="utf-8")
