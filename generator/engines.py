@@ -395,7 +395,7 @@ def _shape_lamp(lamp: bpy.types.Object, patch: LitPatch) -> None:
 
 def _radiance_nodes(light: Any, patch: LitPatch) -> None:
     """Radiance of the patch, point by point (`LitPatch`), as shader nodes."""
-    if light.node_tree is None or not light.use_nodes:
+    if light.node_tree is None or (bpy.app.version < (5, 2) and not light.use_nodes):
         light.use_nodes = True
     tree = light.node_tree
     tree.nodes.clear()

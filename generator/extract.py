@@ -650,7 +650,9 @@ def _lamp_reasons(lamp: bpy.types.Object, order: int) -> list[str]:
     reasons = []
     if light.shadow_soft_size > 0:
         reasons.append(f"{name} has a radius of {light.shadow_soft_size:g} m, not 0")
-    if light.use_nodes and light.node_tree and _has_own_nodes(light.node_tree):
+    # From Blender 5.2 on every lamp has nodes, and to ask whether they are used is deprecated.
+    used = bpy.app.version >= (5, 2) or light.use_nodes
+    if used and light.node_tree and _has_own_nodes(light.node_tree):
         reasons.append(f"{name} has shader nodes of its own")
     if getattr(light, "use_temperature", False):
         reasons.append(f"{name} takes its colour from a temperature")
