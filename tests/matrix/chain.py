@@ -184,16 +184,19 @@ def without_blender(run: Run, rows: dict[str, Path]) -> None:
         for part in ("patch", "surfel", "surfel-sheet", "simulated"):
             shutil.copytree(folder / part, there[name] / part)
         shutil.copy(folder / "sphere.blend", there[name])
-    for folder in there.values():
+    for name, folder in there.items():
         run.tool("verify", "nlos-generate", "verify", folder / "patch")
-        learn(run, {part: folder / part for part in ("patch", "surfel", "surfel-sheet")})
-        model = run.path("surfel.skops")
-        run.tool("train", "nlos-classify", "train", run.path("surfel.h5"), "-o", model)
-        run.tool("predict", "nlos-classify", "predict", model, folder / "surfel/E/0001.exr")
-        atlas = run.path("room.atlas")
-        run.tool("atlas", "nlos-classify", "atlas", folder / "simulated", "-o", atlas, "--frames", "10")
-        run.tool("locate", "nlos-classify", "locate", atlas, folder / "surfel", "-o", run.path("answers"))
-    scene = next(iter(there.values())) / "sphere.blend"
+        table = run.path(f"{name}.h5")
+        run.tool("verify", "nlos-classify", "features", folder / "patch", "-o", table, "--set", "spatial-hog")
+    folder = next(iter(there.values()))
+    learn(run, {part: folder / part for part in ("patch", "surfel", "surfel-sheet")})
+    model = run.path("surfel.skops")
+    run.tool("train", "nlos-classify", "train", run.path("surfel.h5"), "-o", model)
+    run.tool("predict", "nlos-classify", "predict", model, folder / "surfel/E/0001.exr")
+    atlas = run.path("room.atlas")
+    run.tool("atlas", "nlos-classify", "atlas", folder / "simulated", "-o", atlas, "--frames", "10")
+    run.tool("locate", "nlos-classify", "locate", atlas, folder / "surfel", "-o", run.path("answers"))
+    scene = folder / "sphere.blend"
     missing = "this needs Blender's module bpy, which is not installed"
     name = "sweep refused in one sentence"
     run.tool(name, "nlos-generate", "sweep", scene, "-o", run.path("none"), "--poses", "1", code=2, says=missing)
