@@ -290,7 +290,7 @@ def _call(command: list[str], log: Path) -> None:
 def _named(text: str) -> tuple[str, str]:
     version, _, path = text.partition("=")
     if not re.fullmatch(r"3\.\d+", version) or not path:
-        raise argparse.ArgumentTypeError(f"{text!r} is not VERSION=PATH, such as 3.13=/usr/local/bin/python3.13")
+        raise argparse.ArgumentTypeError(f"{text!r} is not VERSION=PATH, such as 3.13=/path/to/python3.13")
     return version, path
 
 
