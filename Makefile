@@ -1,17 +1,19 @@
 # make demo    sets up .venv and runs the whole chain on real renders, in a few minutes after the set-up
 # make test    sets up .venv and runs the tests
 # make lint    ruff, mypy, and the check of the Blender extension
+# make package sdist, wheel, extension and the bill of materials of .venv, into dist
+# make matrix  builds that twice, installs and uses it under each Python and bpy, half an hour; needs Python 3.13 or root
 # make gui     the extension in real windows of Blender 4.3 and 5.2; needs root and debootstrap
 # make slurm   a sweep as jobs of a real Slurm, which is installed on this machine; needs root
 # make results the full run behind docs/results.md, about an hour on 2 cores
 
-# The bpy wheel pinned in constraints.txt is built for one Python version only.
+# Each bpy wheel is built for one Python version only; constraints.txt pins one for 3.11 and one for 3.13.
 PYTHON ?= python3.11
 BIN := .venv/bin
 READY := .venv/ready
 DEMO := demo
 
-.PHONY: demo test lint setup extension gui slurm results clean
+.PHONY: demo test lint setup extension package matrix gui slurm results clean
 
 setup: $(READY)
 
@@ -20,7 +22,7 @@ $(READY): pyproject.toml constraints.txt
 	  echo "error: $(PYTHON) is missing; install it with: apt-get install python3.11 python3.11-venv" \
 	       "(or name one: make PYTHON=/path/to/python3.11 ...)"; exit 2; }
 	$(PYTHON) -m venv .venv
-	$(BIN)/python -m pip install --quiet --disable-pip-version-check -c constraints.txt setuptools
+	$(BIN)/python -m pip install --quiet --disable-pip-version-check -c constraints.txt hatchling
 	$(BIN)/python -m pip install --quiet --disable-pip-version-check -c constraints.txt \
 	  --no-build-isolation -e ".[bpy,test]"
 	@$(BIN)/python -c "import bpy" || { \
@@ -43,6 +45,14 @@ lint: $(READY)
 
 extension: $(READY)
 	$(BIN)/python -m blender_addon.build -o dist
+
+package: $(READY)
+	SOURCE_DATE_EPOCH=$$(git log -1 --format=%ct) $(BIN)/python -m hatchling build -d dist
+	$(BIN)/python -m blender_addon.build -o dist
+	$(BIN)/python -m blender_addon.sbom -o dist/environment.cdx.json
+
+matrix: $(READY)
+	$(BIN)/python tests/matrix/run.py -o dist/matrix
 
 gui: $(READY)
 	$(BIN)/python tests/gui/run.py -o dist/gui

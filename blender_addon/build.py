@@ -2,23 +2,29 @@
 
 Blender has no pip, so the zip carries the modules of `generator` that the add-on needs. An extension must not reach
 for top-level names, so imports of `generator` become relative on the way. Blender's own extension tool, from the bpy
-wheel, makes the zip and checks it.
+wheel, makes the zip and checks it. The same sources give the same zip, byte by byte, wherever it is built.
 """
 
 from __future__ import annotations
 
 import argparse
 import ast
+import importlib.metadata
 import importlib.util
 import re
 import shutil
 import subprocess
 import sys
 import tempfile
+import zipfile
 from pathlib import Path
+
+from blender_addon import sbom
 
 _ADDON = Path(__file__).resolve().parent
 _ROOT = _ADDON.parent
+_TOOLS = ("build", "sbom")
+"""What builds stays out of what is built."""
 _IMPORT = re.compile(r"^(\s*)from generator((?:\.\w+)*) import ", re.MULTILINE)
 
 
@@ -42,7 +48,8 @@ def build(folder: Path) -> Path:
     Raises
     ------
     BuildError
-        The bpy wheel is not installed, its tool refuses the extension, or an import cannot be made relative.
+        The bpy wheel is not installed, its tool refuses the extension, an import cannot be made relative, or there is
+        no LICENSE.
     """
     tool = _extension_tool()
     folder.mkdir(parents=True, exist_ok=True)
@@ -51,9 +58,11 @@ def build(folder: Path) -> Path:
         made.mkdir()
         assemble(assembled)
         _run(tool, "build", "--source-dir", str(assembled), "--output-dir", str(made))
-        [package] = made.glob("*.zip")
+        [loose] = made.glob("*.zip")
+        package = folder / loose.name
+        _settle(loose, package)
         _run(tool, "validate", str(package))
-        return Path(shutil.copy(package, folder))
+        return package
 
 
 def assemble(folder: Path) -> None:
@@ -61,9 +70,8 @@ def assemble(folder: Path) -> None:
     inside = folder / "generator"
     inside.mkdir(parents=True)
     shutil.copy(_ADDON / "blender_manifest.toml", folder)
-    if (_ROOT / "LICENSE").is_file():
-        shutil.copy(_ROOT / "LICENSE", folder)
-    modules = [source for source in sorted(_ADDON.glob("*.py")) if source != Path(__file__).resolve()]
+    shutil.copy(_licence(), folder)
+    modules = [source for source in sorted(_ADDON.glob("*.py")) if source.stem not in _TOOLS]
     # `worker` is run by name, in a Blender of its own.
     needed = {"__init__", "worker"}.union(*(_copy(source, folder / source.name, ".generator") for source in modules))
     done: set[str] = set()
@@ -80,6 +88,31 @@ def assemble(folder: Path) -> None:
         else:
             raise BuildError(f"{source}: there is no such module, but the add-on needs it")
         done.add(name)
+    (folder / sbom.NAME).write_text(sbom.extension(folder), encoding="utf-8")
+
+
+def _licence() -> Path:
+    """Return the licence's text: beside the sources, or where the wheel has put it."""
+    if (_ROOT / "LICENSE").is_file():
+        return _ROOT / "LICENSE"
+    try:
+        files = importlib.metadata.files("nlos-lab") or []
+    except importlib.metadata.PackageNotFoundError:
+        files = []
+    for file in files:
+        if file.name == "LICENSE":
+            return Path(str(file.locate()))
+    raise BuildError(f"there is no LICENSE in {_ROOT}, but the extension must hold it")
+
+
+def _settle(loose: Path, package: Path) -> None:
+    """Write a zip anew without what differs between two builds: order, dates and permissions of its files."""
+    with zipfile.ZipFile(loose) as old, zipfile.ZipFile(package, "w", zipfile.ZIP_DEFLATED, compresslevel=9) as new:
+        for name in sorted(old.namelist()):
+            entry = zipfile.ZipInfo(name)  # of 1980
+            entry.external_attr = 0o100644 << 16
+            entry.compress_type = zipfile.ZIP_DEFLATED
+            new.writestr(entry, old.read(name))
 
 
 def _copy(source: Path, copy: Path, generator: str) -> set[str]:

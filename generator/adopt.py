@@ -97,7 +97,7 @@ def align(scene: bpy.types.Scene) -> None:
     """
     wall, lamp = stage.find(scene, "relay_wall"), stage.find(scene, "spot")
     normal, centre = _plane(wall)
-    if normal @ (np.array(lamp.matrix_world.translation) - centre) < 0.0:
+    if normal @ (stage.numbers(lamp.matrix_world.translation) - centre) < 0.0:
         normal = -normal
     up = np.array([0.0, 0.0, 1.0]) if abs(normal[2]) < 0.99 else np.array([0.0, 1.0, 0.0])
     z = up - (up @ normal) * normal
@@ -121,7 +121,7 @@ def fit_grid(scene: bpy.types.Scene, shape: tuple[int, int, int] = (3, 3, 1)) ->
     target = stage.find(scene, "target")
     edge = _ROOMY * max(1e-6, 2.0 * float(np.linalg.norm(hull, axis=1).max()))
     size = edge * np.array(shape)
-    lo = np.array(target.matrix_world.translation) - size / 2.0
+    lo = stage.numbers(target.matrix_world.translation) - size / 2.0
     lo[1] = max(lo[1], _LEFT_OVER * size[2])
     grid = spec.VoxelGrid(lo=_rounded(lo), hi=_rounded(lo + size), shape=shape)
     stage.write_grid(scene, grid)
@@ -171,7 +171,8 @@ def _transform(scene: bpy.types.Scene, change: Matrix) -> None:
     if all(key in scene for key in (stage.GRID_LO, stage.GRID_HI, stage.GRID_SHAPE)):
         lo, hi = scene[stage.GRID_LO], scene[stage.GRID_HI]
         corners = np.array(
-            [change @ Vector((x, y, z)) for x in (lo[0], hi[0]) for y in (lo[1], hi[1]) for z in (lo[2], hi[2])]
+            [change @ Vector((x, y, z)) for x in (lo[0], hi[0]) for y in (lo[1], hi[1]) for z in (lo[2], hi[2])],
+            dtype=np.float64,
         )
         scene[stage.GRID_LO], scene[stage.GRID_HI] = (
             stage.vector(corners.min(axis=0)),

@@ -244,7 +244,7 @@ def _sight(scene: bpy.types.Scene, described: spec.Scene) -> list[Finding]:
     points = [lo + lattice * (hi - lo) for lo, hi in bounds]
     found = []
     lamp, camera = stage.find(scene, "spot"), stage.find(scene, "camera")
-    at = np.array(lamp.matrix_world.translation, dtype=np.float64)
+    at = stage.numbers(lamp.matrix_world.translation)
     starts, corners = stage.view(scene, camera)
     for obj, solid, does in zip(
         (lamp, camera), clearance.sights(scene, described.spot), ("shines", "looks"), strict=True

@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING, Any
 from generator import budget, links, plans, spec
 from generator.dataset import Dataset
 from generator.spec import NlosError, Sweep
-from generator.sweep import clock
+from generator.sweep import NO_BLENDER, clock
 
 if TYPE_CHECKING:
     from generator.bulk import Bulk
@@ -42,11 +42,18 @@ def main(argv: list[str] | None = None) -> int:
 
 
 def guarded(work: Callable[[], int], interrupted: str = "interrupted; the same command goes on from here") -> int:
-    """Run a command; turn bad input into one sentence and exit code 2, Ctrl-C into a word and 130."""
+    """Run a command; turn bad input, or no Blender, into one sentence and exit code 2, Ctrl-C into a word and 130."""
     try:
         return work()
     except NlosError as error:
         print(f"error: {error}", file=sys.stderr)
+        return 2
+    except ImportError as error:
+        if error.name != "bpy":
+            raise
+        missing = isinstance(error, ModuleNotFoundError)
+        lacking = f"Blender's module bpy does not load, for a system library is missing: {error}"
+        print(f"error: {NO_BLENDER if missing else lacking}", file=sys.stderr)
         return 2
     except KeyboardInterrupt:
         print(f"\n{interrupted}", file=sys.stderr)

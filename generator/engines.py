@@ -364,7 +364,7 @@ def _in_view(scene: bpy.types.Scene, patch: LitPatch) -> bool:
     """Whether the camera may see some of the patch, judged by the rectangle around it: a no is sure."""
     turns = np.linspace(0.0, 2.0 * math.pi, 64, endpoint=False)
     rim = [patch.centre + 1.05 * (math.cos(t) * patch.major + math.sin(t) * patch.minor) for t in turns]
-    seen = np.array([world_to_camera_view(scene, scene.camera, Vector(p)) for p in rim])
+    seen = np.array([world_to_camera_view(scene, scene.camera, Vector(p)) for p in rim], dtype=np.float64)
     behind = seen[:, 2] <= 0.0
     if behind.any() and not behind.all():
         return True
@@ -399,7 +399,7 @@ def _shape_lamp(lamp: bpy.types.Object, patch: LitPatch) -> None:
 
 def _radiance_nodes(light: Any, patch: LitPatch) -> None:
     """Radiance of the patch, point by point (`LitPatch`), as shader nodes."""
-    if light.node_tree is None or not light.use_nodes:
+    if light.node_tree is None or (bpy.app.version < (5, 2) and not light.use_nodes):
         light.use_nodes = True
     tree = light.node_tree
     tree.nodes.clear()

@@ -281,7 +281,7 @@ def _read_instance(
     obj = instance.object
     owner = (instance.parent if instance.is_instance else obj).original
     role = roles.get(owner, "room")
-    matrix = np.array(instance.matrix_world, dtype=np.float64)
+    matrix = stage.numbers(instance.matrix_world)
     if not instance.is_instance and obj.original in roles:
         key = role if role != "target" or obj.original == target else obj.name
         reading.places[key] = matrix
@@ -526,7 +526,7 @@ def _at_rest(scene: bpy.types.Scene, target: bpy.types.Object) -> tuple[_Reading
     place = np.array(target.matrix_world.translation, dtype=np.float64)
     if stage.unseen(scene, target):  # where it goes cannot be seen
         reading = _read(scene)
-        reading.places.setdefault("target", np.array(target.matrix_world, dtype=np.float64))
+        reading.places.setdefault("target", stage.numbers(target.matrix_world))
         return reading, reading.reasons
     corner, turn = np.zeros((0, 3)), (40.0, 25.0, 70.0)
     try:
@@ -541,9 +541,9 @@ def _at_rest(scene: bpy.types.Scene, target: bpy.types.Object) -> tuple[_Reading
         stays = False
     except NlosError:
         reading, stays = _read(scene), True
-    before = reading.places.setdefault("target", np.array(target.matrix_world, dtype=np.float64))
+    before = reading.places.setdefault("target", stage.numbers(target.matrix_world))
     if not stays:
-        after = moved.places.get("target", np.array(target.matrix_world, dtype=np.float64))
+        after = moved.places.get("target", stage.numbers(target.matrix_world))
         slack = 1e-4 * size + 1e-6 * float(np.abs(moved_to).max())
         # An animation has its say only when a render starts: where the target was put is not where it is.
         stays = bool(np.abs([before[:3, 3] - place, after[:3, 3] - moved_to]).max() > slack)
@@ -622,7 +622,7 @@ def _lit_patch(scene: bpy.types.Scene, reading: _Reading) -> tuple[LitPatch | No
     if colour is None:
         reasons.append(f"the relay wall {wall.name!r} has a material that is not one constant diffuse colour")
     surfaces = [s for s in reading.surfaces if s.role != "target"]
-    matrix = np.asarray(lamp.matrix_world, dtype=np.float64)
+    matrix = stage.numbers(lamp.matrix_world)
     origin, axis = matrix[:3, 3], -matrix[:3, 2] / np.linalg.norm(matrix[:3, 2])
     half = light.spot_size / 2.0
     hit, point, normal = _first_hit(surfaces, origin, axis)
@@ -649,7 +649,8 @@ def _lit_patch(scene: bpy.types.Scene, reading: _Reading) -> tuple[LitPatch | No
         lamp=origin,
         axis=axis,
         height=height,
-        intensity=np.asarray(light.color) * (light.energy * 2.0 ** getattr(light, "exposure", 0.0) / (4.0 * math.pi)),
+        intensity=stage.numbers(light.color)
+        * (light.energy * 2.0 ** getattr(light, "exposure", 0.0) / (4.0 * math.pi)),
         albedo=np.asarray(colour or (0.0, 0.0, 0.0)),
         cos_outer=math.cos(half),
         cos_width=(1.0 - math.cos(half)) * blend,
@@ -672,13 +673,15 @@ def _lamp_reasons(lamp: bpy.types.Object, order: int) -> list[str]:
     reasons = []
     if light.shadow_soft_size > 0:
         reasons.append(f"{name} has a radius of {light.shadow_soft_size:g} m, not 0")
-    if light.use_nodes and light.node_tree and _has_own_nodes(light.node_tree):
+    # From Blender 5.2 on every lamp has nodes, and to ask whether they are used is deprecated.
+    used = bpy.app.version >= (5, 2) or light.use_nodes
+    if used and light.node_tree and _has_own_nodes(light.node_tree):
         reasons.append(f"{name} has shader nodes of its own")
     if getattr(light, "use_temperature", False):
         reasons.append(f"{name} takes its colour from a temperature")
     if not getattr(light, "normalize", True):
         reasons.append(f"{name} has a power that is not normalised")
-    scale = np.asarray(lamp.matrix_world.to_scale())
+    scale = stage.numbers(lamp.matrix_world.to_scale())
     if np.ptp(np.abs(scale)) > 1e-5 * np.abs(scale).max():
         reasons.append(f"{name} is scaled unevenly, so that its cone is not round")
     if not light.use_shadow or not getattr(light.cycles, "cast_shadow", True):
@@ -745,7 +748,7 @@ def _watched(
     size = float(np.ptp(triangles.reshape(-1, 3), axis=0).max())
     if uneven > _FLAT * size:
         return None, [*reasons, f"the relay wall {wall.name!r} is not plane"]
-    matrix = np.asarray(camera.matrix_world, dtype=np.float64)
+    matrix = stage.numbers(camera.matrix_world)
     # Cameras have no scale: Blender drops it.
     frame, eye = matrix[:3, :3] / np.linalg.norm(matrix[:3, :3], axis=0), matrix[:3, 3]
     if (eye - point) @ normal < 0:

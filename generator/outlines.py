@@ -46,7 +46,7 @@ def lit_patch(lamp: bpy.types.Object) -> Array:
     """Return the rim of what a spot lamp lights of the plane y = 0, (n, 3), metres; empty if that is no ellipse."""
     if lamp.type != "LIGHT" or lamp.data.type != "SPOT":
         return np.empty((0, 3))
-    matrix = np.array(lamp.matrix_world)
+    matrix = stage.numbers(lamp.matrix_world)
     origin, axes = matrix[:3, 3], matrix[:3, :3] / np.linalg.norm(matrix[:3, :3], axis=0)
     turn = np.linspace(0.0, 2.0 * math.pi, _TURNS, endpoint=False)[:, None]
     ways = -axes[:, 2] + math.tan(lamp.data.spot_size / 2.0) * (np.cos(turn) * axes[:, 0] + np.sin(turn) * axes[:, 1])
@@ -76,9 +76,9 @@ def legs(scene: bpy.types.Scene) -> Array:
     if not len(rim) or not len(corners):
         return np.empty((0, 3))
     lamp, target, camera = (stage.find(scene, role).matrix_world.translation for role in ("spot", "target", "camera"))
-    axis = -np.array(stage.find(scene, "spot").matrix_world.to_3x3().col[2])
-    w1 = np.array(lamp) - axis * (lamp.y / axis[1])
-    return np.array([lamp, w1, target, corners.mean(axis=0), camera])
+    axis = -stage.numbers(stage.find(scene, "spot").matrix_world.to_3x3().col[2])
+    w1 = stage.numbers(lamp) - axis * (lamp.y / axis[1])
+    return np.array([lamp, w1, target, corners.mean(axis=0), camera], dtype=np.float64)
 
 
 def sampled(scene: bpy.types.Scene, sweep: Sweep) -> Array:

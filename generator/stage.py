@@ -374,12 +374,20 @@ def hull(scene: bpy.types.Scene) -> Array:
     for instance in bpy.context.evaluated_depsgraph_get().object_instances:
         owner = (instance.parent if instance.is_instance else instance.object).original
         if owner in children or (owner == target and instance.is_instance):
-            matrix = np.asarray(back @ instance.matrix_world, dtype=np.float64)
+            matrix = numbers(back @ instance.matrix_world)
             points.append(_vertices(instance.object) @ matrix[:3, :3].T + matrix[:3, 3])
     every: Array = np.concatenate(points)
     if not len(every):
         raise NlosError(f"{_file()}: the target {target.name!r} has no surface to reflect light")
     return every
+
+
+def numbers(value: Any) -> Array:
+    """Return a matrix, vector or colour of Blender's as float64, the same to the bit in every Blender.
+
+    From Blender 5.0 on NumPy finds float32 in them, columns first, and would compute with that.
+    """
+    return np.array(value, dtype=np.float64, order="C")
 
 
 def evaluated_vertices(obj: bpy.types.Object) -> Array:
@@ -389,7 +397,7 @@ def evaluated_vertices(obj: bpy.types.Object) -> Array:
 
 def placed_vertices(obj: bpy.types.Object) -> Array:
     """Return an object's vertices after modifiers, in the world, (n, 3), metres; empty if it has no surface."""
-    matrix = np.asarray(obj.matrix_world)
+    matrix = numbers(obj.matrix_world)
     placed: Array = evaluated_vertices(obj) @ matrix[:3, :3].T + matrix[:3, 3]
     return placed
 
@@ -734,7 +742,7 @@ def _import_mesh(wanted: spec.Target) -> bpy.types.Object:
     if not shape.faces:
         shape.free()
         raise NlosError(f"target.mesh: {path} holds no faces")
-    corners = np.array([v.co for v in shape.verts])
+    corners = np.array([v.co for v in shape.verts], dtype=np.float64)
     low, high = corners.min(axis=0), corners.max(axis=0)
     factor = wanted.size / max(high - low) if wanted.size else 1.0
     bmesh.ops.translate(shape, vec=-(low + high) / 2.0, verts=shape.verts)

@@ -6,6 +6,7 @@ A worker's word is not taken for its work: what is done is what lies on disk, wh
 from __future__ import annotations
 
 import contextlib
+import importlib.util
 import json
 import logging
 import os
@@ -26,6 +27,8 @@ from generator.dataset import SCENE, Dataset, check_free, scene_hash
 from generator.spec import NlosError, Sweep
 
 ANSWER = "nlos "
+
+NO_BLENDER = "this needs Blender's module bpy, which is not installed; install it with: pip install 'nlos-lab[bpy]'"
 
 _HOME = str(Path(__file__).resolve().parents[1])
 
@@ -82,7 +85,15 @@ Launch = Callable[[Sequence[str]], list[str]]
 
 
 def python(arguments: Sequence[str]) -> list[str]:
-    """Return the command line that runs a worker by this Python, which has bpy."""
+    """Return the command line that runs a worker by this Python.
+
+    Raises
+    ------
+    NlosError
+        It has no bpy.
+    """
+    if importlib.util.find_spec("bpy") is None:  # does not import it
+        raise NlosError(NO_BLENDER)
     return [sys.executable, "-m", *arguments]
 
 
@@ -324,13 +335,14 @@ class Worker:
     """
 
     def __init__(self, arguments: Sequence[str], launch: Launch = python) -> None:
+        command = launch(arguments)
         self._log = tempfile.TemporaryFile("w+", encoding="utf-8", errors="replace")  # noqa: SIM115 (closed in stop)
         # Blender and renders leave folders there that a process which is killed cannot take away.
         self._scratch = tempfile.TemporaryDirectory(prefix="nlos-worker-", ignore_cleanup_errors=True)
         home = os.pathsep.join(filter(None, [_HOME, os.environ.get("PYTHONPATH")]))
         scratch = dict.fromkeys(("TMPDIR", "TEMP", "TMP"), self._scratch.name)
         self._process = subprocess.Popen(
-            launch(arguments),
+            command,
             stdin=subprocess.PIPE,
             stdout=subprocess.PIPE,
             stderr=self._log,

@@ -114,6 +114,16 @@ def test_presets_are_honoured(name, target):
     assert engines.choose(blender) == ("surfel", [])
 
 
+def test_numbers_of_blender_are_float64():
+    """Where Blender 5 hands float32 to NumPy, columns first, older ones hand Python's floats."""
+    blender = built()
+    lamp = stage.find(blender, "spot")
+    matrix = stage.numbers(lamp.matrix_world)
+    assert matrix.dtype == np.float64
+    assert matrix.flags.c_contiguous
+    assert extract.lit_patch(blender).intensity[0] == lamp.data.energy / (4.0 * math.pi)
+
+
 def test_reading_leaves_the_scene_as_it_was():
     blender = built()
     target = target_of(blender)

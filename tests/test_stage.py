@@ -89,7 +89,7 @@ def test_a_mesh_file_becomes_the_target(tmp_path):
     [
         ("none.obj", None, "no such file"),
         ("bad.ply", "nonsense", "not a mesh file|no faces"),
-        ("e.obj", "", "no faces"),
+        ("e.obj", "v 0 0 0\nv 1 0 0\n", "no faces"),
     ],
 )
 def test_bad_mesh_files_are_named(tmp_path, name, text, words):

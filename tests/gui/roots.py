@@ -1,4 +1,4 @@
-"""Debian systems in folders, each with a Blender newer than the machine's own: made, entered and left."""
+"""Debian systems in folders, each with a Blender or a Python newer than the machine's: made, entered and left."""
 
 from __future__ import annotations
 
@@ -101,8 +101,8 @@ def make(root: Path, suite: str, address: str, log: Path) -> None:
     begun.rename(root)
 
 
-def complete(root: Path, log: Path) -> None:
-    """Install what is not installed yet; the root must be mounted.
+def complete(root: Path, log: Path, packages: Sequence[str] = PACKAGES) -> None:
+    """Install those packages that are not installed yet; the root must be mounted.
 
     Raises
     ------
@@ -111,7 +111,7 @@ def complete(root: Path, log: Path) -> None:
     """
     query = enter(root, ["dpkg-query", "--show", "--showformat", "${Package} ${db:Status-Status}\n"])
     told = subprocess.run(query, capture_output=True, text=True, check=True, env=environment()).stdout
-    missing = [name for name in PACKAGES if f"{name} installed" not in told.splitlines()]
+    missing = [name for name in packages if f"{name} installed" not in told.splitlines()]
     if missing:
         print(f"installing into {root}: {' '.join(missing)}", flush=True)
         shutil.copy("/etc/resolv.conf", root / "etc/resolv.conf")
