@@ -144,7 +144,7 @@ class Probe:
         return np.array(made)
 
     def denoised(self, resolution: tuple[int, int], number: int) -> tuple[Array, Array]:
-        """Return what the denoiser changes of some of a round's pictures, and these, (2, n, pixels), in two noises."""
+        """Return what the denoiser changes of some of a round's pictures, and these, in two noises (2, n, pixels)."""
         scene = stage.open_file(self.source)
         some = self.rounds[number][::_SPREAD]
         plain, smooth = (
