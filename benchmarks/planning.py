@@ -156,12 +156,16 @@ def again(source: Path, plan: Plan, most: float) -> dict[str, tuple[float, float
     rounds = [[p for p in planned if p.index == k] for k in range(probing.ROUNDS[1])]
     probe = probing.Probe(source, "patch", rounds, described.resolution[0] / described.resolution[1])
     pieces = [e.name for e in plan.effects if e.name in simplify.found(stage.open_file(source))]
+    sky = planning.ambient(source, [p for one in rounds[: plans.POSES] for p in one])
+    pieces = [name for name in pieces if name != simplify.AMBIENT or sky is None]
     orders = [o for o in (4, 5) if any(e.name == probing.order_name(o) for e in plan.effects)]
     found = probing.measure(probe, pieces, orders=orders, tolerance=plan.tolerance, most=most)
+    if sky is not None:
+        found[sky.name] = sky.share
     if plan.settings["engine"] == "surfel":
-        cycles = [name for name in plan.dropped if name in pieces]
+        cycles = [name for name in plan.dropped if name in (*pieces, simplify.AMBIENT)]
         variant = planning.variant(source, cycles)
-        every = [e.name for e in plan.effects if not e.note and e.name not in pieces]
+        every = [e.name for e in plan.effects if not e.note and e.name not in found]
         places, turns = other_poses(source, plans.POSES)
         exact, _, _ = effects.measure(
             variant,

@@ -82,7 +82,7 @@ def make(
     fine = [piece for piece in pieces if piece.startswith(simplify.FINE)]  # costs Cycles nothing
     others = [piece for piece in pieces if piece not in fine]
     some = sorted((p for p in planned if p.index < count), key=lambda p: (p.index, p.voxel))
-    sky = _ambient(source, some) if simplify.AMBIENT in others else None
+    sky = ambient(source, some) if simplify.AMBIENT in others else None
     if sky is not None:
         others.remove(simplify.AMBIENT)
     found = [Effect(name, (math.nan, 0.0, math.inf)) for name in others]
@@ -101,13 +101,13 @@ def make(
         dropped, spent = _droppable(probe, found, tolerance)
         names = map(probing.order_name, orders)
         found += [Effect(name, shares[name], note="not in the scene") for name in names]
-        if sky is not None:
-            found.append(sky)
-            both = _joined(spent, sky)
-            if both.share[2] <= tolerance:
-                dropped, spent = [*dropped, sky.name], both
-        if dropped and not {*others, *([sky.name] if sky else [])} - set(dropped):
-            _, reasons = _simplified(source, dropped)
+    if sky is not None:
+        found.append(sky)
+        both = _joined(spent, sky)
+        if both.share[2] <= tolerance:
+            dropped, spent = [*dropped, sky.name], both
+    if dropped and not {effect.name for effect in found if not effect.note} - set(dropped):
+        _, reasons = _simplified(source, dropped)
     if reasons:
         if engine != "path" and most > 0.0:
             bias = probing.denoiser_bias(probe, described.resolution, most=most / 3.0, progress=tell)
@@ -131,10 +131,17 @@ def _joined(one: Effect, other: Effect) -> Effect:
     return replace(one, share=(value, low, high))
 
 
-def _ambient(source: Path, some: Sequence[PoseRecord]) -> Effect | None:
-    """What ambient light contributes, as the engine follows it, if it knows all the rest of a scene.
+def ambient(source: Path, some: Sequence[PoseRecord]) -> Effect | None:
+    """Return what uniform ambient light contributes, as `surfel` follows it, if it knows all the rest of a scene.
 
     Cycles' noise of a sky that every ray may find would hide it; and a few per cent of it decide on nothing.
+
+    Parameters
+    ----------
+    source : Path
+        The ``.blend``, which is opened.
+    some : sequence of PoseRecord
+        Where the object stands: round by round, in each one pose of every voxel.
     """
     world, _ = extract.world(stage.open_file(source), ambient=True)
     if world is None or world.ambient is None:

@@ -186,6 +186,25 @@ def test_a_small_mirror_far_away_is_left_out_and_surfel_takes_over(tmp_path):
     assert more.note == "not in the scene"
 
 
+def test_a_faint_sky_is_left_out_and_surfel_takes_over(tmp_path):
+    """Half the sky changes the pictures by half as much; no render by Cycles is needed to know."""
+    shares = []
+    for number, radiance in enumerate((1e-6, 2e-6)):
+        scene, path = built(ambient=radiance), tmp_path / f"{number}.blend"
+        scene.render.resolution_x = scene.render.resolution_y = 16
+        stage.save_file(path)
+        planned = planning._planned(scene, stage.read(scene), "patch", 2, 0)
+        shares.append(planning.ambient(path, sorted(planned, key=lambda p: (p.index, p.voxel))).share)
+    assert shares[1][0] == pytest.approx(2.0 * shares[0][0], rel=0.1)
+    plan = planning.make(tmp_path / "0.blend", tolerance=0.3, count=2, most=0.0, predict=False)
+    assert simplify.AMBIENT in plan.dropped
+    assert plan.settings["engine"] == "surfel"
+    assert plan.together.share[0] > plan.effects[[e.name for e in plan.effects].index(simplify.AMBIENT)].share[0]
+    built()
+    stage.save_file(tmp_path / "dark.blend")
+    assert planning.ambient(tmp_path / "dark.blend", planned) is None
+
+
 def test_the_denoiser_is_wrong_in_the_mean_and_its_noise_is_not_counted(tmp_path):
     """Twenty-four pictures' noise is far above their signal, yet what is told is the bias alone."""
     path = tmp_path / "room.blend"

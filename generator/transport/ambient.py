@@ -363,17 +363,19 @@ class Sky:
             )
         groups = setting.tint.shape[1]
         self.cells = Cells(setting.around, np.zeros((0, groups)), _CELL, np.zeros(3), 1.0)
-        every = np.arange(self.cells.count)
-        share, self.gather = self.rows(_Starts.of(self.cells, every, _ROWS))
-        self.first = self.cells.tint * share[:, None]
-        self.second = self.cells.tint * (self.gather @ self.first)
         self._watches: dict[int, _Watch] = {}
         # What cannot be seen by way of others changes nothing: the outer sides of a room's walls.
-        reached, fresh = np.zeros(len(every), dtype=bool), np.unique(self.watch(_POINTS).matrix.indices)
+        share, reached = np.zeros(self.cells.count), np.zeros(self.cells.count, dtype=bool)
+        self.gather = sparse.csr_matrix((self.cells.count, self.cells.count))
+        fresh = np.unique(self.watch(_POINTS).matrix.indices)
         while len(fresh):
             reached[fresh] = True
-            seen = np.unique(self.gather[fresh].indices)
+            some, rows = self.rows(_Starts.of(self.cells, fresh, _ROWS))
+            share, self.gather = share + some, self.gather + rows
+            seen = np.unique(rows.indices)
             fresh = seen[~reached[seen]]
+        self.first = self.cells.tint * share[:, None]
+        self.second = self.cells.tint * (self.gather @ self.first)
         self.starts = _Starts.of(self.cells, np.flatnonzero(reached), _TOWARDS)
 
     def watch(self, points: int) -> _Watch:
