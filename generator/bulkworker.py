@@ -18,7 +18,7 @@ from typing import Any
 import bpy
 import numpy as np
 
-from generator import bulk, extract, links, poses, spec, stage, worker
+from generator import bulk, extract, links, poses, references, spec, stage, worker
 from generator.bulk import Bulk, Engine, Settings
 from generator.clearance import Surroundings, clearance
 from generator.dataset import SCENE, scene_hash
@@ -47,7 +47,7 @@ def plan(scene: bpy.types.Scene, source: Path, path: Path, chosen: Mapping[str, 
         or it refers to files elsewhere.
     """
     bulk.check_free(path)
-    linked = links.recorded(links.refuse(source), path)
+    linked = links.recorded(references.refuse(source), path)
     described = stage.read(scene)
     if chosen.get("unknown"):
         chosen = {"rotation": list(worker.TURNS["mesh"]), **chosen}

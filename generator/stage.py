@@ -22,7 +22,7 @@ import bmesh  # exists only once bpy is imported
 import numpy as np
 from mathutils import Euler, Matrix, Quaternion, Vector
 
-from generator import links, meshes, spec
+from generator import meshes, references, spec
 from generator.spec import Array, NlosError
 
 ROLE = "nlos_role"
@@ -101,11 +101,11 @@ def open_file(path: Path, known: Collection[Path] = ()) -> bpy.types.Scene:
     Raises
     ------
     NlosError
-        There is no such file, Blender cannot read it, or it refers to files elsewhere (`links.refuse`).
+        There is no such file, Blender cannot read it, or it refers to files elsewhere (`references.refuse`).
     """
     if not path.is_file():
         raise NlosError(f"{path}: no such scene file")
-    links.refuse(path, known)
+    references.refuse(path, known)
     try:
         with quiet():
             bpy.ops.wm.open_mainfile(filepath=str(path), load_ui=False, use_scripts=False)

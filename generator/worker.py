@@ -21,7 +21,7 @@ from typing import TYPE_CHECKING, Any
 import bpy
 import numpy as np
 
-from generator import check, engines, experiments, links, poses, rehearsal, simplify, spec, stage
+from generator import check, engines, experiments, links, poses, references, rehearsal, simplify, spec, stage
 from generator.clearance import clearance
 from generator.dataset import (
     BACKGROUND_AMBIENT,
@@ -66,7 +66,7 @@ def plan(scene: bpy.types.Scene, source: Path, path: Path, chosen: Mapping[str, 
         it refers to files elsewhere.
     """
     check_free(path)
-    linked = links.recorded(links.refuse(source), path)
+    linked = links.recorded(references.refuse(source), path)
     described = stage.read(scene)
     engines.refuse_hidden(scene)
     sweep, reasons = settled(scene, described, chosen)

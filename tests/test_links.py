@@ -11,7 +11,7 @@ import bpy
 import pytest
 from conftest import ROOT, TINY
 
-from generator import links, planning, stage, worker
+from generator import links, planning, references, stage, worker
 from generator.dataset import Dataset
 from generator.spec import NlosError
 
@@ -176,7 +176,7 @@ def test_what_is_packed_is_no_link(edited):
         image.pack()
         image.use_fake_user = True
 
-    assert links.refuse(edited(pack)) == []
+    assert references.refuse(edited(pack)) == []
 
 
 def test_what_lies_in_the_scenes_folder_is_remembered_and_must_not_change(edited, tmp_path, command):

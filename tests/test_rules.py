@@ -24,6 +24,7 @@ NEEDS_BLENDER = {
         "outlines",
         "planning",
         "probing",
+        "references",
         "rehearsal",
         "simplify",
         "stage",
