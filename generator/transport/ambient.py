@@ -1,11 +1,11 @@
 """Uniform ambient light: what falls on the watched wall, and what the target changes of it.
 
 The sky shines from everywhere where no surface is, and is reflected up to three times, the last time by the watched
-wall. Surfaces are cut into cells of constant radiosity; where light comes from is found by following rays from each
-cell back (gathering), their directions a low-discrepancy lattice, so that there is no noise and the same pose always
-gives the same picture. What the target changes is gathered from the directions alone in which a cell sees it: there
-its own light takes the place of what is behind it. The changes are what the lamp's pictures are added to, so they
-need few digits.
+wall. Surfaces are cut into cells, between whose middles radiosity is interpolated; where light comes from is found by
+following rays from each cell back (gathering), their directions a low-discrepancy lattice, so that there is no noise
+and one pose always gives one picture. What the target changes is gathered from the directions alone in which
+a cell sees it: there its own light takes the place of what is behind it. The changes are what the lamp's pictures are
+added to, so they need few digits.
 
 With E_k the irradiance and B_k = rho E_k the radiosity after k reflections (Goral et al. 1984, equation 6, unrolled),
 E_1 the visible share of the sky, all in units of pi times the sky's radiance L, and dB what the target changes:
