@@ -147,12 +147,11 @@ def ambient(source: Path, some: Sequence[PoseRecord]) -> Effect | None:
     if world is None or world.ambient is None:
         return None
     engine = Transport(world.seen_by(*_SMALL), accuracy=_SKY)
-    dark = Transport(replace(world, ambient=None).seen_by(*_SMALL), accuracy=_SKY)
-    whole, lamp = (
-        np.array([e.difference(p.position, p.rotation).mean(axis=2) for p in some]) for e in (engine, dark)
-    )
+    seen = [engine.render(pose.position, pose.rotation) for pose in some]
+    sky = np.array([one.ambient.mean(axis=2) for one in seen])
+    lamp = np.array([(one.added - one.hidden).mean(axis=2) for one in seen])
     rounds = 1 + max(pose.index for pose in some)
-    error, signal = (((x**2).mean(axis=(1, 2))).reshape(rounds, -1) for x in (whole - lamp, whole))
+    error, signal = ((x**2).mean(axis=(1, 2)).reshape(rounds, -1) for x in (sky, lamp + sky))
     return Effect(simplify.AMBIENT, relative(error, signal))
 
 

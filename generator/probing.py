@@ -215,8 +215,7 @@ def measure(
         if number + 1 >= ROUNDS[0]:
             todo = [one for one in todo if not _decided(found[one[0] or order_name(one[1])], one[1], tolerance)]
         progress(f"round {number + 1}: {len(todo)} of {len(errors)} effects not decided yet")
-        left = most - (time.monotonic() - begun)
-        if not todo or (number + 1 >= ROUNDS[0] and left < (time.monotonic() - begun) / (number + 1)):
+        if not todo or _late(begun, number + 1, most):
             break
     return found
 
@@ -252,12 +251,16 @@ def denoiser_bias(
         wholes.append(whole)
         found = share(errors, wholes)
         progress(f"round {number + 1} of the denoiser's bias")
-        left = most - (time.monotonic() - begun)
         value, low, high = found
-        sure = number + 1 >= ROUNDS[0] and high - low < SURE * value
-        if sure or (number + 1 >= ROUNDS[0] and left < (time.monotonic() - begun) / (number + 1)):
+        if (number + 1 >= ROUNDS[0] and high - low < SURE * value) or _late(begun, number + 1, most):
             break
     return found
+
+
+def _late(begun: float, done: int, most: float) -> bool:
+    """Whether rounds are enough, and there is no time for one more."""
+    took = time.monotonic() - begun
+    return done >= ROUNDS[0] and most - took < took / done
 
 
 def order_name(order: int) -> str:

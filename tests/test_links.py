@@ -24,11 +24,11 @@ def asked_for_nothing(monkeypatch):
 @pytest.fixture
 def edited(tmp_path, scene_file):
     """Return what edits the room and saves it into a folder of its own, beside one that is none of its business."""
-    (tmp_path / "work").mkdir()
+    (tmp_path / "scenes").mkdir()
     (tmp_path / "elsewhere").mkdir()
 
     def edit(spoil, name="scene.blend"):
-        path = tmp_path / "work" / name
+        path = tmp_path / "scenes" / name
         stage.open_file(scene_file)
         bpy.ops.wm.save_as_mainfile(filepath=str(path))
         spoil(bpy.context.scene, tmp_path / "elsewhere")
@@ -151,7 +151,7 @@ def test_a_fluid_that_writes_where_it_likes_is_never_opened(edited, tmp_path):
         "o.modifiers[0].show_viewport = False;"
         "bpy.ops.wm.save_as_mainfile(filepath=sys.argv[1], relative_remap=False)"
     )
-    folder = tmp_path / "work"
+    folder = tmp_path / "scenes"
     for place, words in {tmp_path / "elsewhere" / "fluid": "outside", folder / "f": "fluid domain 'Cube'"}.items():
         path = edited(lambda scene, elsewhere: None)
         subprocess.run([sys.executable, "-c", script, path, place], capture_output=True, check=False)
@@ -163,7 +163,7 @@ def test_a_fluid_that_writes_where_it_likes_is_never_opened(edited, tmp_path):
 
 
 def test_a_link_in_the_folder_that_leads_out_of_it_is_refused(edited, tmp_path):
-    (tmp_path / "work" / "photo.png").symlink_to(tmp_path / "elsewhere" / "photo.png")
+    (tmp_path / "scenes" / "photo.png").symlink_to(tmp_path / "elsewhere" / "photo.png")
     with pytest.raises(NlosError, match="outside its own folder"):
         stage.open_file(edited(lambda scene, elsewhere: an_image("photo", "//photo.png")))
 
@@ -183,9 +183,9 @@ def test_what_lies_in_the_scenes_folder_is_remembered_and_must_not_change(edited
     """A texture and a library beside the scene are normal work; the pictures are of them as they were."""
 
     def furnish(scene, elsewhere):
-        library(scene, tmp_path / "work")
+        library(scene, tmp_path / "scenes")
         image = bpy.data.images.new("photo", 4, 4)
-        image.filepath_raw, image.file_format = str(tmp_path / "work" / "photo.png"), "PNG"
+        image.filepath_raw, image.file_format = str(tmp_path / "scenes" / "photo.png"), "PNG"
         image.save()
         image.source, image.filepath, image.use_fake_user = "FILE", "//photo.png", True
 
@@ -194,13 +194,13 @@ def test_what_lies_in_the_scenes_folder_is_remembered_and_must_not_change(edited
     result = command(*sweep)
     assert result.returncode == 0, result.stderr
     remembered = Dataset.open(path).meta["links"]
-    assert set(remembered) == {"../work/photo.png", "../work/library.blend"}
+    assert set(remembered) == {"../scenes/photo.png", "../scenes/library.blend"}
     assert len(set(remembered.values())) == 2
     next(path.glob("*/0000.exr")).unlink()
     result = command("generator", "sweep", path / "scene.blend", "-o", path)
     assert result.returncode == 2, "whoever got the set from elsewhere has not asked for what lies around it"
     assert "photo.png, outside the folder of" in result.stderr or "library.blend, outside" in result.stderr
-    (tmp_path / "work" / "photo.png").write_bytes(b"another")
+    (tmp_path / "scenes" / "photo.png").write_bytes(b"another")
     result = command(*sweep)
     assert result.returncode == 2
     assert "photo.png: is not the file that" in result.stderr
