@@ -248,8 +248,14 @@ def refuse_hidden(scene: bpy.types.Scene) -> None:
         raise NlosError(f"{bpy.data.filepath or 'scene'}: the target {target.name!r} {why}; show it")
 
 
-def choose(scene: bpy.types.Scene) -> tuple[str, list[str]]:
+def choose(scene: bpy.types.Scene, found: extract.Survey | None = None) -> tuple[str, list[str]]:
     """Return the cheapest engine that is valid for a scene, and why no cheaper one is.
+
+    Parameters
+    ----------
+    scene : bpy.types.Scene
+    found : extract.Survey, optional
+        Of the scene; it is surveyed if not given.
 
     Returns
     -------
@@ -262,7 +268,7 @@ def choose(scene: bpy.types.Scene) -> tuple[str, list[str]]:
     NlosError
         A role is missing or played twice, or no engine can sweep the scene.
     """
-    found = extract.survey(scene)
+    found = found or extract.survey(scene)
     found.check("path")
     return next((engine, reasons) for engine, reasons in _by_cost(found))
 

@@ -377,10 +377,10 @@ def target_parts(scene: bpy.types.Scene) -> list[bpy.types.Object]:
 
 def hold_camera(scene: bpy.types.Scene, overrides: Overrides) -> None:
     """Let the camera by its role be the scene's, whatever cameras are bound to markers of the timeline."""
-    for marker in scene.timeline_markers:
+    overrides.set(scene, "camera", find(scene, "camera"))
+    for marker in scene.timeline_markers:  # after it, for a marker that gets its camera back puts it into the scene
         if marker.camera is not None:
             overrides.set(marker, "camera", None)
-    overrides.set(scene, "camera", find(scene, "camera"))
 
 
 def as_rendered(scene: bpy.types.Scene, look: Callable[[Any], Result]) -> Result:
