@@ -18,7 +18,7 @@ import numpy as np
 from bpy_extras.object_utils import world_to_camera_view
 from mathutils import Matrix, Vector
 
-from generator import extract, stage
+from generator import extract, nodes, stage
 from generator.dataset import Picture, read_picture
 from generator.spec import Array, NlosError, Sweep
 from generator.transport import Transport, partial
@@ -78,13 +78,14 @@ class Renderer:
                     overrides.set(part, "hide_render", True)
             else:
                 refuse_hidden(scene)
-            if not ambient:
-                overrides.set(scene, "world", None)
+            dark = [] if ambient else _put_out_the_sky(scene, overrides)
             # With persistent data Cycles keeps the old samples and seed unless the scene is marked as changed.
             scene.update_tag()
             self._file.unlink(missing_ok=True)
             with stage.quiet():
                 bpy.ops.render.render(write_still=True, scene=scene.name)
+        if dark:
+            bpy.data.batch_remove(dark)
         scene.update_tag()
         pixels, _ = read_picture(self._file)
         if not np.isfinite(pixels).all():
@@ -360,6 +361,15 @@ def _patch_lamp(scene: bpy.types.Scene, order: int, overrides: stage.Overrides) 
         bpy.data.lights.remove(light)  # takes the object with it
 
 
+def _put_out_the_sky(scene: bpy.types.Scene, overrides: stage.Overrides) -> list[bpy.types.World]:
+    """Put worlds without light in the place of those of a scene, and return them."""
+    dark = []
+    for owner, name in stage.worlds_of(scene):
+        dark.append(nodes.darkened(getattr(owner, name)))
+        overrides.set(owner, name, dark[-1])
+    return dark
+
+
 def _in_view(scene: bpy.types.Scene, patch: LitPatch) -> bool:
     """Whether the camera may see some of the patch, judged by the rectangle around it: a no is sure."""
     turns = np.linspace(0.0, 2.0 * math.pi, 64, endpoint=False)
@@ -377,7 +387,7 @@ def _other_light(scene: bpy.types.Scene, spot: bpy.types.Object) -> bool:
     if stage.ambient(scene) > 0.0 or any(o.type == "LIGHT" and o != spot for o in scene.objects):
         return True
     materials = {slot.material for o in scene.objects for slot in o.material_slots if slot.material}
-    return any(stage.may_glow(m) for m in materials)
+    return any(map(nodes.glows, materials))
 
 
 def _shape_lamp(lamp: bpy.types.Object, patch: LitPatch) -> None:

@@ -11,7 +11,7 @@ from typing import Any, NoReturn, TypeVar
 import bpy
 import numpy as np
 
-from generator import spec, stage
+from generator import nodes, spec, stage
 from generator.spec import Array, NlosError, rotation_matrix
 from generator.transport.world import AmbientLight, LitPatch, Mesh, Sphere, Watched, World
 
@@ -175,17 +175,85 @@ class _Surface:
     faces: int
     seen: bool
     flaws: tuple[str, ...]
+    kinds: frozenset[str] = frozenset()
+    glows: bool = False
+
+
+@dataclass(frozen=True)
+class Light:
+    """Something that gives light in a render.
+
+    Attributes
+    ----------
+    name : str
+        Of the object, or of the world.
+    kind : {"POINT", "SUN", "SPOT", "AREA", "SURFACE", "VOLUME", "WORLD"}
+    role : str
+        "spot" or "target" of a surface that moves with it, "relay_wall", or "room".
+    instance : bool
+        One more of an object that an instancer repeats: collection, geometry nodes, particles.
+    matrix : ndarray of shape (4, 4)
+        Where it stands, metres; a lamp shines along its -z.
+    power : float
+        Of a lamp, watts (a sun's is W/m^2); NaN of the rest.
+    corners : ndarray of shape (n, 3, 3)
+        Triangles of a surface that glows, in the world, metres; empty of the rest.
+    """
+
+    name: str
+    kind: str
+    role: str
+    instance: bool
+    matrix: Array
+    power: float = math.nan
+    corners: Array = field(default_factory=lambda: np.zeros((0, 3, 3)))
+
+    @property
+    def is_spot(self) -> bool:
+        """Whether it is the spot of the scene itself, and no copy."""
+        return self.role == "spot" and not self.instance
 
 
 @dataclass
 class _Reading:
-    """All rendered surfaces, where the objects with a role stand (4 x 4 matrices), what else there is, and the
-    radiance (3,) of a world that shines alike from everywhere, if it does."""
+    """The scene as a render sees it.
+
+    Attributes
+    ----------
+    surfaces : list of _Surface
+        All that are rendered.
+    places : dict of str to ndarray of shape (4, 4)
+        Where the objects with a role stand.
+    reasons : list of str
+        What else there is that `surfel` cannot honour.
+    sky : ndarray of shape (3,) or None
+        Radiance of a world that shines alike from everywhere, if it does.
+    lights : list of Light
+        All that give light.
+    volumes : list of str
+        What is filled with a volume, a phrase each.
+    kinds : dict of str to frozenset of str
+        Of each object that is rendered, how its materials send light on (`nodes.kinds`).
+    """
 
     surfaces: list[_Surface] = field(default_factory=list)
     places: dict[str, Array] = field(default_factory=dict)
     reasons: list[str] = field(default_factory=list)
     sky: Array | None = None
+    lights: list[Light] = field(default_factory=list)
+    volumes: list[str] = field(default_factory=list)
+    kinds: dict[str, frozenset[str]] = field(default_factory=dict)
+
+
+def lights(scene: bpy.types.Scene) -> list[Light]:
+    """Return everything that gives light in a render of a scene: lamps, surfaces that glow, the world; the spot too.
+
+    Raises
+    ------
+    NlosError
+        A role is missing or played twice.
+    """
+    return _read(scene).lights
 
 
 def _as_rendered(scene: bpy.types.Scene, look: Callable[[Any], Result]) -> Result:
@@ -259,10 +327,9 @@ def _read(scene: bpy.types.Scene) -> _Reading:
 
     def look(depsgraph: Any) -> _Reading:
         reading = _Reading(reasons=_layer_reasons(scene, depsgraph))
-        reading.sky, more = _sky(depsgraph.scene.world)
-        reading.reasons += more
         layer = scene.view_layers[depsgraph.view_layer.name]
-        known: dict[int, _Shape] = {}
+        _read_world(getattr(layer, "world_override", None) or depsgraph.scene.world, reading)
+        known: dict[tuple[int, ...], _Shape] = {}
         for instance in depsgraph.object_instances:
             _read_instance(instance, roles, parts[0], layer, reading, known)
         return reading
@@ -276,18 +343,16 @@ def _read_instance(
     target: bpy.types.Object,
     layer: bpy.types.ViewLayer,
     reading: _Reading,
-    known: dict[int, _Shape],
+    known: dict[tuple[int, ...], _Shape],
 ) -> None:
     obj = instance.object
     owner = (instance.parent if instance.is_instance else obj).original
     role = roles.get(owner, "room")
     matrix = stage.numbers(instance.matrix_world)
     if not instance.is_instance and obj.original in roles:
-        key = role if role != "target" or obj.original == target else obj.name
-        reading.places[key] = matrix
+        reading.places[role if role != "target" or obj.original == target else obj.name] = matrix
     if obj.type == "LIGHT":
-        if (instance.is_instance or role != "spot") and obj.data.energy != 0.0:
-            reading.reasons.append(f"the lamp {obj.name!r} shines too")
+        _read_lamp(instance, roles.get(obj.original, "room"), matrix, reading)
         return
     hair = [s for s in obj.particle_systems if s.settings.type == "HAIR" and s.settings.render_type == "PATH"]
     if hair and instance.show_particles:
@@ -296,13 +361,16 @@ def _read_instance(
         return
     if obj.type in _NOT_MESH:
         reading.reasons.append(f"{obj.name!r} is {_NOT_MESH[obj.type]}, and surfel knows only faces")
+        _read_substance(instance, role, matrix, reading)
         return
     if not isinstance(obj.data, bpy.types.Mesh):
         return  # a curve or text comes a second time, as the mesh made of it
-    pointer = obj.data.as_pointer()
-    if pointer not in known:
-        known[pointer] = _shape(obj)
-    shape = known[pointer]
+    # Objects that share a mesh may differ in their materials.
+    made_of = [slot.material.as_pointer() if slot.material else 0 for slot in obj.material_slots]
+    key = (obj.data.as_pointer(), *made_of)
+    if key not in known:
+        known[key] = _shape(obj)
+    shape = known[key]
     if not len(shape.corners):
         return
     label = f"{obj.name!r}"
@@ -327,8 +395,59 @@ def _read_instance(
             faces=shape.faces,
             seen=obj.visible_camera,
             flaws=tuple(f"{label} {flaw}" for flaw in flaws),
+            kinds=shape.kinds,
+            glows=bool(shape.glowing.any()),
         )
     )
+    reading.kinds[obj.name] = reading.kinds.get(obj.name, frozenset()) | shape.kinds
+    if nodes.VOLUME in shape.kinds:
+        reading.volumes.append(f"{obj.name!r} is filled with a volume")
+    if shape.glowing.any() or shape.fire:
+        kind = "SURFACE" if shape.glowing.any() else "VOLUME"
+        shining = triangles[shape.glowing] if shape.glowing.any() else triangles
+        reading.lights.append(Light(obj.name, kind, role, instance.is_instance, matrix, corners=shining))
+
+
+def _read_lamp(instance: Any, role: str, matrix: Array, reading: _Reading) -> None:
+    """Take down a lamp, if it shines."""
+    obj, lamp = instance.object, instance.object.data
+    portal = lamp.type == "AREA" and lamp.cycles.is_portal
+    power = stage.lamp_power(lamp)
+    if portal or power == 0.0 or not nodes.shines(lamp):
+        return
+    factor = nodes.radiance(lamp)
+    power *= 1.0 if factor is None else sum(factor) / 3.0
+    reading.lights.append(Light(obj.name, lamp.type, role, instance.is_instance, matrix, power))
+    if role == "spot" and instance.is_instance:
+        reading.reasons.append(f"the lamp {obj.name!r} shines once more, as an instance")
+    elif role != "spot":
+        reading.reasons.append(f"the lamp {obj.name!r} shines too")
+
+
+def _read_world(world: Any, reading: _Reading) -> None:
+    """Take down the world."""
+    reading.sky, more = _sky(world)
+    reading.reasons += more
+    if world is None:
+        return
+    if nodes.glows(world):
+        reading.lights.append(Light(world.name, "WORLD", "room", False, np.eye(4)))
+    if nodes.read(world).volume:
+        reading.volumes.append(f"the world {world.name!r} is filled with a volume")
+
+
+def _read_substance(instance: Any, role: str, matrix: Array, reading: _Reading) -> None:
+    """Take down hair, points and volumes, whose shape only Cycles knows."""
+    obj = instance.object
+    materials = [slot.material for slot in obj.material_slots] or [None]
+    kinds = frozenset().union(*map(nodes.kinds, materials))
+    if obj.type == "VOLUME" or nodes.VOLUME in kinds:
+        kinds = frozenset({nodes.VOLUME})
+        reading.volumes.append(f"{obj.name!r} is filled with a volume")
+    reading.kinds[obj.name] = reading.kinds.get(obj.name, frozenset()) | kinds
+    if any(map(nodes.glows, materials)):
+        kind = "VOLUME" if obj.type == "VOLUME" else "SURFACE"
+        reading.lights.append(Light(obj.name, kind, role, instance.is_instance, matrix))
 
 
 @dataclass(frozen=True)
@@ -341,6 +460,11 @@ class _Shape:
     smooth: bool
     faces: int
     flaws: tuple[str, ...]
+    kinds: frozenset[str]
+    glowing: Any
+    """Which of the triangles give light, (n,), bool."""
+    fire: bool
+    """Whether a volume inside gives light."""
 
 
 def _shape(obj: Any) -> _Shape:
@@ -356,6 +480,7 @@ def _shape(obj: Any) -> _Shape:
         solid = sides.any(axis=1)  # what has no area neither reflects nor hides anything
         edges = np.bincount(_values(mesh.loops, "edge_index", 1, np.int32)[:, 0])
         colours, flaws = _colours(obj, slot[solid])
+        kinds, glowing, fire = _makings(obj, slot[solid])
         return _Shape(
             corners=corners[solid],
             albedo=colours,
@@ -363,6 +488,9 @@ def _shape(obj: Any) -> _Shape:
             smooth=is_smooth(mesh),
             faces=len(mesh.polygons),
             flaws=flaws,
+            kinds=kinds,
+            glowing=glowing,
+            fire=fire,
         )
     finally:
         obj.to_mesh_clear()
@@ -391,15 +519,30 @@ def is_smooth(mesh: Any) -> bool:
     return bool((((lean > _SMOOTH) | ((shading * faces).sum(axis=1) < 0)) & (area > 0)).any())
 
 
+def _slots(obj: Any, slots: Any) -> tuple[list[Any], Any]:
+    """Return an object's materials, and which of them each face has, as Cycles takes it."""
+    materials = [slot.material for slot in obj.material_slots] or [None]
+    return materials, np.clip(slots, 0, len(materials) - 1)
+
+
+def _makings(obj: Any, slots: Any) -> tuple[frozenset[str], Any, bool]:
+    """Return the kinds of reflection of faces with those material slots, which of them glow, and if a volume does."""
+    materials, slots = _slots(obj, slots)
+    used = np.unique(slots)
+    kinds: frozenset[str] = frozenset().union(*(nodes.kinds(materials[i]) for i in used))
+    glowing = [i for i in used if materials[i] is not None and nodes.shines(materials[i])]
+    fire = any(nodes.glows(materials[i]) and i not in glowing for i in used if materials[i] is not None)
+    return kinds, np.isin(slots, glowing), fire
+
+
 def _colours(obj: Any, slots: Any) -> tuple[Array, tuple[str, ...]]:
     """Return the albedo (n, 3) of faces with those material slots, and what is amiss with their materials."""
-    materials = [slot.material for slot in obj.material_slots] or [None]
-    slots = np.clip(slots, 0, len(materials) - 1)  # as Cycles does
+    materials, slots = _slots(obj, slots)
     table = np.zeros((len(materials), 3))
     flaws = []
     for index in np.unique(slots):
         material = materials[index]
-        colour = None if material is None else stage.material_colour(material)
+        colour = None if material is None else nodes.diffuse(material)
         if colour is None:
             flaws.append(_material_flaw(material))
         elif min(colour) < 0.0 or max(colour) > 1.0:
@@ -413,12 +556,12 @@ def _colours(obj: Any, slots: Any) -> tuple[Array, tuple[str, ...]]:
 def _material_flaw(material: Any) -> str:
     if material is None:
         return "has no material, so that Cycles takes one of its own, which is glossy"
-    output = stage.material_output(material)
-    if output is not None and output.inputs["Volume"].is_linked:
+    shader = nodes.read(material)
+    if shader.volume:
         return "has a material that fills it with a volume"
-    if output is not None and output.inputs["Displacement"].is_linked:
+    if shader.displaced:
         return "has a material that displaces it"
-    if stage.may_glow(material):
+    if nodes.glows(material):
         return "has a material that may give light of its own"
     return "has a material that is not one constant diffuse colour"
 
@@ -459,26 +602,15 @@ def _sky(world: Any) -> tuple[Array | None, list[str]]:
     """Radiance (3,), W/m^2/sr, of a world that shines alike from everywhere, if it shines; what else is amiss."""
     if world is None:
         return None, []
-    tree, reasons = world.node_tree, []
-    if bpy.app.version < (5, 0) and not world.use_nodes:
-        tree = None
-    if tree is None:
-        return _lit(world.color), []
-    output = next((n for n in tree.nodes if n.type == "OUTPUT_WORLD" and n.is_active_output), None)
-    if output is None:
-        return None, []
-    if output.inputs["Volume"].is_linked:
+    reasons = []
+    if nodes.read(world).volume:
         reasons.append(f"the world {world.name!r} is filled with a volume")
-    if not output.inputs["Surface"].is_linked:
+    if not nodes.shines(world):
         return None, reasons
-    shader = output.inputs["Surface"].links[0].from_node
-    if shader.type == "BACKGROUND":
-        colour, strength = shader.inputs["Color"], shader.inputs["Strength"]
-        if not strength.is_linked and (strength.default_value == 0.0 or not colour.is_linked):
-            return _lit(strength.default_value * np.array(colour.default_value[:3])), reasons
-        if not colour.is_linked and not any(colour.default_value[:3]):
-            return None, reasons
-    return None, [*reasons, f"the world {world.name!r} gives ambient light that is not one constant radiance"]
+    radiance = nodes.radiance(world)
+    if radiance is None:
+        return None, [*reasons, f"the world {world.name!r} gives ambient light that is not one constant radiance"]
+    return _lit(radiance), reasons
 
 
 def _lit(radiance: Any) -> Array | None:
