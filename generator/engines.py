@@ -191,7 +191,7 @@ def opened(
             world, shadows = partial.without(whole, leave_out)
             yield SurfelRenderer(scene, Transport(world, accuracy=accuracy, threads=threads), shadows=shadows)
             return
-        with _patch_lamp(scene, order, overrides) if engine == "patch" else contextlib.nullcontext():
+        with _patch_lamp(scene, order) if engine == "patch" else contextlib.nullcontext():
             yield Renderer(scene, Path(folder))
 
 
@@ -327,38 +327,43 @@ def _plain_cycles(scene: bpy.types.Scene, overrides: stage.Overrides) -> None:
 
 
 @contextlib.contextmanager
-def _patch_lamp(scene: bpy.types.Scene, order: int, overrides: stage.Overrides) -> Iterator[None]:
+def _patch_lamp(scene: bpy.types.Scene, order: int) -> Iterator[None]:
     """Put an area lamp in the place of the lit patch, which stands for the first reflection.
 
     The spot itself stays for the light of order 1, which Cycles finds without noise, if the camera sees the patch.
     What comes from the patch lamp has one reflection behind it already, so it may make one bounce less than the
     scene allows.
     """
-    patch = extract.lit_patch(scene)
-    spot = stage.find(scene, "spot")
-    overrides.set(spot.data.cycles, "max_bounces", 0)
-    seen = _in_view(scene, patch)
-    if not seen:
-        overrides.set(spot, "hide_render", True)
-    if order < 2:
-        yield
-        return
-    if not seen and not _other_light(scene, spot):
-        # With one lamp there is nothing to choose among, and after its last bounce nothing left to find.
-        overrides.set(scene.cycles, "use_light_tree", False)
-        overrides.set(scene.cycles, "max_bounces", order - 2)
+    reflection = extract.first_reflection(scene)
+    patch, spot = reflection.patch, stage.find(scene, "spot")
     light = bpy.data.lights.new("NLOS lit patch", "AREA")
     lamp = bpy.data.objects.new("NLOS lit patch", light)
+    own = spot.data.copy()  # other lamps may share it, and keep theirs
     try:
-        _shape_lamp(lamp, patch)
-        light.cycles.max_bounces = order - 2
-        # A ray that meets the lamp by chance is not held to the limit above, so only direct sampling may find it.
-        light.cycles.use_multiple_importance_sampling = False
-        lamp.visible_camera = False
-        scene.collection.objects.link(lamp)
-        yield
+        with stage.Overrides() as overrides:
+            overrides.set(spot, "data", own)
+            own.cycles.max_bounces = 0
+            seen = _in_view(scene, patch)
+            if not seen:
+                overrides.set(spot, "hide_render", True)
+            if order < 2:
+                yield
+                return
+            if reflection.alone:  # after the patch lamp's last bounce there is nothing left to find
+                overrides.set(scene.cycles, "max_bounces", order - 2)
+            if reflection.alone and not seen:  # with one lamp there is nothing to choose among
+                overrides.set(scene.cycles, "use_light_tree", False)
+            _shape_lamp(lamp, patch)
+            light.cycles.max_bounces = order - 2
+            # A mirror shows the lamp only to rays that meet it by chance. They are not held to the lamp's limit above,
+            # but to the scene's, which is as low if there is no other light.
+            light.cycles.use_multiple_importance_sampling = reflection.alone and reflection.mirrors
+            lamp.visible_camera = False
+            scene.collection.objects.link(lamp)
+            yield
     finally:
         bpy.data.lights.remove(light)  # takes the object with it
+        bpy.data.lights.remove(own)
 
 
 def _put_out_the_sky(scene: bpy.types.Scene, overrides: stage.Overrides) -> list[bpy.types.World]:
@@ -380,14 +385,6 @@ def _in_view(scene: bpy.types.Scene, patch: LitPatch) -> bool:
         return True
     low, high = seen.min(axis=0), seen.max(axis=0)
     return bool(not behind.all() and low[0] < 1.0 and high[0] > 0.0 and low[1] < 1.0 and high[1] > 0.0)
-
-
-def _other_light(scene: bpy.types.Scene, spot: bpy.types.Object) -> bool:
-    """Whether anything but the spot may give light: a lamp, the world, a material."""
-    if stage.ambient(scene) > 0.0 or any(o.type == "LIGHT" and o != spot for o in scene.objects):
-        return True
-    materials = {slot.material for o in scene.objects for slot in o.material_slots if slot.material}
-    return any(map(nodes.glows, materials))
 
 
 def _shape_lamp(lamp: bpy.types.Object, patch: LitPatch) -> None:

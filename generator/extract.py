@@ -53,10 +53,39 @@ def lit_patch(scene: bpy.types.Scene) -> LitPatch:
         The lamp or the wall is not one whose reflection is known in closed form, or something stands between them;
         the message names what, and says that `path` can render it.
     """
-    patch, reasons = _lit_patch(scene, _read(scene))
+    return first_reflection(scene).patch
+
+
+@dataclass(frozen=True)
+class FirstReflection:
+    """The first reflection in closed form, and what a lamp in its place has to reckon with.
+
+    Attributes
+    ----------
+    patch : LitPatch
+    alone : bool
+        Whether nothing but the spot gives light.
+    mirrors : bool
+        Whether anything but a diffuse surface reflects, so that rays must be able to meet the lamp.
+    """
+
+    patch: LitPatch
+    alone: bool
+    mirrors: bool
+
+
+def first_reflection(scene: bpy.types.Scene) -> FirstReflection:
+    """Return `lit_patch` and what goes with it; raises as it does."""
+    reading = _read(scene)
+    patch, reasons = _lit_patch(scene, reading)
     if patch is None:
         _refuse("patch", reasons, instead="path")
-    return patch
+    kinds = frozenset().union(*reading.kinds.values())
+    return FirstReflection(
+        patch=patch,
+        alone=not other_lights(reading.lights),
+        mirrors=bool(kinds - {nodes.DIFFUSE, nodes.TRANSPARENT}),
+    )
 
 
 def surfel_world(scene: bpy.types.Scene, *, resolution: tuple[int, int] | None = None) -> World:
@@ -176,7 +205,8 @@ class _Surface:
     seen: bool
     flaws: tuple[str, ...]
     kinds: frozenset[str] = frozenset()
-    glows: bool = False
+    unseen_by: frozenset[str] = frozenset()
+    """Kinds of rays that pass it by."""
 
 
 @dataclass(frozen=True)
@@ -226,6 +256,8 @@ class _Reading:
         Where the objects with a role stand.
     reasons : list of str
         What else there is that `surfel` cannot honour.
+    layers : list of str
+        What the view layers do to a picture that only plain Cycles does.
     sky : ndarray of shape (3,) or None
         Radiance of a world that shines alike from everywhere, if it does.
     lights : list of Light
@@ -239,6 +271,7 @@ class _Reading:
     surfaces: list[_Surface] = field(default_factory=list)
     places: dict[str, Array] = field(default_factory=dict)
     reasons: list[str] = field(default_factory=list)
+    layers: list[str] = field(default_factory=list)
     sky: Array | None = None
     lights: list[Light] = field(default_factory=list)
     volumes: list[str] = field(default_factory=list)
@@ -326,7 +359,8 @@ def _read(scene: bpy.types.Scene) -> _Reading:
     roles |= dict.fromkeys(parts, "target")
 
     def look(depsgraph: Any) -> _Reading:
-        reading = _Reading(reasons=_layer_reasons(scene, depsgraph))
+        layers = _layer_reasons(scene)
+        reading = _Reading(reasons=list(layers), layers=layers)
         layer = scene.view_layers[depsgraph.view_layer.name]
         _read_world(getattr(layer, "world_override", None) or depsgraph.scene.world, reading)
         known: dict[tuple[int, ...], _Shape] = {}
@@ -357,6 +391,7 @@ def _read_instance(
     hair = [s for s in obj.particle_systems if s.settings.type == "HAIR" and s.settings.render_type == "PATH"]
     if hair and instance.show_particles:
         reading.reasons.append(f"{obj.name!r} carries hair")
+        _read_substance(instance, role, matrix, reading)
     if not instance.show_self:
         return
     if obj.type in _NOT_MESH:
@@ -396,7 +431,7 @@ def _read_instance(
             seen=obj.visible_camera,
             flaws=tuple(f"{label} {flaw}" for flaw in flaws),
             kinds=shape.kinds,
-            glows=bool(shape.glowing.any()),
+            unseen_by=frozenset(_unseen_by(instance)),
         )
     )
     reading.kinds[obj.name] = reading.kinds.get(obj.name, frozenset()) | shape.kinds
@@ -566,12 +601,19 @@ def _material_flaw(material: Any) -> str:
     return "has a material that is not one constant diffuse colour"
 
 
+_RAYS = ("camera", "diffuse", "glossy", "transmission", "shadow")
+
+
+def _unseen_by(instance: Any) -> list[str]:
+    """Kinds of rays that pass a surface by."""
+    objects = [instance.object] + ([instance.parent] if instance.is_instance else [])
+    return [word for word in _RAYS if not all(getattr(o, f"visible_{word}") for o in objects)]
+
+
 def _visibility_flaws(instance: Any, role: str, layer: bpy.types.ViewLayer) -> list[str]:
     objects = [instance.object] + ([instance.parent] if instance.is_instance else [])
-    rays = {"visible_diffuse": "diffuse", "visible_shadow": "shadow"}
-    if role == "relay_wall":
-        rays["visible_camera"] = "camera"
-    flaws = [f"is not visible to {word} rays" for n, word in rays.items() if not all(getattr(o, n) for o in objects)]
+    seeing = _RAYS if role == "relay_wall" else ("diffuse", "shadow")
+    flaws = [f"is not visible to {word} rays" for word in _unseen_by(instance) if word in seeing]
     originals = [o.original for o in objects]
     if any(o.is_holdout or o.holdout_get(view_layer=layer) for o in originals):
         flaws.append("is a holdout")
@@ -579,11 +621,19 @@ def _visibility_flaws(instance: Any, role: str, layer: bpy.types.ViewLayer) -> l
         flaws.append("is in a collection that is seen indirectly only")
     if any(o.is_shadow_catcher for o in originals):
         flaws.append("is a shadow catcher")
+    if any(_terminator(o) for o in originals):
+        flaws.append("has a shadow terminator offset, which darkens it where light grazes")
     return flaws
 
 
-def _layer_reasons(scene: bpy.types.Scene, depsgraph: Any) -> list[str]:
-    """What the world and the view layers do to a picture that `surfel` does not."""
+def _terminator(obj: bpy.types.Object) -> bool:
+    """Whether an object's shading is made smoother where light grazes it; that acts on flat faces too."""
+    own = getattr(obj, "shadow_terminator_shading_offset", 0.0)  # what Blender keeps it in, whatever shows it
+    return bool(own or getattr(obj.cycles, "shadow_terminator_offset", 0.0))
+
+
+def _layer_reasons(scene: bpy.types.Scene) -> list[str]:
+    """What the view layers do to a picture that only plain Cycles does."""
     reasons = []
     rendered = [layer for layer in scene.view_layers if layer.use]
     if len(rendered) > 1:
@@ -595,6 +645,8 @@ def _layer_reasons(scene: bpy.types.Scene, depsgraph: Any) -> list[str]:
             reasons.append(f"the view layer {layer.name!r} leaves out solid faces")
         if getattr(layer, "world_override", None) is not None:
             reasons.append(f"the view layer {layer.name!r} has a world of its own")
+        if not layer.use_sky and stage.ambient(scene) > 0.0:
+            reasons.append(f"the view layer {layer.name!r} leaves out the world's light")
     return reasons
 
 
@@ -607,6 +659,10 @@ def _sky(world: Any) -> tuple[Array | None, list[str]]:
         reasons.append(f"the world {world.name!r} is filled with a volume")
     if not nodes.shines(world):
         return None, reasons
+    if not world.cycles_visibility.diffuse:
+        reasons.append(f"the world {world.name!r} is not visible to diffuse rays")
+    if world.cycles.max_bounces < MAX_ORDER - 1:
+        reasons.append(f"the world {world.name!r} has a limit of bounces of its own ({world.cycles.max_bounces})")
     radiance = nodes.radiance(world)
     if radiance is None:
         return None, [*reasons, f"the world {world.name!r} gives ambient light that is not one constant radiance"]
@@ -750,10 +806,9 @@ def _lit_patch(scene: bpy.types.Scene, reading: _Reading) -> tuple[LitPatch | No
     reasons = _lamp_reasons(lamp, stage.reflection_order(scene))
     if "spot" not in reading.places:
         reasons.append(f"the spot {lamp.name!r} is hidden from renders")
-    colour = stage.diffuse_colour(wall)
-    if colour is None:
-        reasons.append(f"the relay wall {wall.name!r} has a material that is not one constant diffuse colour")
+    reasons += _reflection_reasons(scene, reading)
     surfaces = [s for s in reading.surfaces if s.role != "target"]
+    walls = [s for s in surfaces if s.role == "relay_wall"]
     matrix = stage.numbers(lamp.matrix_world)
     origin, axis = matrix[:3, 3], -matrix[:3, 2] / np.linalg.norm(matrix[:3, 2])
     half = light.spot_size / 2.0
@@ -782,8 +837,9 @@ def _lit_patch(scene: bpy.types.Scene, reading: _Reading) -> tuple[LitPatch | No
         axis=axis,
         height=height,
         intensity=stage.numbers(light.color)
+        * np.array(nodes.radiance(light) or (0.0, 0.0, 0.0))
         * (light.energy * 2.0 ** getattr(light, "exposure", 0.0) / (4.0 * math.pi)),
-        albedo=np.asarray(colour or (0.0, 0.0, 0.0)),
+        albedo=np.zeros(3),
         cos_outer=math.cos(half),
         cos_width=(1.0 - math.cos(half)) * blend,
     )
@@ -792,6 +848,11 @@ def _lit_patch(scene: bpy.types.Scene, reading: _Reading) -> tuple[LitPatch | No
     apex = np.append(origin, 1.0)
     sides = _pyramid(rim, apex)
     before = [*sides, _Plane(normal, float(normal @ point) + 1e-4 * height)]
+    colour = _colour_within(walls, [*sides, *_near(normal, point, 1e-4 * height)])
+    if colour is None:
+        reasons.append(f"the relay wall {wall.name!r} has more than one colour where {lamp.name!r} lights it")
+    else:
+        patch = replace(patch, albedo=colour)
     blocking = [s for s in surfaces if _areas(s.triangles, before).sum() > _NOTHING * major * minor]
     reasons += [_blocked(lamp, wall, s) for s in blocking]
     if not blocking and not _covered(surfaces, sides, point, normal, rim, 1e-4 * height):
@@ -805,10 +866,9 @@ def _lamp_reasons(lamp: bpy.types.Object, order: int) -> list[str]:
     reasons = []
     if light.shadow_soft_size > 0:
         reasons.append(f"{name} has a radius of {light.shadow_soft_size:g} m, not 0")
-    # From Blender 5.2 on every lamp has nodes, and to ask whether they are used is deprecated.
-    used = bpy.app.version >= (5, 2) or light.use_nodes
-    if used and light.node_tree and _has_own_nodes(light.node_tree):
-        reasons.append(f"{name} has shader nodes of its own")
+    factor = nodes.radiance(light)
+    if factor is None or min(factor) < 0.0 or nodes.read(light).volume:
+        reasons.append(f"{name} has shader nodes of its own that are not one constant emission")
     if getattr(light, "use_temperature", False):
         reasons.append(f"{name} takes its colour from a temperature")
     if not getattr(light, "normalize", True):
@@ -834,18 +894,80 @@ def _blocked(lamp: bpy.types.Object, wall: bpy.types.Object, hit: _Surface | Non
     return f"{hit.name!r} stands in the cone of the spot {lamp.name!r}, before the relay wall"
 
 
-def _has_own_nodes(tree: bpy.types.NodeTree) -> bool:
-    """Whether a lamp's node tree is other than the one every lamp starts with: white emission of strength 1."""
-    if {n.type for n in tree.nodes} - {"EMISSION", "OUTPUT_LIGHT"}:
-        return True
-    for node in tree.nodes:
-        if node.type == "EMISSION":
-            colour, strength = node.inputs["Color"], node.inputs["Strength"]
-            if colour.is_linked or strength.is_linked or strength.default_value != 1.0:
-                return True
-            if any(c != 1.0 for c in colour.default_value):
-                return True
-    return False
+def _reflection_reasons(scene: bpy.types.Scene, reading: _Reading) -> list[str]:
+    """Why the first reflection, in closed form and sent out by a lamp, would not be what Cycles finds."""
+    reasons = [*reading.layers, *reading.volumes]
+    copies = [light for light in reading.lights if light.role == "spot" and light.instance]
+    reasons += [f"the lamp {light.name!r} shines once more, as an instance" for light in copies]
+    for wall in (s for s in reading.surfaces if s.role == "relay_wall"):
+        reasons += wall.flaws
+        if wall.smooth:
+            reasons.append(f"{wall.label} is shaded smooth, so that it reflects as if it were curved")
+    reasons += _passed_by(reading)
+    reasons += _bounce_reasons(scene, reading)
+    return list(dict.fromkeys(reasons))
+
+
+def _passed_by(reading: _Reading) -> list[str]:
+    """What some rays meet and others pass by.
+
+    The way from the object to the lit patch is that of a reflected ray in Cycles, and that of a shadow ray where a
+    lamp stands for the patch.
+    """
+    kinds = frozenset().union(*reading.kinds.values())
+    reflected = {"diffuse", *({nodes.GLOSSY, nodes.TRANSMISSION} & kinds)}
+    reasons = []
+    for surface in reading.surfaces:
+        unseen = surface.unseen_by & {"shadow", *reflected}
+        if unseen and unseen != {"shadow", *reflected}:
+            words = " and ".join(word for word in _RAYS if word in unseen)
+            reasons.append(f"{surface.label} is not visible to {words} rays, and is to others")
+    return reasons
+
+
+def _bounce_reasons(scene: bpy.types.Scene, reading: _Reading) -> list[str]:
+    """Which materials need a limit of bounces that one number cannot say, or a lamp that rays meet by chance."""
+    cycles = scene.cycles
+    others = other_lights(reading.lights)
+    reasons = []
+    for name, kinds in reading.kinds.items():
+        ways = [kind for kind in (nodes.GLOSSY, nodes.TRANSMISSION) if kind in kinds]
+        if nodes.UNKNOWN in kinds:
+            reasons.append(f"{name!r} has a material that sends light where only Cycles knows")
+        if not ways:
+            continue
+        limits = {kind: getattr(cycles, f"{kind}_bounces") for kind in ("diffuse", *ways)}
+        low = min(limits, key=lambda kind: limits[kind])
+        if limits[low] < cycles.max_bounces:
+            reasons.append(
+                f"{name!r} has a {ways[0]} material, and the limit of {low} bounces ({limits[low]}) is below that of "
+                f"all ({cycles.max_bounces})"
+            )
+        if nodes.MIRROR in kinds and others:
+            reasons.append(f"{name!r} may reflect like a mirror while {others[0].name!r} shines too")
+    return reasons
+
+
+def other_lights(found: Sequence[Light]) -> list[Light]:
+    """Return those of the lights that are not the spot itself."""
+    return [light for light in found if not light.is_spot]
+
+
+def _near(normal: Array, point: Array, slack: float) -> list[_Plane]:
+    """The slab around a plane."""
+    at = float(normal @ point)
+    return [_Plane(normal, at - slack), _Plane(-normal, -at - slack)]
+
+
+def _colour_within(walls: Sequence[_Surface], planes: Sequence[_Plane]) -> Array | None:
+    """Return the albedo (3,) of walls inside all of the planes; None if it is not everywhere the same."""
+    if not walls:
+        return np.zeros(3)
+    areas = np.concatenate([_areas(s.triangles, planes) for s in walls])
+    albedo = np.concatenate([s.albedo for s in walls])[areas > _NOTHING * areas.sum()]
+    if not len(albedo):
+        return np.zeros(3)
+    return None if np.ptp(albedo, axis=0).any() else albedo[0]
 
 
 def _perpendicular(normal: Array) -> Array:
@@ -918,7 +1040,7 @@ def _watched(
         to_wall=to_wall,
         eye=seen_from,
         normal=normal,
-        albedo=np.asarray(stage.diffuse_colour(wall) or (0.0, 0.0, 0.0)),
+        albedo=np.zeros(3),
         resolution=resolution,
     )
     reach = (watched.points(_CORNERS) - eye) @ forward
@@ -927,6 +1049,11 @@ def _watched(
     outline = watched.points(_EDGE + (1.0 - 2.0 * _EDGE) * _CORNERS)
     sides = _pyramid(outline, seen_from)
     slack = 1e-4 * float(reach.min())
+    colour = _colour_within([s for s in surfaces if s.role == "relay_wall"], [*sides, *_near(normal, point, slack)])
+    if colour is None:
+        reasons.append(f"the relay wall {wall.name!r} has more than one colour where {name} sees it")
+    else:
+        watched = replace(watched, albedo=colour)
     between = [
         *sides,
         _Plane(normal, float(normal @ point) + slack),
