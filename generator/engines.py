@@ -355,8 +355,8 @@ def _patch_lamp(scene: bpy.types.Scene, order: int) -> Iterator[None]:
                 overrides.set(scene.cycles, "use_light_tree", False)
             _shape_lamp(lamp, patch)
             light.cycles.max_bounces = order - 2
-            # A mirror shows the lamp only to rays that meet it by chance. They are not held to the lamp's limit above,
-            # but to the scene's, which is as low if there is no other light.
+            # A mirror shows the lamp only to rays that meet it by chance. They are not held to the limit above,
+            # but to that of the scene, which is as low if there is no other light.
             light.cycles.use_multiple_importance_sampling = reflection.alone and reflection.mirrors
             lamp.visible_camera = False
             scene.collection.objects.link(lamp)
