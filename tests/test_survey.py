@@ -187,13 +187,23 @@ def lamp_follows(blender):
     constraint.target = stage.find(blender, "target")
 
 
+def power_is_driven(blender):
+    driver = stage.find(blender, "spot").data.driver_add("energy").driver
+    variable = driver.variables.new()
+    variable.type = "TRANSFORMS"
+    variable.targets[0].id = stage.find(blender, "target")
+    variable.targets[0].transform_type = "LOC_Y"
+    driver.expression = f"100 * {variable.name}"
+
+
 FOLLOWERS = {
     "spot": (tracks("spot"), "the spot 'Spot' moves when the target does"),
     "camera": (tracks("camera"), "the camera 'Camera' moves when the target does"),
     "room": (wall_follows, "changes when the target moves, and is not one of its children"),
     "modifier": (cut_by_the_target, "'Cube' changes when the target moves"),
     "colour": (colour_is_driven, "changes when the target moves, and is not one of its children"),
-    "lamp": (lamp_follows, "the lamp 'Torch' moves when the target does"),
+    "power": (power_is_driven, "the light 'Spot' changes its power when the target moves"),
+    "lamp": (lamp_follows, "the light 'Torch' moves when the target does"),
 }
 
 
