@@ -26,6 +26,7 @@ NEEDS_BLENDER = {
         "probing",
         "references",
         "rehearsal",
+        "replaced",
         "simplify",
         "stage",
         "worker",
