@@ -18,7 +18,7 @@ import numpy as np
 from bpy_extras.object_utils import world_to_camera_view
 from mathutils import Matrix, Vector
 
-from generator import extract, nodes, stage
+from generator import extract, nodes, replaced, stage
 from generator.dataset import Picture, read_picture
 from generator.spec import Array, NlosError, Sweep
 from generator.transport import Transport, partial
@@ -284,64 +284,25 @@ def _by_cost(found: extract.Survey) -> Iterator[tuple[str, list[str]]]:
 
 
 def _linear_output(scene: bpy.types.Scene, overrides: stage.Overrides) -> None:
-    """Float32 radiance straight from the renderer: no view transform, crop, compositor, dither or denoiser.
-
-    Nor Freestyle, whose style modules are Python that runs though a file's scripts are off.
-    """
-    render = scene.render
-    image = render.image_settings
-    if hasattr(image, "media_type"):  # Blender 5
-        overrides.set(image, "media_type", "IMAGE")
-    for owner, name, value in (
-        (image, "file_format", "OPEN_EXR"),
-        (image, "color_mode", "RGB"),
-        (image, "color_depth", "32"),
-        (image, "exr_codec", "NONE"),
-        (render, "engine", "CYCLES"),
-        (render, "resolution_percentage", 100),
-        (render, "pixel_aspect_x", 1.0),
-        (render, "pixel_aspect_y", 1.0),
-        (render, "use_border", False),
-        (render, "use_compositing", False),
-        (render, "use_sequencer", False),
-        (render, "use_freestyle", False),
-        (render, "use_motion_blur", False),
-        (render, "use_simplify", False),
-        (render, "use_file_extension", False),
-        (render, "use_overwrite", True),
-        (render, "use_multiview", False),
-        (render, "film_transparent", False),
-        (render, "use_persistent_data", True),
-    ):
-        overrides.set(owner, name, value)
+    """Let the renderer's own float32 radiance be what is written."""
+    image = scene.render.image_settings
+    space = getattr(image, "linear_colorspace_settings", None)
+    if space is not None:
+        overrides.keep(space, "name")
+    for name in ("exr_codec", "color_depth", "color_mode", "file_format"):
+        overrides.keep(image, name)  # these come back last, when the file format that they belong to is back
+    _replace(scene, overrides, replaced.OUTPUT)
 
 
 def _plain_cycles(scene: bpy.types.Scene, overrides: stage.Overrides) -> None:
-    """Unbiased Cycles: a fixed number of samples, nothing clamped, filtered, denoised, guessed or cut short."""
-    for name, value in {
-        "device": "CPU",
-        "use_adaptive_sampling": False,
-        "use_denoising": False,
-        "time_limit": 0.0,
-        "sample_clamp_direct": 0.0,
-        "sample_clamp_indirect": 0.0,
-        "blur_glossy": 0.0,
-        "caustics_reflective": True,
-        "caustics_refractive": True,
-        "light_sampling_threshold": 0.0,
-        "pixel_filter_type": "BOX",
-        "film_exposure": 1.0,
-        "use_fast_gi": False,
-        "use_animated_seed": False,
-        "use_guiding": False,
-        "sampling_pattern": "TABULATED_SOBOL",
-        "use_sample_subset": False,
-        "sample_offset": 0,
-    }.items():
-        if name in scene.cycles.bl_rna.properties or hasattr(scene.cycles, name):
-            overrides.set(scene.cycles, name, value)
-    for layer in scene.view_layers:
-        overrides.set(layer, "samples", 0)
+    """Let Cycles be unbiased, and its noise follow from seed and samples alone."""
+    _replace(scene, overrides, replaced.SAMPLING)
+
+
+def _replace(scene: bpy.types.Scene, overrides: stage.Overrides, settings: Sequence[replaced.Setting]) -> None:
+    for setting in settings:
+        for owner, name in replaced.places(scene, setting):
+            overrides.set(owner, name, setting.value)
 
 
 @contextlib.contextmanager

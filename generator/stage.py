@@ -78,7 +78,11 @@ def quiet() -> Iterator[None]:
 
 
 class Overrides:
-    """Set attributes of Blender's data and set them back on leaving, last first."""
+    """Set attributes of Blender's data and set them back on leaving, last first.
+
+    Animation and drivers have their say when a render starts, and would overrule what is set; so those of just these
+    attributes are muted for as long.
+    """
 
     def __init__(self) -> None:
         self._old: list[tuple[Any, str, Any]] = []
@@ -87,15 +91,94 @@ class Overrides:
         return self
 
     def set(self, owner: Any, name: str, value: Any) -> None:
-        """Set an attribute until the block is left."""
+        """Set an attribute until the block is left.
+
+        Raises
+        ------
+        NlosError
+            It is animated by an action that animates something else as well, which muting it would change.
+        """
+        for curve in animating(owner, name):
+            self._old.append((curve, "mute", False))
+            curve.mute = True
         self._old.append((owner, name, getattr(owner, name)))
         setattr(owner, name, value)
+
+    def keep(self, owner: Any, name: str) -> None:
+        """Set an attribute back on leaving, whatever changes it: a file format has a depth and a colour space."""
+        self._old.append((owner, name, getattr(owner, name)))
 
     def __exit__(self, *_: object) -> None:
         for owner, name, value in reversed(self._old):
             # A codec or depth that only the old file format has comes back with that format, set after it.
             with contextlib.suppress(TypeError):
                 setattr(owner, name, value)
+
+
+def animating(owner: Any, name: str) -> list[Any]:
+    """Return the F-curves, among them drivers, that set an attribute when a render starts.
+
+    Parameters
+    ----------
+    owner : bpy.types.bpy_struct
+    name : str
+
+    Raises
+    ------
+    NlosError
+        One is in an action that animates something else as well.
+    """
+    block = getattr(owner, "id_data", None)
+    animation = getattr(block, "animation_data", None)
+    if animation is None:
+        return []
+    found = [curve for curve in animation.drivers if _sets(curve, owner, name)]
+    for action, slot in _actions(animation):
+        curves = [curve for curve in _curves(action, slot) if _sets(curve, owner, name)]
+        # Another scene's settings are not rendered.
+        if curves and not isinstance(block, bpy.types.Scene) and _shared(action, slot):
+            raise NlosError(
+                f"{_file()}: {block.name!r} shares the action {action.name!r}, which animates its {name!r}, with "
+                "something else; give it an action of its own"
+            )
+        found += curves
+    return found
+
+
+def _sets(curve: Any, owner: Any, name: str) -> bool:
+    """Whether an F-curve that counts sets that attribute."""
+    path = curve.data_path
+    if curve.mute or not path.endswith((name, f'"{name}"]')):
+        return False
+    head = path.removesuffix(f'["{name}"]').removesuffix(name).removesuffix(".")
+    if head in ("cycles", '["cycles"]'):  # Cycles' settings were custom properties until Blender 5
+        return bool(owner == getattr(owner.id_data, "cycles", None))
+    try:
+        return bool((owner.id_data.path_resolve(head) if head else owner.id_data) == owner)
+    except ValueError:  # it leads nowhere
+        return False
+
+
+def _actions(animation: Any) -> list[tuple[Any, Any]]:
+    """Actions that animate a data-block, by itself or as strips, each with the handle of its slot, if it has slots."""
+    users, strips = [animation], [strip for track in animation.nla_tracks for strip in track.strips]
+    while strips:
+        strip = strips.pop()
+        users.append(strip)
+        strips += strip.strips  # of a meta-strip
+    return [(user.action, getattr(user, "action_slot_handle", None)) for user in users if user.action is not None]
+
+
+def _curves(action: Any, slot: Any) -> list[Any]:
+    if not hasattr(action, "layers"):  # until Blender 4.3
+        return list(action.fcurves)
+    bags = [bag for layer in action.layers for strip in layer.strips for bag in strip.channelbags]
+    return [curve for bag in bags if bag.slot_handle == slot for curve in bag.fcurves]
+
+
+def _shared(action: Any, slot: Any) -> bool:
+    slots = [s for s in getattr(action, "slots", ()) if s.handle == slot]
+    return len(slots[0].users()) > 1 if slots else action.users - action.use_fake_user > 1
 
 
 def open_file(path: Path, known: Collection[Path] = ()) -> bpy.types.Scene:

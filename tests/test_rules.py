@@ -27,6 +27,7 @@ NEEDS_BLENDER = {
         "probing",
         "references",
         "rehearsal",
+        "replaced",
         "simplify",
         "stage",
         "worker",
