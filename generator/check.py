@@ -182,7 +182,7 @@ def _engine(scene: bpy.types.Scene, engine: str) -> list[Finding]:
     if survey.never:
         return [Finding(ERROR, f"It cannot be swept: {reason}", _named(scene, reason)) for reason in survey.never]
     chosen, reasons = engines.choose(scene, survey)
-    if engine == engines.AUTO:
+    if engine == spec.AUTO:
         engine = chosen
     rank = engines.ENGINES.index
     found = []

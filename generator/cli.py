@@ -358,7 +358,7 @@ def _add_engine_options(parser: argparse.ArgumentParser) -> None:
         help="path: Cycles from the spot lamp, any scene, very noisy; "
         "patch: the lit patch as an emitter, same picture, far less noise; "
         "surfel: the integral itself, plain diffuse scenes, no noise, far faster, ambient light to a few per cent; "
-        f"auto: the cheapest that the scene allows, and says why (default: {default.engine})",
+        "auto: the cheapest that the scene allows, and says why (default)",
     )
     parser.add_argument(
         "--samples", type=int, metavar="N", help=f"rays per pixel, of path and patch (default: {default.samples})"
@@ -438,7 +438,7 @@ def chosen_settings(options: argparse.Namespace, kind: type = Sweep, **needed: A
     checked = {**needed, **chosen}
     if "resolution" in checked:
         checked["resolution"] = spec.parse_resolution(checked["resolution"])
-    if checked.get("engine") == "auto":
+    if checked.get("engine") == spec.AUTO:
         del checked["engine"]
     spec.from_dict(kind, checked, "--")
     return chosen

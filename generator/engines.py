@@ -25,7 +25,6 @@ from generator.transport import Transport, partial
 from generator.transport.world import LitPatch
 
 ENGINES = ("path", "patch", "surfel")
-AUTO = "auto"
 GPU_KINDS = ("OPTIX", "CUDA", "HIP", "METAL", "ONEAPI")
 """Cycles' names of what it can reach a GPU through, the quickest first."""
 

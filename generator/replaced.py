@@ -77,9 +77,7 @@ OUTPUT = (
 
 SAMPLING = (
     Setting("cycles.device", "CPU"),  # --device says otherwise
-    Setting(
-        "cycles.use_adaptive_sampling", False, "adaptive sampling", f"{_ALL_SAMPLES}; to stop early is biased"
-    ),
+    Setting("cycles.use_adaptive_sampling", False, "adaptive sampling", f"{_ALL_SAMPLES}; to stop early is biased"),
     Setting("cycles.use_denoising", False, "denoising", "it is biased; --denoise asks for it"),
     Setting("cycles.time_limit", 0.0, "time limit", "pixels do not depend on how fast the machine is"),
     Setting("cycles.sample_clamp_direct", 0.0, "clamping of direct light", "it takes light away"),
