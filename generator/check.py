@@ -184,7 +184,10 @@ def _settings(scene: bpy.types.Scene, described: spec.Scene) -> list[Finding]:
 
 
 def _engine(scene: bpy.types.Scene, engine: str) -> list[Finding]:
-    chosen, reasons = engines.choose(scene)
+    survey = extract.survey(scene)
+    if survey.never:
+        return [Finding(ERROR, f"It cannot be swept: {reason}", _named(scene, reason)) for reason in survey.never]
+    chosen, reasons = engines.choose(scene, survey)
     if engine == engines.AUTO:
         engine = chosen
     rank = engines.ENGINES.index

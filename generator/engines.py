@@ -18,7 +18,7 @@ import numpy as np
 from bpy_extras.object_utils import world_to_camera_view
 from mathutils import Matrix, Vector
 
-from generator import extract, replaced, stage
+from generator import extract, nodes, replaced, stage
 from generator.dataset import Picture, read_picture
 from generator.spec import Array, NlosError, Sweep
 from generator.transport import Transport, partial
@@ -79,8 +79,7 @@ class Renderer:
                     overrides.set(part, "hide_render", True)
             else:
                 refuse_hidden(scene)
-            if not ambient:
-                overrides.set(scene, "world", None)
+            dark = [] if ambient else _put_out_the_sky(scene, overrides)
             if samples != self._samples:
                 # With persistent data the table that Cycles' random numbers come from stays as long as the most
                 # samples so far asked for, so that a picture would depend on those before it. This frees it.
@@ -92,6 +91,8 @@ class Renderer:
             self._file.unlink(missing_ok=True)
             with stage.quiet():
                 bpy.ops.render.render(write_still=True, scene=scene.name)
+        if dark:
+            bpy.data.batch_remove(dark)
         scene.update_tag()
         pixels, _ = read_picture(self._file)
         if not np.isfinite(pixels).all():
@@ -197,8 +198,8 @@ def opened(
             world, shadows = partial.without(found.world, leave_out)
             yield SurfelRenderer(scene, Transport(world, accuracy=accuracy, threads=threads), shadows=shadows)
             return
-        lit = found.patch if engine == "patch" else None
-        with _patch_lamp(scene, lit, order, overrides) if lit else contextlib.nullcontext():
+        first = found.first if engine == "patch" else None
+        with _patch_lamp(scene, first, order) if first else contextlib.nullcontext():
             yield Renderer(scene, Path(folder))
 
 
@@ -248,8 +249,14 @@ def refuse_hidden(scene: bpy.types.Scene) -> None:
         raise NlosError(f"{bpy.data.filepath or 'scene'}: the target {target.name!r} {why}; show it")
 
 
-def choose(scene: bpy.types.Scene) -> tuple[str, list[str]]:
+def choose(scene: bpy.types.Scene, found: extract.Survey | None = None) -> tuple[str, list[str]]:
     """Return the cheapest engine that is valid for a scene, and why no cheaper one is.
+
+    Parameters
+    ----------
+    scene : bpy.types.Scene
+    found : extract.Survey, optional
+        Of the scene; it is surveyed if not given.
 
     Returns
     -------
@@ -262,7 +269,7 @@ def choose(scene: bpy.types.Scene) -> tuple[str, list[str]]:
     NlosError
         A role is missing or played twice, or no engine can sweep the scene.
     """
-    found = extract.survey(scene)
+    found = found or extract.survey(scene)
     found.check("path")
     return next((engine, reasons) for engine, reasons in _by_cost(found))
 
@@ -299,37 +306,51 @@ def _replace(scene: bpy.types.Scene, overrides: stage.Overrides, settings: Seque
 
 
 @contextlib.contextmanager
-def _patch_lamp(scene: bpy.types.Scene, patch: LitPatch, order: int, overrides: stage.Overrides) -> Iterator[None]:
+def _patch_lamp(scene: bpy.types.Scene, reflection: extract.FirstReflection, order: int) -> Iterator[None]:
     """Put an area lamp in the place of the lit patch, which stands for the first reflection.
 
     The spot itself stays for the light of order 1, which Cycles finds without noise, if the camera sees the patch.
     What comes from the patch lamp has one reflection behind it already, so it may make one bounce less than the
     scene allows.
     """
-    spot = stage.find(scene, "spot")
-    overrides.set(spot.data.cycles, "max_bounces", 0)
-    seen = _in_view(scene, patch)
-    if not seen:
-        overrides.set(spot, "hide_render", True)
-    if order < 2:
-        yield
-        return
-    if not seen and not _other_light(scene, spot):
-        # With one lamp there is nothing to choose among, and after its last bounce nothing left to find.
-        overrides.set(scene.cycles, "use_light_tree", False)
-        overrides.set(scene.cycles, "max_bounces", order - 2)
+    patch, spot = reflection.patch, stage.find(scene, "spot")
     light = bpy.data.lights.new("NLOS lit patch", "AREA")
     lamp = bpy.data.objects.new("NLOS lit patch", light)
+    own = spot.data.copy()  # other lamps may share it, and keep theirs
     try:
-        _shape_lamp(lamp, patch)
-        light.cycles.max_bounces = order - 2
-        # A ray that meets the lamp by chance is not held to the limit above, so only direct sampling may find it.
-        light.cycles.use_multiple_importance_sampling = False
-        lamp.visible_camera = False
-        scene.collection.objects.link(lamp)
-        yield
+        with stage.Overrides() as overrides:
+            overrides.set(spot, "data", own)
+            own.cycles.max_bounces = 0
+            seen = _in_view(scene, patch)
+            if not seen:
+                overrides.set(spot, "hide_render", True)
+            if order < 2:
+                yield
+                return
+            if reflection.alone:  # after the patch lamp's last bounce there is nothing left to find
+                overrides.set(scene.cycles, "max_bounces", order - 2)
+            if reflection.alone and not seen:  # with one lamp there is nothing to choose among
+                overrides.set(scene.cycles, "use_light_tree", False)
+            _shape_lamp(lamp, patch)
+            light.cycles.max_bounces = order - 2
+            # A mirror shows the lamp only to rays that meet it by chance. They are not held to the limit above,
+            # but to that of the scene, which is as low if there is no other light.
+            light.cycles.use_multiple_importance_sampling = reflection.alone and reflection.mirrors
+            lamp.visible_camera = False
+            scene.collection.objects.link(lamp)
+            yield
     finally:
         bpy.data.lights.remove(light)  # takes the object with it
+        bpy.data.lights.remove(own)
+
+
+def _put_out_the_sky(scene: bpy.types.Scene, overrides: stage.Overrides) -> list[bpy.types.World]:
+    """Put worlds without light in the place of those of a scene, and return them."""
+    dark = []
+    for owner, name in stage.worlds_of(scene):
+        dark.append(nodes.darkened(getattr(owner, name)))
+        overrides.set(owner, name, dark[-1])
+    return dark
 
 
 def _in_view(scene: bpy.types.Scene, patch: LitPatch) -> bool:
@@ -342,14 +363,6 @@ def _in_view(scene: bpy.types.Scene, patch: LitPatch) -> bool:
         return True
     low, high = seen.min(axis=0), seen.max(axis=0)
     return bool(not behind.all() and low[0] < 1.0 and high[0] > 0.0 and low[1] < 1.0 and high[1] > 0.0)
-
-
-def _other_light(scene: bpy.types.Scene, spot: bpy.types.Object) -> bool:
-    """Whether anything but the spot may give light: a lamp, the world, a material."""
-    if stage.ambient(scene) > 0.0 or any(o.type == "LIGHT" and o != spot for o in scene.objects):
-        return True
-    materials = {slot.material for o in scene.objects for slot in o.material_slots if slot.material}
-    return any(stage.may_glow(m) for m in materials)
 
 
 def _shape_lamp(lamp: bpy.types.Object, patch: LitPatch) -> None:

@@ -23,7 +23,7 @@ import bmesh  # exists only once bpy is imported
 import numpy as np
 from mathutils import Euler, Matrix, Quaternion, Vector
 
-from generator import meshes, references, spec
+from generator import meshes, nodes, references, spec
 from generator.spec import Array, NlosError
 
 ROLE = "nlos_role"
@@ -460,10 +460,10 @@ def target_parts(scene: bpy.types.Scene) -> list[bpy.types.Object]:
 
 def hold_camera(scene: bpy.types.Scene, overrides: Overrides) -> None:
     """Let the camera by its role be the scene's, whatever cameras are bound to markers of the timeline."""
-    for marker in scene.timeline_markers:
+    overrides.set(scene, "camera", find(scene, "camera"))
+    for marker in scene.timeline_markers:  # after it, for a marker that gets its camera back puts it into the scene
         if marker.camera is not None:
             overrides.set(marker, "camera", None)
-    overrides.set(scene, "camera", find(scene, "camera"))
 
 
 def as_rendered(scene: bpy.types.Scene, look: Callable[[Any], Result]) -> Result:
@@ -862,79 +862,23 @@ def diffuse_colour(obj: bpy.types.Object) -> tuple[float, float, float] | None:
     materials = {slot.material for slot in obj.material_slots}
     if len(materials) != 1 or None in materials:
         return None
-    return material_colour(next(iter(materials)))
-
-
-def material_colour(material: bpy.types.Material) -> tuple[float, float, float] | None:
-    """Return the RGB albedo of a material that is a constant Lambertian reflector and nothing else, else None."""
-    if bpy.app.version < (5, 0) and not material.use_nodes:
-        colour = material.diffuse_color  # what Cycles takes then; Blender 5 always uses the nodes
-        return (float(colour[0]), float(colour[1]), float(colour[2]))
-    output = material_output(material)
-    if output is None or not output.inputs["Surface"].is_linked:
-        return None
-    if output.inputs["Displacement"].is_linked or output.inputs["Volume"].is_linked:
-        return None
-    shader = output.inputs["Surface"].links[0].from_node
-    inputs = shader.inputs
-    if shader.mute or any(i.is_linked for i in inputs):
-        return None
-    if shader.type == "BSDF_DIFFUSE" and inputs["Roughness"].default_value == 0.0:
-        colour = inputs["Color"].default_value
-    elif shader.type == "BSDF_PRINCIPLED" and _only_diffuse(inputs):
-        colour = inputs["Base Color"].default_value
-    else:
-        return None
-    return (float(colour[0]), float(colour[1]), float(colour[2]))
-
-
-def material_output(material: bpy.types.Material) -> Any:
-    """Return the node whose inputs are what a material renders as, or None."""
-    tree = material.node_tree
-    active = (n for n in tree.nodes if n.type == "OUTPUT_MATERIAL" and n.is_active_output) if tree else iter(())
-    return next(active, None)
-
-
-def _only_diffuse(inputs: Any) -> bool:
-    weights = ("Metallic", "Specular IOR Level", "Transmission Weight", "Subsurface Weight", "Coat Weight")
-    zero = (*weights, "Sheen Weight", "Emission Strength", "Diffuse Roughness", "Thin Film Thickness")
-    return inputs["Alpha"].default_value == 1.0 and all(
-        inputs[name].default_value == 0.0 for name in zero if name in inputs
-    )
-
-
-def may_glow(material: bpy.types.Material) -> bool:
-    """Whether a material may give light of its own: a no is sure."""
-    return bool(material.node_tree) and any(_may_glow(node) for node in material.node_tree.nodes)
-
-
-def _may_glow(node: bpy.types.Node) -> bool:
-    strength = node.inputs.get("Emission Strength")
-    glows = strength is not None and (strength.is_linked or strength.default_value != 0.0)
-    return glows or node.type in ("EMISSION", "GROUP", "SCRIPT")
+    return nodes.diffuse(next(iter(materials)))
 
 
 def ambient(scene: bpy.types.Scene) -> float:
-    """Return the world's mean radiance, W/m^2/sr; for a world with a texture, its strength."""
-    node = _background_node(scene)
-    if node is None:
-        return 0.0 if scene.world is None or _world_tree(scene) else float(sum(scene.world.color) / 3.0)
-    strength = short(node.inputs["Strength"].default_value)
-    colour = node.inputs["Color"]
-    return strength if colour.is_linked else strength * float(sum(colour.default_value[:3])) / 3.0
+    """Return the mean radiance of the world that is rendered, W/m^2/sr; of one with a texture, its strength.
+
+    It is 0 only if the world gives no light.
+    """
+    return max((short(nodes.level(getattr(*held))) for held in worlds_of(scene)), default=0.0)
 
 
-def _world_tree(scene: bpy.types.Scene) -> Any:
-    """The world's nodes, if they are what is rendered."""
-    world = scene.world
-    if world is None or (bpy.app.version < (5, 0, 0) and not world.use_nodes):
-        return None
-    return world.node_tree
-
-
-def _background_node(scene: bpy.types.Scene) -> Any:
-    tree = _world_tree(scene)
-    return next((n for n in tree.nodes if n.type == "BACKGROUND"), None) if tree else None
+def worlds_of(scene: bpy.types.Scene) -> list[tuple[Any, str]]:
+    """Return who holds a world that may be rendered, and in which attribute: the scene, or a view layer instead."""
+    layers = [layer for layer in scene.view_layers if layer.use]
+    own = [layer for layer in layers if getattr(layer, "world_override", None) is not None]
+    owners: list[tuple[Any, str]] = [(layer, "world_override") for layer in own]
+    return owners if len(own) == len(layers) or scene.world is None else [*owners, (scene, "world")]
 
 
 def _file() -> str:
@@ -966,10 +910,10 @@ def _material(name: str, reflectance: float | None) -> bpy.types.Material:
     material = bpy.data.materials.new(f"NLOS {name}")
     if material.node_tree is None:  # Blender 5 makes the tree itself and warns of the old switch
         material.use_nodes = True
-    nodes = material.node_tree.nodes
-    nodes.clear()
+    made = material.node_tree.nodes
+    made.clear()
     value = 0.0 if reflectance is None else reflectance
-    shader, output = nodes.new("ShaderNodeBsdfDiffuse"), nodes.new("ShaderNodeOutputMaterial")
+    shader, output = made.new("ShaderNodeBsdfDiffuse"), made.new("ShaderNodeOutputMaterial")
     shader.inputs["Color"].default_value = (value, value, value, 1.0)
     shader.inputs["Roughness"].default_value = 0.0
     output.location.x = 250.0

@@ -343,13 +343,13 @@ def other_lamp(blender):
 
 
 def ambient(blender):
-    stage._background_node(blender).inputs["Strength"].default_value = 0.1
+    blender.world.node_tree.nodes["Background"].inputs["Strength"].default_value = 0.1
 
 
 def textured_world(blender):
     tree = blender.world.node_tree
     sky = tree.nodes.new("ShaderNodeTexEnvironment")
-    node = stage._background_node(blender)
+    node = tree.nodes["Background"]
     node.inputs["Strength"].default_value = 1.0
     tree.links.new(sky.outputs[0], node.inputs["Color"])
 
