@@ -11,7 +11,7 @@ import bpy
 import numpy as np
 from mathutils import Vector
 
-from generator import adopt, clearance, engines, extract, poses, spec, stage
+from generator import adopt, clearance, engines, extract, poses, replaced, spec, stage
 from generator.spec import Array, NlosError, Sweep
 
 GOOD, NOTE, WARNING, ERROR = "good", "note", "warning", "error"
@@ -174,6 +174,12 @@ def _settings(scene: bpy.types.Scene, described: spec.Scene) -> list[Finding]:
     if others := stage.others(scene):
         some = ", ".join(others[:3]) + (f" and {len(others) - 3} more" if len(others) > 3 else "")
         found.append(Finding(NOTE, f"Also rendered, without a role: {some}", others[0]))
+    if differing := replaced.replaced(scene):
+        usual = [setting.words for setting in differing if replaced.is_default(scene, setting)]
+        chosen = [replaced.told(scene, setting) for setting in differing if not replaced.is_default(scene, setting)]
+        parts = [f"settings of the file: {', '.join(chosen)}"] if chosen else []
+        parts += [f"some of Blender's defaults: {', '.join(usual)}"] if usual else []
+        found.append(Finding(NOTE, f"A sweep replaces {'; and '.join(parts)}"))
     return found
 
 

@@ -1,5 +1,6 @@
-"""Settings of a scene file that a sweep replaces by its own, and why: one table, which the engines apply, `check` tells
-of, `dataset.toml` records and docs/settings.md prints.
+"""Settings of a scene file that a sweep replaces by its own, and why.
+
+One table, which the engines apply, `check` tells of, `dataset.toml` records and docs/settings.md prints.
 
 What is not in it is the file's own business, and is rendered as plain Cycles renders it.
 """
@@ -131,8 +132,8 @@ def replaced(scene: Any) -> list[Setting]:
 def told(scene: Any, setting: Setting) -> str:
     """Return in words what a file says of a setting, and what a sweep has instead."""
     owner, name = next(places(scene, setting))
-    own = "animated" if stage.animating(owner, name) else _words(getattr(owner, name))
-    return f"{setting.words} ({own} in the file, {_words(setting.value)} in a sweep)"
+    own = "animated" if stage.animating(owner, name) else words(getattr(owner, name))
+    return f"{setting.words} ({own} in the file, {words(setting.value)} in a sweep)"
 
 
 def is_default(scene: Any, setting: Setting) -> bool:
@@ -142,7 +143,8 @@ def is_default(scene: Any, setting: Setting) -> bool:
     return bool(getattr(owner, name) == default) and not stage.animating(owner, name)
 
 
-def _words(value: Any) -> str:
+def words(value: Any) -> str:
+    """Return a setting's value as people say it."""
     if isinstance(value, bool):
         return "on" if value else "off"
     return value if isinstance(value, str) else f"{value:g}"
@@ -162,5 +164,6 @@ def _edits(scene: Any) -> bool:
 _AT_WORK: dict[str, Callable[[Any], bool]] = {
     "render.use_compositing": _composites,
     "render.use_sequencer": _edits,
+    "cycles.sample_offset": lambda scene: getattr(scene.cycles, "use_sample_subset", True),
 }
-"""Of what is switched on in every new file: whether it has anything to do in this one."""
+"""Of what does something only along with something else: whether it does in this file."""

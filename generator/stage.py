@@ -128,7 +128,7 @@ def animating(owner: Any, name: str) -> list[Any]:
     NlosError
         One is in an action that animates something else as well.
     """
-    block = getattr(owner, "id_data", None)
+    block: Any = getattr(owner, "id_data", None)
     animation = getattr(block, "animation_data", None)
     if animation is None:
         return []
@@ -160,7 +160,7 @@ def _sets(curve: Any, owner: Any, name: str) -> bool:
 
 
 def _actions(animation: Any) -> list[tuple[Any, Any]]:
-    """Actions that animate a data-block, by itself or as strips, each with the handle of its slot, if it has slots."""
+    """Actions that animate a data-block, by itself or as strips, each with the handle of its slot, if any."""
     users, strips = [animation], [strip for track in animation.nla_tracks for strip in track.strips]
     while strips:
         strip = strips.pop()

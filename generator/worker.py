@@ -21,7 +21,20 @@ from typing import TYPE_CHECKING, Any
 import bpy
 import numpy as np
 
-from generator import check, engines, experiments, extract, links, poses, references, rehearsal, simplify, spec, stage
+from generator import (
+    check,
+    engines,
+    experiments,
+    extract,
+    links,
+    poses,
+    references,
+    rehearsal,
+    replaced,
+    simplify,
+    spec,
+    stage,
+)
 from generator.clearance import clearance
 from generator.dataset import (
     BACKGROUND_AMBIENT,
@@ -93,6 +106,7 @@ def plan(scene: bpy.types.Scene, source: Path, path: Path, chosen: Mapping[str, 
         "reference_radiance": described.reference_radiance,
         "scene": spec.to_dict(described),
         "extra_objects": stage.others(scene),
+        "replaced": [replaced.told(scene, setting) for setting in replaced.replaced(scene)],
         **({"links": linked} if linked else {}),
         "software": {"nlos-lab": version(), "blender": bpy.app.version_string, "numpy": np.__version__},
     }
