@@ -42,6 +42,7 @@ class Renderer:
     def __init__(self, scene: bpy.types.Scene, folder: Path) -> None:
         self._scene = scene
         self._file = folder / "render.exr"
+        self._samples = 0
 
     def render(self, *, samples: int, seed: int, target: bool = True, ambient: bool = True) -> Picture:
         """Render one picture.
@@ -79,7 +80,13 @@ class Renderer:
             else:
                 refuse_hidden(scene)
             dark = [] if ambient else _put_out_the_sky(scene, overrides)
-            # With persistent data Cycles keeps the old samples and seed unless the scene is marked as changed.
+            if samples != self._samples:
+                # With persistent data the table that Cycles' random numbers come from stays as long as the most
+                # samples so far asked for, so that a picture would depend on those before it. This frees it.
+                scene.render.use_persistent_data = False
+                scene.render.use_persistent_data = True
+                self._samples = samples
+            # Cycles also keeps the old samples and seed unless the scene is marked as changed.
             scene.update_tag()
             self._file.unlink(missing_ok=True)
             with stage.quiet():
@@ -170,9 +177,8 @@ def opened(
     if engine not in ENGINES:
         raise NlosError(f"engine {engine!r}: there is none; choose from {', '.join(ENGINES)}")
     order = stage.reflection_order(scene)
-    camera = stage.find(scene, "camera")
     with tempfile.TemporaryDirectory(prefix="nlos-") as folder, stage.Overrides() as overrides:
-        overrides.set(scene, "camera", camera)
+        stage.hold_camera(scene, overrides)
         _linear_output(scene, overrides)
         _plain_cycles(scene, overrides)
         if device == "gpu" and engine != "surfel":
@@ -186,12 +192,13 @@ def opened(
         overrides.set(scene.render, "threads_mode", "FIXED" if threads else "AUTO")
         if threads:
             overrides.set(scene.render, "threads", threads)
-        if engine == "surfel":
-            whole = extract.surfel_world(scene, resolution=resolution)
-            world, shadows = partial.without(whole, leave_out)
+        found = extract.survey(scene, resolution=resolution, ambient=True)
+        found.check(engine)
+        if found.world is not None and engine == "surfel":
+            world, shadows = partial.without(found.world, leave_out)
             yield SurfelRenderer(scene, Transport(world, accuracy=accuracy, threads=threads), shadows=shadows)
             return
-        with _patch_lamp(scene, order) if engine == "patch" else contextlib.nullcontext():
+        with _patch_lamp(scene, found, order) if engine == "patch" else contextlib.nullcontext():
             yield Renderer(scene, Path(folder))
 
 
@@ -253,16 +260,20 @@ def choose(scene: bpy.types.Scene) -> tuple[str, list[str]]:
     Raises
     ------
     NlosError
-        A role is missing or played twice.
+        A role is missing or played twice, or no engine can sweep the scene.
     """
-    found, reasons = extract.world(scene)
-    if found is not None:
-        return "surfel", []
-    try:
-        extract.lit_patch(scene)
-    except NlosError:  # its reasons are among those of `surfel`, which needs the lit patch too
-        return "path", reasons
-    return "patch", reasons
+    found = extract.survey(scene)
+    found.check("path")
+    return next((engine, reasons) for engine, reasons in _by_cost(found))
+
+
+def _by_cost(found: extract.Survey) -> Iterator[tuple[str, list[str]]]:
+    """Engines that can honour a scene, the cheapest first, each with what the one before it cannot."""
+    cheaper: list[str] = []
+    for engine in reversed(ENGINES):
+        if not (reasons := found.reasons(engine)):
+            yield engine, cheaper
+        cheaper = reasons
 
 
 def _linear_output(scene: bpy.types.Scene, overrides: stage.Overrides) -> None:
@@ -327,15 +338,15 @@ def _plain_cycles(scene: bpy.types.Scene, overrides: stage.Overrides) -> None:
 
 
 @contextlib.contextmanager
-def _patch_lamp(scene: bpy.types.Scene, order: int) -> Iterator[None]:
+def _patch_lamp(scene: bpy.types.Scene, found: extract.Survey, order: int) -> Iterator[None]:
     """Put an area lamp in the place of the lit patch, which stands for the first reflection.
 
     The spot itself stays for the light of order 1, which Cycles finds without noise, if the camera sees the patch.
     What comes from the patch lamp has one reflection behind it already, so it may make one bounce less than the
     scene allows.
     """
-    reflection = extract.first_reflection(scene)
-    patch, spot = reflection.patch, stage.find(scene, "spot")
+    patch, spot = found.patch, stage.find(scene, "spot")
+    assert patch is not None
     light = bpy.data.lights.new("NLOS lit patch", "AREA")
     lamp = bpy.data.objects.new("NLOS lit patch", light)
     own = spot.data.copy()  # other lamps may share it, and keep theirs
@@ -349,15 +360,15 @@ def _patch_lamp(scene: bpy.types.Scene, order: int) -> Iterator[None]:
             if order < 2:
                 yield
                 return
-            if reflection.alone:  # after the patch lamp's last bounce there is nothing left to find
+            if found.alone:  # after the patch lamp's last bounce there is nothing left to find
                 overrides.set(scene.cycles, "max_bounces", order - 2)
-            if reflection.alone and not seen:  # with one lamp there is nothing to choose among
+            if found.alone and not seen:  # with one lamp there is nothing to choose among
                 overrides.set(scene.cycles, "use_light_tree", False)
             _shape_lamp(lamp, patch)
             light.cycles.max_bounces = order - 2
             # A mirror shows the lamp only to rays that meet it by chance. They are not held to the limit above,
             # but to that of the scene, which is as low if there is no other light.
-            light.cycles.use_multiple_importance_sampling = reflection.alone and reflection.mirrors
+            light.cycles.use_multiple_importance_sampling = found.alone and found.mirrors
             lamp.visible_camera = False
             scene.collection.objects.link(lamp)
             yield
