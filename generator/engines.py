@@ -360,7 +360,12 @@ def _patch_lamp(scene: bpy.types.Scene, found: extract.Survey, order: int) -> It
             if order < 2:
                 yield
                 return
-            if found.alone:  # after the patch lamp's last bounce there is nothing left to find
+            if found.alone:
+                # Only the wall sees the spot itself, and it is flat: that the patch lamp might shine around what is
+                # round in the shading only would be light that no reflection brings.
+                for obj in bpy.data.objects:
+                    overrides.set(*extract.softener(obj), 0.0)
+                # After the patch lamp's last bounce there is nothing left to find.
                 overrides.set(scene.cycles, "max_bounces", order - 2)
             if found.alone and not seen:  # with one lamp there is nothing to choose among
                 overrides.set(scene.cycles, "use_light_tree", False)
