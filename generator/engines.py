@@ -197,8 +197,7 @@ def opened(
             world, shadows = partial.without(found.world, leave_out)
             yield SurfelRenderer(scene, Transport(world, accuracy=accuracy, threads=threads), shadows=shadows)
             return
-        first = found.first if engine == "patch" else None
-        with _patch_lamp(scene, first, order) if first else contextlib.nullcontext():
+        with _patch_lamp(scene, found, order) if engine == "patch" else contextlib.nullcontext():
             yield Renderer(scene, Path(folder))
 
 
@@ -305,14 +304,15 @@ def _replace(scene: bpy.types.Scene, overrides: stage.Overrides, settings: Seque
 
 
 @contextlib.contextmanager
-def _patch_lamp(scene: bpy.types.Scene, reflection: extract.FirstReflection, order: int) -> Iterator[None]:
+def _patch_lamp(scene: bpy.types.Scene, found: extract.Survey, order: int) -> Iterator[None]:
     """Put an area lamp in the place of the lit patch, which stands for the first reflection.
 
     The spot itself stays for the light of order 1, which Cycles finds without noise, if the camera sees the patch.
     What comes from the patch lamp has one reflection behind it already, so it may make one bounce less than the
     scene allows.
     """
-    patch, spot = reflection.patch, stage.find(scene, "spot")
+    patch, spot = found.patch, stage.find(scene, "spot")
+    assert patch is not None
     light = bpy.data.lights.new("NLOS lit patch", "AREA")
     lamp = bpy.data.objects.new("NLOS lit patch", light)
     own = spot.data.copy()  # other lamps may share it, and keep theirs
@@ -326,15 +326,20 @@ def _patch_lamp(scene: bpy.types.Scene, reflection: extract.FirstReflection, ord
             if order < 2:
                 yield
                 return
-            if reflection.alone:  # after the patch lamp's last bounce there is nothing left to find
+            if found.alone:
+                # Only the wall sees the spot itself, and it is flat: that the patch lamp might shine around what is
+                # round in the shading only would be light that no reflection brings.
+                for obj in bpy.data.objects:
+                    overrides.set(*extract.softener(obj), 0.0)
+                # After the patch lamp's last bounce there is nothing left to find.
                 overrides.set(scene.cycles, "max_bounces", order - 2)
-            if reflection.alone and not seen:  # with one lamp there is nothing to choose among
+            if found.alone and not seen:  # with one lamp there is nothing to choose among
                 overrides.set(scene.cycles, "use_light_tree", False)
             _shape_lamp(lamp, patch)
             light.cycles.max_bounces = order - 2
             # A mirror shows the lamp only to rays that meet it by chance. They are not held to the limit above,
             # but to that of the scene, which is as low if there is no other light.
-            light.cycles.use_multiple_importance_sampling = reflection.alone and reflection.mirrors
+            light.cycles.use_multiple_importance_sampling = found.alone and found.mirrors
             lamp.visible_camera = False
             scene.collection.objects.link(lamp)
             yield
