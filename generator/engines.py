@@ -72,7 +72,7 @@ class Renderer:
         with stage.Overrides() as overrides:
             overrides.set(scene.cycles, "samples", samples)
             overrides.set(scene.cycles, "seed", seed)
-            overrides.set(scene.render, "filepath", str(self._file))
+            overrides.set(scene.render, "filepath", stage.literal(self._file, rendered=True))
             if not target:
                 for part in target_parts:
                     overrides.set(part, "hide_render", True)

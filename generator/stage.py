@@ -200,10 +200,24 @@ def open_file(path: Path, known: Collection[Path] = ()) -> bpy.types.Scene:
     references.refuse(path, known)
     try:
         with quiet():
-            bpy.ops.wm.open_mainfile(filepath=str(path), load_ui=False, use_scripts=False)
+            bpy.ops.wm.open_mainfile(filepath=literal(path), load_ui=False, use_scripts=False)
     except RuntimeError:
         raise NlosError(f"{path}: is not a scene Blender {bpy.app.version_string} can open") from None
     return bpy.context.scene
+
+
+def literal(path: Path, *, rendered: bool = False) -> str:
+    """Return a path as Blender has to be given it.
+
+    Two slashes at its start would be the open file's folder, and braces in a path that is rendered to would be
+    variables, from Blender 5 on.
+    """
+    text = str(path)
+    if text.startswith("//"):
+        text = text[1:]
+    if rendered and bpy.app.version >= (5, 0):
+        text = text.replace("{", "{{").replace("}", "}}")
+    return text
 
 
 def save_file(path: Path) -> None:
@@ -213,7 +227,7 @@ def save_file(path: Path) -> None:
     with atomic(path) as temporary, quiet():
         try:
             bpy.ops.wm.save_as_mainfile(
-                filepath=str(temporary), copy=True, compress=True, check_existing=False, relative_remap=True
+                filepath=literal(temporary), copy=True, compress=True, check_existing=False, relative_remap=True
             )
         except RuntimeError as error:
             raise NlosError(f"{path}: cannot be written ({' '.join(str(error).split())})") from None
@@ -1022,7 +1036,7 @@ def _import_mesh(wanted: spec.Target) -> bpy.types.Object:
     before = set(bpy.data.objects)
     try:
         with meshes.importable(path) as sound:
-            importers[path.suffix.lower()](filepath=str(sound.absolute()))
+            importers[path.suffix.lower()](filepath=literal(sound.absolute()))
     except (OSError, RuntimeError, KeyError):
         raise NlosError(f"target.mesh: {path} is not a mesh file Blender can read (.obj, .ply, .stl)") from None
     shape = bmesh.new()

@@ -25,6 +25,7 @@ from generator import journal as journals
 from generator import links, spec
 from generator.dataset import SCENE, Dataset, check_free, scene_hash
 from generator.spec import NlosError, Sweep
+from generator.transport import caching
 
 ANSWER = "nlos "
 
@@ -219,11 +220,13 @@ def compiling_words(engine: str | None) -> str:
     """Return what to say before an engine's first run, which compiles it; nothing if there is nothing to wait for."""
     folder = Path(__file__).resolve().parent / "transport"
     newest = max(source.stat().st_mtime for source in folder.glob("*.py"))
-    compiled = any(index.stat().st_mtime > newest for index in folder.glob("__pycache__/numba-*/*/*.nbi"))
+    kept = caching.folder()
+    compiled = kept is not None and any(index.stat().st_mtime > newest for index in kept.glob("*/*.nbi"))
     if compiled or engine not in ("surfel", "auto"):
         return ""
     when = "engine surfel" if engine == "surfel" else "engine auto: surfel, if the scene allows it,"
-    return f"{when} is compiled for this machine first, once; that takes a minute or so"
+    again = "once" if kept else "by every process, for nothing that it makes can be kept (set NUMBA_CACHE_DIR)"
+    return f"{when} is compiled for this machine first, {again}; that takes a minute or so"
 
 
 def engine_words(dataset: Dataset, chosen: Mapping[str, Any]) -> str:
