@@ -227,7 +227,7 @@ def use_gpu(overrides: stage.Overrides) -> list[str]:
         if kind == preferred and any(device.use for device in found):
             return [device.name for device in found if device.use]
         for device in preferences.devices:
-            device.use = device in found
+            overrides.set(device, "use", device in found)
         if found:
             return [device.name for device in found]
     raise NlosError("device gpu: Cycles finds no GPU on this machine; check its driver, or render with --device cpu")
@@ -271,13 +271,12 @@ def _linear_output(scene: bpy.types.Scene, overrides: stage.Overrides) -> None:
     """
     render = scene.render
     image = render.image_settings
+    # Another format has other depths, codecs and colour spaces: assigning it changes them.
+    overrides.keep(image, "media_type", "file_format", "color_mode", "color_depth")
     if hasattr(image, "media_type"):  # Blender 5
-        overrides.set(image, "media_type", "IMAGE")
+        image.media_type = "IMAGE"
+    image.file_format, image.color_mode, image.color_depth, image.exr_codec = "OPEN_EXR", "RGB", "32", "NONE"
     for owner, name, value in (
-        (image, "file_format", "OPEN_EXR"),
-        (image, "color_mode", "RGB"),
-        (image, "color_depth", "32"),
-        (image, "exr_codec", "NONE"),
         (render, "engine", "CYCLES"),
         (render, "resolution_percentage", 100),
         (render, "pixel_aspect_x", 1.0),
