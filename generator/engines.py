@@ -234,7 +234,7 @@ def use_gpu(overrides: stage.Overrides) -> list[str]:
         if kind == preferred and any(device.use for device in found):
             return [device.name for device in found if device.use]
         for device in preferences.devices:
-            device.use = device in found
+            overrides.set(device, "use", device in found)
         if found:
             return [device.name for device in found]
     raise NlosError("device gpu: Cycles finds no GPU on this machine; check its driver, or render with --device cpu")
@@ -283,12 +283,8 @@ def _by_cost(found: extract.Survey) -> Iterator[tuple[str, list[str]]]:
 
 def _linear_output(scene: bpy.types.Scene, overrides: stage.Overrides) -> None:
     """Let the renderer's own float32 radiance be what is written."""
-    image = scene.render.image_settings
-    space = getattr(image, "linear_colorspace_settings", None)
-    if space is not None:
-        overrides.keep(space, "name")
-    for name in ("exr_codec", "color_depth", "color_mode", "file_format"):
-        overrides.keep(image, name)  # these come back last, when the file format that they belong to is back
+    # Another format has other depths, codecs and colour spaces: assigning it changes them.
+    overrides.keep(scene.render.image_settings, "media_type", "file_format", "color_mode", "color_depth")
     _replace(scene, overrides, replaced.OUTPUT)
 
 

@@ -477,7 +477,7 @@ class Crew:
         self._workers: set[Worker] = set()
         self._stop = stop or threading.Event()
         self._stopped = threading.Event()
-        self._error: NlosError | None = None
+        self._error: Exception | None = None
         self._done = 0
         self._total = 0
 
@@ -602,7 +602,7 @@ class Crew:
                         else:
                             self.failed.append(f"{self._name(unit)}: {words}")
                             self._log.error("given up after %d tries: %s", TRIES, self.failed[-1])
-        except NlosError as error:
+        except Exception as error:  # bad input, or that nobody reads on; the thread that waits for this one raises it
             self._error = error
             self._stopped.set()
 

@@ -80,6 +80,7 @@ def plan(scene: bpy.types.Scene, source: Path, path: Path, chosen: Mapping[str, 
     """
     check_free(path)
     linked = links.recorded(references.refuse(source), path)
+    references.require(scene, source)  # of a scene that is open already, in `batch`
     described = stage.read(scene)
     engines.refuse_hidden(scene)
     sweep, reasons = settled(scene, described, chosen)
