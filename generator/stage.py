@@ -44,6 +44,8 @@ _NO_SURFACE = ("LIGHT_PROBE", "CAMERA", "SPEAKER", "ARMATURE", "LATTICE")
 _SLOT = "NLOS look"
 """Of the render result: what reading a scene leaves there is no picture."""
 
+_THROUGH = {nodes.TRANSPARENT, nodes.TRANSMISSION, nodes.SUBSURFACE, nodes.VOLUME, nodes.UNKNOWN}
+"""Ways in which light comes through a surface."""
 _SHEAR = 1e-5
 """A frame is sheared if it differs by more from one that is not, in units of its scale."""
 
@@ -626,6 +628,10 @@ class Shape:
     vertices : ndarray of shape (n, 3)
         In its own frame, after modifiers.
     triangles : ndarray of shape (m, 3), int
+    air : bool
+        Whether it is no surface at all, but the bounds of a volume.
+    opaque : bool
+        Whether no light comes through.
     """
 
     owner: bpy.types.Object
@@ -634,6 +640,8 @@ class Shape:
     matrix: Array
     vertices: Array
     triangles: Any
+    air: bool = False
+    opaque: bool = True
 
     @property
     def placed(self) -> Array:
@@ -683,7 +691,10 @@ def snapshot(scene: bpy.types.Scene) -> Snapshot:
             if len(vertices):
                 owner = (instance.parent if instance.is_instance else obj).original
                 matrix = numbers(instance.matrix_world)
-                seen.shapes.append(Shape(owner, obj.name, instance.is_instance, matrix, vertices, triangles))
+                kinds = {kind for slot in obj.material_slots for kind in nodes.kinds(slot.material)}
+                air, opaque = kinds == {nodes.VOLUME}, not kinds & _THROUGH
+                one = Shape(owner, obj.name, instance.is_instance, matrix, vertices, triangles, air, opaque)
+                seen.shapes.append(one)
         return seen
 
     return as_rendered(scene, look)

@@ -332,6 +332,33 @@ def test_inside_an_open_box_is_free():
     assert clearance(blender, stage.read(blender), engine="path")((1.55, 1.15, 1.3), (0.0, 0.0, 0.0))
 
 
+def made_of(obj, kind, socket):
+    material = bpy.data.materials.new(kind)
+    if material.node_tree is None:
+        material.use_nodes = True
+    tree = material.node_tree
+    tree.nodes.clear()
+    shader, output = tree.nodes.new(kind), tree.nodes.new("ShaderNodeOutputMaterial")
+    tree.links.new(shader.outputs[0], output.inputs[socket])
+    obj.data.materials.append(material)
+
+
+@pytest.mark.parametrize(
+    ("kind", "socket", "inside", "across"),
+    [
+        ("ShaderNodeBsdfDiffuse", "Surface", False, False),
+        ("ShaderNodeBsdfGlass", "Surface", True, False),  # a showcase
+        ("ShaderNodeVolumeScatter", "Volume", True, True),  # fog, which has no surface
+    ],
+)
+def test_what_light_comes_through_may_hold_the_target(kind, socket, inside, across):
+    blender = built()
+    made_of(cube(size=0.9), kind, socket)
+    is_free = clearance(blender, stage.read(blender), engine="path")
+    assert is_free((1.55, 1.15, 1.3), (0.0, 0.0, 0.0)) == inside
+    assert is_free((1.1, 1.15, 1.3), (0.0, 0.0, 0.0)) == across
+
+
 def test_a_room_that_is_one_closed_box_is_free_inside_and_not_outside():
     blender = built()
     for obj in stage.players(blender, "room") + stage.players(blender, "partition"):
