@@ -7,11 +7,12 @@ from __future__ import annotations
 import os
 import time
 from pathlib import Path
-from typing import Any
+from typing import Any, cast
 
 import bpy
+from bpy.props import BoolProperty
 
-from generator import budget, sweep
+from generator import budget, misgivings, sweep
 from generator.dataset import SCENE, Dataset
 from generator.spec import NlosError
 
@@ -34,7 +35,14 @@ class Job:
     """
 
     def __init__(
-        self, scene: Path, path: Path, chosen: dict[str, Any], workers: int, wished: dict[str, float] | None = None
+        self,
+        scene: Path,
+        path: Path,
+        chosen: dict[str, Any],
+        workers: int,
+        wished: dict[str, float] | None = None,
+        *,
+        force: bool = False,
     ) -> None:
         self.path = path
         self.done, self.total, self.words, self.choice = 0, 0, "", ""
@@ -47,7 +55,8 @@ class Job:
             settings, pace = chosen, None
             if wished:
                 self._rehearsing = True
-                decided = budget.choose(scene, chosen, **wished, workers=workers, tell=self._chose, launch=launch)
+                how: dict[str, Any] = {"workers": workers, "tell": self._chose, "launch": launch, "force": force}
+                decided = budget.choose(scene, chosen, **{**wished, **how})
                 self._rehearsing = False
                 settings, pace = decided.settings, decided.pace
             return sweep.run(
@@ -57,6 +66,7 @@ class Job:
                 launch=launch,
                 stop=task.stop,
                 pace=pace,
+                force=force,
             )
 
         self._task = background.Task(work, self._ended, self._shown)
@@ -186,14 +196,34 @@ class NLOS_OT_sweep_start(_Running, bpy.types.Operator):
     bl_idname = "nlos.sweep_start"
     bl_label = "Render Data Set"
 
+    force: BoolProperty(  # type: ignore[valid-type]
+        name="In Spite of Errors", description="Begin though Check finds errors", options={"SKIP_SAVE"}
+    )
+
+    def invoke(self: Any, context: Any, event: Any) -> set[str]:
+        """Ask first where the check, short of rendering, finds an error."""
+        found = misgivings.look(context.scene)
+        if not found.errors:
+            return cast("set[str]", self.execute(context))
+        self.force = True  # if the answer is yes
+        answer: set[str] = context.window_manager.invoke_confirm(
+            self, event, title="Render in spite of this?", message=found.first, confirm_text="Render"
+        )
+        return answer
+
     def begin(self, scene: Any) -> Job:
         """Start anew."""
         path = folder(scene)
         if Dataset.exists(path):
             raise NlosError(f"{path} holds a data set already: resume it, or name another folder")
+        if not self.force:
+            misgivings.refuse(misgivings.look(scene))
         source = background.snapshot("dataset.blend")
         settings = scene.nlos
-        return Job(source, path, properties.sweep_of(settings), settings.workers, properties.wished(settings))
+        return Job(
+            *(source, path, properties.sweep_of(settings), settings.workers, properties.wished(settings)),
+            force=self.force,
+        )
 
 
 class NLOS_OT_sweep_resume(_Running, bpy.types.Operator):

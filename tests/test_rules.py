@@ -21,6 +21,7 @@ NEEDS_BLENDER = {
         "experiments",
         "extract",
         "laboratory",
+        "misgivings",
         "outlines",
         "planning",
         "probing",
