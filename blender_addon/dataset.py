@@ -5,7 +5,6 @@
 from __future__ import annotations
 
 import os
-import time
 from pathlib import Path
 from typing import Any, cast
 
@@ -14,6 +13,7 @@ from bpy.props import BoolProperty
 
 from generator import budget, misgivings, sweep
 from generator.dataset import SCENE, Dataset
+from generator.remaining import Remaining
 from generator.spec import NlosError
 
 from . import background, properties, state
@@ -30,6 +30,8 @@ class Job:
         Pictures of this run.
     words : str
         How it ended; empty while it goes on.
+    left : float, optional
+        Seconds that it still takes, once that can be told.
     choice : str
         What was settled on, where a time or an error decides.
     """
@@ -46,8 +48,8 @@ class Job:
     ) -> None:
         self.path = path
         self.done, self.total, self.words, self.choice = 0, 0, "", ""
-        self._begun = time.monotonic()
-        self._first: tuple[float, int] | None = None
+        self.left: float | None = None
+        self._remaining = Remaining()
         self._cancelled = self._rehearsing = False
         launch = background.launcher()
 
@@ -76,14 +78,6 @@ class Job:
         """Whether it goes on."""
         return not self.words
 
-    @property
-    def left(self) -> float | None:
-        """Seconds left, if that can be told."""
-        if self._first is None or self.done <= self._first[1]:
-            return None
-        since, before = self._first
-        return (time.monotonic() - since) / (self.done - before) * (self.total - self.done)
-
     def cancel(self) -> None:
         """End it; what is rendered stays."""
         self._cancelled = True
@@ -106,8 +100,7 @@ class Job:
         self.choice = words
 
     def _told(self, done: int, total: int) -> None:  # in the crew's threads
-        if done and self._first is None:
-            self._first = time.monotonic(), done
+        self.left = self._remaining.told(done, total)
         self.done, self.total = done, total
 
     def _shown(self, _: background.Task) -> None:

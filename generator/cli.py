@@ -15,6 +15,7 @@ from typing import TYPE_CHECKING, Any
 
 from generator import budget, console, links, plans, spec
 from generator.dataset import Dataset
+from generator.remaining import Remaining
 from generator.spec import NlosError, Sweep
 from generator.sweep import NO_BLENDER, clock
 
@@ -504,16 +505,20 @@ class LineProgress:
     def __init__(self, what: str = "pictures", every: float = 10.0) -> None:
         self._what = what
         self._every = every
-        self._start = time.monotonic()
+        self._remaining = Remaining()
         self._last = -every
 
     def __call__(self, done: int, total: int) -> None:
-        now = time.monotonic()
+        now, left = time.monotonic(), self._remaining.told(done, total)
         if total == 0 or (now - self._last < self._every and done < total):
             return
         self._last = now
-        left = f", about {clock((now - self._start) / done * (total - done))} left" if done else ""
-        print(f"{done} of {total} {self._what}{left}", flush=True)
+        print(f"{done} of {total} {self._what}{left_words(left if done < total else None)}", flush=True)
+
+
+def left_words(left: float | None) -> str:
+    """Return the time that is left as the end of a line; nothing while it cannot be told."""
+    return "" if left is None else f", about {clock(left)} left"
 
 
 def print_table(title: str, headings: Sequence[str], rows: Sequence[Sequence[str]]) -> None:
@@ -542,12 +547,18 @@ def _progress() -> Iterator[Callable[[int, int], None]]:
         yield LineProgress()
         return
     from rich.console import Console
-    from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
+    from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn
 
-    columns = (TextColumn("rendering"), BarColumn(), MofNCompleteColumn(), TimeRemainingColumn(), TextColumn("left"))
+    remaining = Remaining()
+    columns = (TextColumn("rendering"), BarColumn(), MofNCompleteColumn(), TextColumn("{task.description}"))
     with Progress(*columns, console=Console(stderr=True)) as bar:
         task = bar.add_task("", total=None)
-        yield lambda done, total: bar.update(task, completed=done, total=total)
+
+        def show(done: int, total: int) -> None:
+            left = left_words(remaining.told(done, total)).removeprefix(", ")
+            bar.update(task, completed=done, total=total, description=left)
+
+        yield show
 
 
 def _scene(options: argparse.Namespace) -> int:
