@@ -85,7 +85,9 @@ class Overrides:
         *first : str
             Names of those that decide what others may be, in the order in which they do.
         """
-        before = sorted(_plain(owner), key=lambda one: first.index(one[1]) if one[1] in first else len(first))
+        with quiet():  # Blender complains of colour spaces that are not set
+            every = list(_plain(owner))
+        before = sorted(every, key=lambda one: first.index(one[1]) if one[1] in first else len(first))
         self._undo.append(functools.partial(_set_back, before))
 
     def __exit__(self, *_: object) -> None:
@@ -107,6 +109,7 @@ def _plain(owner: Any) -> Iterator[tuple[Any, str, Any]]:
             yield owner, about.identifier, tuple(value) if getattr(about, "is_array", False) else value
 
 
+@quiet()
 def _set_back(before: list[tuple[Any, str, Any]]) -> None:
     for owner, name, value in before:
         now = getattr(owner, name)
