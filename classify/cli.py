@@ -12,7 +12,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from generator import console
-from generator.cli import LineProgress, guarded, print_table
+from generator.cli import LineProgress, guarded, left_words, print_table
+from generator.remaining import Remaining
 from generator.spec import NlosError
 
 if TYPE_CHECKING:
@@ -414,11 +415,18 @@ def _progress(what: str, unit: str) -> Iterator[Callable[[int, int, str], None]]
         yield lambda done, total, now: lines(done, total)
         return
     from rich.console import Console
-    from rich.progress import Progress
+    from rich.progress import BarColumn, Progress, TaskProgressColumn, TextColumn
 
-    with Progress(console=Console(stderr=True), transient=True) as bar:
+    remaining = Remaining()
+    columns = (TextColumn("{task.description}"), BarColumn(), TaskProgressColumn())
+    with Progress(*columns, console=Console(stderr=True), transient=True) as bar:
         task = bar.add_task(what, total=None)
-        yield lambda done, total, now: bar.update(task, completed=done, total=total, description=now or what)
+
+        def show(done: int, total: int, now: str) -> None:
+            left = left_words(remaining.told(done, total))
+            bar.update(task, completed=done, total=total, description=f"{now or what}{left}")
+
+        yield show
 
 
 def _features(options: argparse.Namespace) -> int:

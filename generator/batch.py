@@ -37,7 +37,7 @@ def _run(options: argparse.Namespace) -> int:
         dataset = Dataset.open(path)
         sweep.check_same(dataset, source, chosen)
     else:
-        dataset = worker.plan(bpy.context.scene, source, path, chosen)
+        dataset = worker.plan(bpy.context.scene, source, path, chosen, force=options.force, tell=print)
         if chosen.get("engine", AUTO) == AUTO:
             print(sweep.engine_words(dataset, chosen))
     worker.check_blender(dataset)

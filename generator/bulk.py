@@ -47,7 +47,7 @@ from generator.dataset import BACKGROUND, SCENE, Picture, atomic, fingerprint, r
 from generator.poses import Pose
 from generator.spec import Array, NlosError, Sweep, Vector, VoxelGrid, dump_toml, from_dict, read_toml, to_dict
 from generator.strangers import stranger
-from generator.sweep import Crew, Progress, Worker, check_same, compiling_words
+from generator.sweep import Crew, Progress, check_same, compiling_words, planned_notes
 from generator.transport.store import load_world, save_world, world_hash
 from generator.transport.world import World
 
@@ -191,6 +191,7 @@ def run(
     shard: tuple[int, int] = (0, 1),
     progress: Progress = lambda done, total: None,
     tell: Callable[[str], None] = lambda words: None,
+    force: bool = False,
 ) -> Outcome:
     """Make a bulk set, or what is missing of it.
 
@@ -210,17 +211,21 @@ def run(
     progress : callable
         Is told how many pictures of this run are done, and how many there are to do.
     tell : callable
-        Is told that the engine is being compiled.
+        Is told that the engine is being compiled, and what the check says of a new set's scene.
+    force : bool
+        Begin a new set in spite of errors that the check finds in the scene.
 
     Raises
     ------
     NlosError
-        The input is bad, the engine cannot honour the scene, or the set at that path was made with other settings.
+        The input is bad, the check finds an error, the engine cannot honour the scene, or the set at that path was
+        made with other settings.
     """
     if words := compiling_words("surfel"):
         tell(words)
     if not Bulk.exists(path):
-        _plan(scene, path, chosen)
+        for words in _plan(scene, path, chosen, force=force):
+            tell(words)
     bulk = Bulk.open(path)
     check_same(bulk, scene, chosen)
     index, count = shard
@@ -245,15 +250,14 @@ def run(
     return outcome
 
 
-def _plan(scene: Path, path: Path, chosen: Mapping[str, Any]) -> None:
+def _plan(scene: Path, path: Path, chosen: Mapping[str, Any], *, force: bool) -> list[str]:
     if not scene.is_file():
         raise NlosError(f"{scene}: no such scene file")
     if "pictures" not in chosen:
         raise NlosError(f"{path}: is a new set, so say how many pictures it shall hold with --pictures N")
     check_free(path)
-    with Worker(["generator.bulkworker", "plan", str(scene), str(path), json.dumps(dict(chosen))]) as worker:
-        if worker.answer() is None:
-            raise NlosError(f"{scene}: Blender could not plan the set: {worker.last_words()}")
+    arguments = ["generator.bulkworker", "plan", str(scene), str(path), json.dumps(dict(chosen))]
+    return planned_notes(scene, arguments, force=force)
 
 
 def check_free(path: Path) -> None:

@@ -18,16 +18,25 @@ from typing import Any
 import bpy
 import numpy as np
 
-from generator import bulk, extract, links, poses, references, spec, stage, worker
+from generator import bulk, extract, links, misgivings, poses, references, spec, stage, worker
 from generator.bulk import Bulk, Engine, Settings
 from generator.clearance import Surroundings, clearance
 from generator.dataset import SCENE, scene_hash
 from generator.spec import NlosError
 from generator.strangers import stranger
+from generator.sweep import FORCE
 from generator.transport import Transport
 
 
-def plan(scene: bpy.types.Scene, source: Path, path: Path, chosen: Mapping[str, Any]) -> Bulk:
+def plan(
+    scene: bpy.types.Scene,
+    source: Path,
+    path: Path,
+    chosen: Mapping[str, Any],
+    *,
+    force: bool = False,
+    tell: Callable[[str], None] = lambda words: None,
+) -> Bulk:
     """Create a bulk set from the open scene: settings, scene, world and background; no part yet.
 
     Parameters
@@ -39,6 +48,10 @@ def plan(scene: bpy.types.Scene, source: Path, path: Path, chosen: Mapping[str, 
         Of the set.
     chosen : mapping
         Fields of `Settings` that the user chose; ``resolution`` may be text. The rest follow from the scene.
+    force : bool
+        In spite of errors that the check finds; the set then remembers them.
+    tell : callable
+        Is told what the check finds short of that.
 
     Raises
     ------
@@ -58,6 +71,11 @@ def plan(scene: bpy.types.Scene, source: Path, path: Path, chosen: Mapping[str, 
             f"{source}: a bulk set is made by the engine 'surfel', which cannot honour that "
             f"{', nor that '.join(reasons)}; use nlos-generate sweep"
         )
+    found = misgivings.look(scene)
+    if not force:
+        misgivings.refuse(found)
+    for words in found.notes:
+        tell(words)
     draw = _poses(scene, settings)
     for voxel in range(min(described.grid.n_voxels, settings.pictures)):
         draw(voxel, 0)  # refuses now a target that fits nowhere
@@ -66,6 +84,7 @@ def plan(scene: bpy.types.Scene, source: Path, path: Path, chosen: Mapping[str, 
     meta = {
         "reference_radiance": described.reference_radiance,
         "scene": spec.to_dict(described),
+        **({"forced": found.errors} if found.errors else {}),
         **({"links": linked} if linked else {}),
         "software": {
             "nlos-lab": worker.version(),
@@ -107,12 +126,16 @@ def render(found: Bulk, parts: Iterable[int], *, threads: int = 0) -> None:
 
 
 def main(argv: list[str]) -> int:
-    """Plan (``plan SCENE SET SETTINGS``) or make parts (``render SET THREADS``, their numbers on standard input)."""
+    """Do one of two things.
+
+    ``plan SCENE SET SETTINGS [force]``; ``render SET THREADS``, which makes parts, their numbers on standard input.
+    """
     try:
         if argv[0] == "plan":
-            source = Path(argv[1])
-            plan(stage.open_file(source), source, Path(argv[2]), json.loads(argv[3]))
-            worker.answer(planned=True)
+            source, notes = Path(argv[1]), list[str]()
+            scene, force = stage.open_file(source), FORCE in argv[4:]
+            plan(scene, source, Path(argv[2]), json.loads(argv[3]), force=force, tell=notes.append)
+            worker.answer(planned=True, notes=notes)
         else:
             parts = itertools.chain.from_iterable(worker.commands())
             render(Bulk.open(Path(argv[1])), parts, threads=int(argv[2]))

@@ -15,6 +15,7 @@ from typing import TYPE_CHECKING, Any
 
 from generator import budget, console, links, plans, spec
 from generator.dataset import Dataset
+from generator.remaining import Remaining
 from generator.spec import NlosError, Sweep
 from generator.sweep import NO_BLENDER, clock
 
@@ -202,6 +203,7 @@ def _parser() -> argparse.ArgumentParser:
     bulk.add_argument("--part", type=int, metavar="N", help="pictures per file (default: about 64 MiB)")
     bulk.add_argument("--shard", default="0/1", metavar="i/n", help="make the i-th of n shares only (from 0)")
     bulk.add_argument("--workers", type=int, default=0, metavar="W", help="processes (default: one per core)")
+    _add_force_option(bulk)
     _add_links_option(bulk)
     bulk.set_defaults(run=_bulk)
 
@@ -275,6 +277,7 @@ def _parser() -> argparse.ArgumentParser:
         help="leave out what would take longer, judged by the cheaper (default: 10min)",
     )
     trade.add_argument("--workers", type=int, default=0, metavar="W", help="processes (default: one per core)")
+    _add_force_option(trade)
     _add_links_option(trade)
     trade.set_defaults(run=_tradeoff)
 
@@ -349,7 +352,16 @@ def _add_sweep_options(parser: argparse.ArgumentParser, *, frames: bool = False)
     _add_engine_options(parser)
     _add_pose_options(parser, "of all poses and all noise", inside=not frames)
     parser.add_argument("--shard", default="0/1", metavar="i/n", help="render the i-th of n parts only (from 0)")
+    _add_force_option(parser)
     _add_links_option(parser)
+
+
+def _add_force_option(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument(
+        "--force",
+        action="store_true",
+        help="begin a new set in spite of errors that check finds in the scene; the set remembers them",
+    )
 
 
 def _add_links_option(parser: argparse.ArgumentParser) -> None:
@@ -493,16 +505,20 @@ class LineProgress:
     def __init__(self, what: str = "pictures", every: float = 10.0) -> None:
         self._what = what
         self._every = every
-        self._start = time.monotonic()
+        self._remaining = Remaining()
         self._last = -every
 
     def __call__(self, done: int, total: int) -> None:
-        now = time.monotonic()
+        now, left = time.monotonic(), self._remaining.told(done, total)
         if total == 0 or (now - self._last < self._every and done < total):
             return
         self._last = now
-        left = f", about {clock((now - self._start) / done * (total - done))} left" if done else ""
-        print(f"{done} of {total} {self._what}{left}", flush=True)
+        print(f"{done} of {total} {self._what}{left_words(left if done < total else None)}", flush=True)
+
+
+def left_words(left: float | None) -> str:
+    """Return the time that is left as the end of a line; nothing while it cannot be told."""
+    return "" if left is None else f", about {clock(left)} left"
 
 
 def print_table(title: str, headings: Sequence[str], rows: Sequence[Sequence[str]]) -> None:
@@ -531,12 +547,18 @@ def _progress() -> Iterator[Callable[[int, int], None]]:
         yield LineProgress()
         return
     from rich.console import Console
-    from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
+    from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn
 
-    columns = (TextColumn("rendering"), BarColumn(), MofNCompleteColumn(), TimeRemainingColumn(), TextColumn("left"))
+    remaining = Remaining()
+    columns = (TextColumn("rendering"), BarColumn(), MofNCompleteColumn(), TextColumn("{task.description}"))
     with Progress(*columns, console=Console(stderr=True)) as bar:
         task = bar.add_task("", total=None)
-        yield lambda done, total: bar.update(task, completed=done, total=total)
+
+        def show(done: int, total: int) -> None:
+            left = left_words(remaining.told(done, total)).removeprefix(", ")
+            bar.update(task, completed=done, total=total, description=left)
+
+        yield show
 
 
 def _scene(options: argparse.Namespace) -> int:
@@ -556,10 +578,15 @@ def _scene(options: argparse.Namespace) -> int:
         return 0
     if options.output.suffix != ".blend":
         raise NlosError(f"{options.output}: a scene file must end in .blend")
-    from generator import stage
+    from generator import misgivings, stage
 
-    stage.build(stage.new_file(), scene)
+    made = stage.new_file()
+    stage.build(made, scene)
+    if words := spec.unlike(scene, stage.read(made)):  # what the file says is what a sweep will go by
+        raise NlosError(f"{words}; take a figure that it can hold")
     stage.save_file(options.output)
+    for note in misgivings.look(made).notes:
+        print(note)
     print(
         f"{options.output}: {options.preset} with a {scene.target.kind}, voxels {scene.grid.labels[0]} to "
         f"{scene.grid.labels[-1]}, {scene.resolution[0]} x {scene.resolution[1]} pixels"
@@ -590,6 +617,7 @@ def _sweep(options: argparse.Namespace) -> int:
             accuracy=accuracy or 0.0,
             workers=options.workers,
             tell=functools.partial(print, flush=True),
+            force=options.force,
         )
         chosen, pace = choice.settings, choice.pace
     farm = _farm(options)
@@ -598,7 +626,14 @@ def _sweep(options: argparse.Namespace) -> int:
             outcome = _jobs(options, chosen, progress, paced=pace is not None)
         else:
             outcome = sweep.run(
-                options.scene, options.output, chosen, progress=progress, tell=print, pace=pace, **farm
+                options.scene,
+                options.output,
+                chosen,
+                progress=progress,
+                tell=print,
+                pace=pace,
+                force=options.force,
+                **farm,
             )
     if planned:
         plans.keep(planned, options.output)
@@ -624,6 +659,7 @@ def _jobs(
         options=dict(map(_job_option, options.job)),
         progress=progress,
         tell=functools.partial(print, flush=True),
+        force=options.force,
     )
 
 
@@ -641,7 +677,7 @@ def _tradeoff(options: argparse.Namespace) -> int:
         raise NlosError(f"--poses {options.poses}: must be from 1 to {Sweep.poses}")
     if options.output.exists() and not options.output.is_dir():
         raise NlosError(f"{options.output}: is a file; name a folder")
-    names = ("poses", "seed", "resolution", "most", "workers")
+    names = ("poses", "seed", "resolution", "most", "workers", "force")
     found = tradeoff.run(
         options.scene,
         options.output,
@@ -698,7 +734,13 @@ def _bulk(options: argparse.Namespace) -> int:
 
     chosen = chosen_settings(options, bulk.Settings, pictures=1)
     with _progress() as progress:
-        outcome = bulk.run(options.scene, options.output, chosen, progress=progress, tell=print, **_farm(options))
+        outcome = bulk.run(
+            *(options.scene, options.output, chosen),
+            progress=progress,
+            tell=print,
+            force=options.force,
+            **_farm(options),
+        )
     return _report(outcome.bulk, outcome.rendered, outcome.remaining, outcome.failed)
 
 

@@ -51,14 +51,6 @@ _SHEAR = 1e-5
 
 Result = TypeVar("Result")
 
-_FACES = {
-    "floor": ("z", 0),
-    "ceiling": ("z", 1),
-    "back": ("y", 1),
-    "left": ("x", 0),
-    "right": ("x", 1),
-}
-
 
 @contextlib.contextmanager
 def quiet() -> Iterator[None]:
@@ -117,7 +109,9 @@ class Overrides:
         *first : str
             Names of those that decide what others may be, in the order in which they do.
         """
-        before = sorted(_plain(owner), key=lambda one: first.index(one[1]) if one[1] in first else len(first))
+        with quiet():  # Blender complains of colour spaces that are not set
+            every = list(_plain(owner))
+        before = sorted(every, key=lambda one: first.index(one[1]) if one[1] in first else len(first))
         self._undo.append(functools.partial(_set_back, before))
 
     def __exit__(self, *_: object) -> None:
@@ -139,6 +133,7 @@ def _plain(owner: Any) -> Iterator[tuple[Any, str, Any]]:
             yield owner, about.identifier, tuple(value) if getattr(about, "is_array", False) else value
 
 
+@quiet()
 def _set_back(before: list[tuple[Any, str, Any]]) -> None:
     for owner, name, value in before:
         now = getattr(owner, name)
@@ -285,7 +280,7 @@ def build(scene: bpy.types.Scene, wanted: spec.Scene) -> None:
     Raises
     ------
     NlosError
-        The mesh file cannot be read, or the watched rectangle does not fit the resolution.
+        The mesh file cannot be read, the watched rectangle does not fit the resolution, or a surface has no area.
     """
     width, height = wanted.resolution
     x, z = wanted.camera.x, wanted.camera.z
@@ -296,6 +291,7 @@ def build(scene: bpy.types.Scene, wanted: spec.Scene) -> None:
             f"{x[1] - x[0]:g} x {z[1] - z[0]:g} m; pixels must be square"
         )
     # What can go wrong goes wrong first, and leaves the scene as it was.
+    wanted.check_buildable()
     _cycles(scene)
     for obj in scene.objects:
         if ROLE in obj and obj.library is not None:
@@ -313,7 +309,7 @@ def build(scene: bpy.types.Scene, wanted: spec.Scene) -> None:
     if wanted.room:
         extent = {axis: getattr(wanted.room, axis) for axis in "xyz"}
         for surface in wanted.room.surfaces:
-            axis, end = _FACES[surface]
+            axis, end = spec.FACES[surface]
             across = {a: r for a, r in extent.items() if a != axis}
             quad = _quad(
                 surface.capitalize(), axis, extent[axis][end], across, wanted.room.albedo, inward=1 - 2 * end
@@ -1016,7 +1012,8 @@ def _spot(lamp: spec.Spot) -> bpy.types.Object:
     light.shadow_soft_size = 0.0
     obj = bpy.data.objects.new("Spot", light)
     obj.location = lamp.location
-    obj.rotation_euler = Vector(np.subtract(lamp.aim, lamp.location)).to_track_quat("-Z", "Y").to_euler()
+    way = np.subtract(lamp.aim, lamp.location)  # in units of its own: Blender takes a short one for none
+    obj.rotation_euler = Vector(way / np.linalg.norm(way)).to_track_quat("-Z", "Y").to_euler()
     return obj
 
 
@@ -1096,7 +1093,13 @@ def _import_mesh(wanted: spec.Target) -> bpy.types.Object:
         raise NlosError(f"target.mesh: {path} holds no faces")
     corners = np.array([v.co for v in shape.verts], dtype=np.float64)
     low, high = corners.min(axis=0), corners.max(axis=0)
-    factor = wanted.size / max(high - low) if wanted.size else 1.0
+    extent, area = max(high - low), sum(face.calc_area() for face in shape.faces)
+    if not (0.0 < extent < math.inf and 0.0 < area < math.inf):
+        shape.free()
+        raise NlosError(
+            f"target.mesh: {path} has no extent, or corners that are no places; its faces must have an area"
+        )
+    factor = wanted.size / extent if wanted.size else 1.0
     bmesh.ops.translate(shape, vec=-(low + high) / 2.0, verts=shape.verts)
     bmesh.ops.scale(shape, vec=[factor] * 3, verts=shape.verts)
     mesh = bpy.data.meshes.new("Target")

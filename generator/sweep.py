@@ -29,6 +29,9 @@ from generator.transport import caching
 
 ANSWER = "nlos "
 
+FORCE = "force"
+"""Last argument of a worker that plans in spite of errors that the check finds."""
+
 NO_BLENDER = "this needs Blender's module bpy, which is not installed; install it with: pip install 'nlos-lab[bpy]'"
 
 _HOME = str(Path(__file__).resolve().parents[1])
@@ -110,6 +113,7 @@ def run(
     launch: Launch = python,
     stop: threading.Event | None = None,
     pace: Pace | None = None,
+    force: bool = False,
 ) -> Outcome:
     """Render a data set, or what is missing of it.
 
@@ -136,13 +140,15 @@ def run(
     pace : callable, optional
         Says with how many samples each picture is rendered; without it all take the data set's. Voxels then take
         turns, lest the noise tell them apart.
+    force : bool
+        Begin a new set in spite of errors that the check finds in the scene.
 
     Raises
     ------
     NlosError
-        The input is bad, or the data set at that path was made with other settings.
+        The input is bad, the check finds an error, or the data set at that path was made with other settings.
     """
-    dataset = begin(scene, path, chosen, shard=shard, tell=tell, launch=launch, stop=stop).dataset
+    dataset = begin(scene, path, chosen, shard=shard, tell=tell, launch=launch, stop=stop, force=force).dataset
     outcome = Outcome(dataset)
     pending = pending_positions(dataset, shard)
     if pace:
@@ -169,12 +175,13 @@ def begin(
     tell: Callable[[str], None] = lambda words: None,
     launch: Launch = python,
     stop: threading.Event | None = None,
+    force: bool = False,
 ) -> Outcome:
     """Plan a data set and render its background, as far as that is not done; parameters as of `run`."""
     known = Dataset.open(path).settings["engine"] if Dataset.exists(path) else chosen.get("engine", spec.AUTO)
     if words := compiling_words(known):
         tell(words)
-    dataset = prepare(scene, path, chosen, launch)
+    dataset = prepare(scene, path, chosen, launch, force=force, tell=tell)
     if chosen.get("engine", spec.AUTO) == spec.AUTO:
         tell(engine_words(dataset, chosen))
     if not all(dataset.has_background(name) for name in dataset.background_names):
@@ -237,13 +244,23 @@ def engine_words(dataset: Dataset, chosen: Mapping[str, Any]) -> str:
     return words + (f"; {' and '.join(idle)} {'mean' if len(idle) > 1 else 'means'} nothing to it" if idle else "")
 
 
-def prepare(scene: Path, path: Path, chosen: Mapping[str, Any], launch: Launch = python) -> Dataset:
+def prepare(
+    scene: Path,
+    path: Path,
+    chosen: Mapping[str, Any],
+    launch: Launch = python,
+    *,
+    force: bool = False,
+    tell: Callable[[str], None] = lambda words: None,
+) -> Dataset:
     """Return the data set at a path, planned now if there is none, after comparing the settings if there is one."""
     if not Dataset.exists(path):
         if not scene.is_file():
             raise NlosError(f"{scene}: no such scene file")
         check_free(path)
-        _run_plan(scene, path, chosen, launch)
+        arguments = ["generator.worker", "plan", str(scene), str(path), json.dumps(dict(chosen))]
+        for words in planned_notes(scene, arguments, launch, force=force):
+            tell(words)
         return Dataset.open(path)
     dataset = Dataset.open(path)
     check_same(dataset, scene, chosen)
@@ -321,11 +338,14 @@ def in_batches(units: Sequence[int], size: int) -> list[Sequence[int]]:
     return [units[at : at + size] for at in range(0, len(units), size)]
 
 
-def _run_plan(scene: Path, path: Path, chosen: Mapping[str, Any], launch: Launch) -> None:
-    arguments = ["generator.worker", "plan", str(scene), str(path), json.dumps(dict(chosen))]
-    with Worker(arguments, launch) as worker:
-        if worker.answer() is None:
-            raise NlosError(f"{scene}: Blender could not plan the sweep: {worker.last_words()}")
+def planned_notes(
+    scene: Path, arguments: Sequence[str], launch: Launch = python, *, force: bool = False
+) -> list[str]:
+    """Let a worker plan a set, and return what it has to say of the scene."""
+    with Worker([*arguments, *([FORCE] if force else [])], launch) as worker:
+        if (answer := worker.answer()) is None:
+            raise NlosError(f"{scene}: Blender could not plan the set: {worker.last_words()}")
+        return [str(words) for words in answer.get("notes", [])]
 
 
 class Worker:

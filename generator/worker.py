@@ -27,6 +27,7 @@ from generator import (
     experiments,
     extract,
     links,
+    misgivings,
     poses,
     references,
     rehearsal,
@@ -47,7 +48,7 @@ from generator.dataset import (
     write_picture,
 )
 from generator.spec import NlosError, Sweep
-from generator.sweep import ANSWER, BACKGROUND_FACTOR
+from generator.sweep import ANSWER, BACKGROUND_FACTOR, FORCE
 
 if TYPE_CHECKING:
     from generator.bulk import Bulk
@@ -59,7 +60,15 @@ TURNS = {"sphere": (0.0, 0.0, 0.0), "sheet": (15.0, 15.0, 90.0), "mesh": (15.0, 
 """Largest rotations, degrees, where the user names none. About z, +-90 covers a two-sided sheet once."""
 
 
-def plan(scene: bpy.types.Scene, source: Path, path: Path, chosen: Mapping[str, Any]) -> Dataset:
+def plan(
+    scene: bpy.types.Scene,
+    source: Path,
+    path: Path,
+    chosen: Mapping[str, Any],
+    *,
+    force: bool = False,
+    tell: Callable[[str], None] = lambda words: None,
+) -> Dataset:
     """Create a data set from the open scene: settings, a copy of the scene, every pose; no picture of them yet.
 
     Parameters
@@ -71,12 +80,16 @@ def plan(scene: bpy.types.Scene, source: Path, path: Path, chosen: Mapping[str, 
         Of the data set.
     chosen : mapping
         Fields of `Sweep` that the user chose; ``resolution`` may be text. The rest follow from the scene.
+    force : bool
+        In spite of errors that the check finds; the set then remembers them.
+    tell : callable
+        Is told what the check finds short of that.
 
     Raises
     ------
     NlosError
-        The scene lacks a role, the engine cannot honour it, the target fits nowhere, or nothing can be written; or
-        it refers to files elsewhere.
+        The scene lacks a role, the engine cannot honour it, the check finds an error, the target fits nowhere, or
+        nothing can be written; or it refers to files elsewhere.
     """
     check_free(path)
     linked = links.recorded(references.refuse(source), path)
@@ -93,6 +106,9 @@ def plan(scene: bpy.types.Scene, source: Path, path: Path, chosen: Mapping[str, 
     if chosen.get("engine", spec.AUTO) != spec.AUTO and any(name in chosen for name in idle):
         name = next(name for name in idle if name in chosen)
         raise NlosError(f"{name}: means nothing to the engine {sweep.engine!r}; leave it out")
+    found = doubted(scene, sweep, force=force)
+    for words in found.notes:
+        tell(words)
     records = placed(scene, described, sweep)
     simplify.apply(scene, sweep.leave_out)
     with engines.opened(scene, sweep.engine, **engines.settings(sweep)) as renderer:
@@ -108,6 +124,7 @@ def plan(scene: bpy.types.Scene, source: Path, path: Path, chosen: Mapping[str, 
         "scene": spec.to_dict(described),
         "extra_objects": stage.others(scene),
         "replaced": [replaced.told(scene, setting) for setting in replaced.replaced(scene)],
+        **({"forced": found.errors} if found.errors else {}),
         **({"links": linked} if linked else {}),
         "software": {"nlos-lab": version(), "blender": bpy.app.version_string, "numpy": np.__version__},
     }
@@ -115,6 +132,16 @@ def plan(scene: bpy.types.Scene, source: Path, path: Path, chosen: Mapping[str, 
     if isinstance(renderer, engines.SurfelRenderer):
         _background(renderer, dataset, sweep)  # needs no scene, and far less time than a process of its own to start
     return dataset
+
+
+def doubted(scene: bpy.types.Scene, sweep: Sweep, *, force: bool) -> misgivings.Misgivings:
+    """Return what the check finds in a scene, without rendering; refuse its errors unless they are overruled."""
+    found = misgivings.look(scene)
+    if found.errors and not force:
+        with engines.opened(scene, sweep.engine, **engines.settings(sweep)):
+            pass  # what the engine itself refuses, nobody can overrule, so that comes first
+        misgivings.refuse(found)
+    return found
 
 
 def placed(scene: bpy.types.Scene, described: spec.Scene, sweep: Sweep) -> list[PoseRecord]:
@@ -282,23 +309,25 @@ def commands() -> Iterable[dict[int, int]]:
 def main(argv: list[str]) -> int:
     """Do one of six things.
 
-    ``plan SCENE DATASET SETTINGS``; ``render DATASET THREADS``, positions on standard input;
-    ``check SCENE SETTINGS``, which answers what it found; ``rehearse SCENE SETTINGS THREADS I/N``, which answers
-    what a few pictures took; ``picture SCENE FOLDER SETTINGS denoise|plain``, which
+    ``plan SCENE DATASET SETTINGS [force]``; ``render DATASET THREADS``, positions on standard input;
+    ``check SCENE SETTINGS``, which answers what it found; ``rehearse SCENE SETTINGS THREADS I/N [force]``, which
+    answers what a few pictures took; ``picture SCENE FOLDER SETTINGS denoise|plain``, which
     leaves ``wall.exr`` and ``background.exr`` in the folder; ``experiment SCENE FILE
     NUMBER``, which leaves its pictures in the file.
     """
     try:
         if argv[0] == "plan":
-            source = Path(argv[1])
-            plan(stage.open_file(source), source, Path(argv[2]), json.loads(argv[3]))
-            answer(planned=True)
+            source, notes = Path(argv[1]), list[str]()
+            scene, force = stage.open_file(source), FORCE in argv[4:]
+            plan(scene, source, Path(argv[2]), json.loads(argv[3]), force=force, tell=notes.append)
+            answer(planned=True, notes=notes)
         elif argv[0] == "check":
             scene = stage.open_file(Path(argv[1]))
             answer(findings=[asdict(found) for found in check_scene(scene, json.loads(argv[2]))])
         elif argv[0] == "rehearse":
             scene = stage.open_file(Path(argv[1]))
             sweep, _ = settled(scene, stage.read(scene), json.loads(argv[2]))
+            doubted(scene, sweep, force=FORCE in argv[5:])
             index, _, count = argv[4].partition("/")
             found = rehearsal.rehearse(scene, sweep, share=(int(index), int(count)), threads=int(argv[3]))
             answer(**vars(found))

@@ -109,6 +109,11 @@ def test_batch_inside_blender(tmp_path, scene_file):
     assert told(["-c", code, tmp_path / "b"], "full") == (2, FULL)
 
 
+def test_blender_says_nothing_of_its_own(scene_file, command):
+    done = command("generator", "check", scene_file, "--engine", "path", "--poses", "1", "--samples", "1")
+    assert all(line.startswith(("good:", "note:", "warning:", "error:")) for line in done.stdout.splitlines())
+
+
 def test_other_files_on_a_full_disk_are_not_taken_for_the_output(capsys):
     def work():
         raise OSError(28, "No space left on device", "picture.exr")

@@ -21,6 +21,7 @@ NEEDS_BLENDER = {
         "experiments",
         "extract",
         "laboratory",
+        "misgivings",
         "nodes",
         "outlines",
         "planning",
