@@ -579,10 +579,9 @@ class Dataset:
 
 _TABLES = {"sweep": dict, "scene": dict, "reference_radiance": float, "fingerprint": str}
 _IN_SCENE = {"grid": (dict,), "target": (dict,), "ambient": (int, float), "reflection_order": (int,)}
-_OPTIONAL = {
-    **{"software": dict, "links": dict},
-    **dict.fromkeys(("engine_reasons", "extra_objects", "replaced", "forced"), list),
-}
+_OPTIONAL = {"software": dict, "links": dict} | dict.fromkeys(
+    ("engine_reasons", "extra_objects", "replaced", "forced"), list
+)
 
 
 def check_meta(meta: Mapping[str, Any], **needed: type) -> None:

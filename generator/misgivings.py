@@ -6,8 +6,8 @@ from dataclasses import dataclass, field
 
 import bpy
 
-from generator import check, engines
-from generator.spec import NlosError
+from generator import check
+from generator.spec import AUTO, NlosError
 
 
 @dataclass(frozen=True)
@@ -36,7 +36,7 @@ class Misgivings:
 
 def look(scene: bpy.types.Scene) -> Misgivings:
     """Return what is wrong with a scene, whatever the engine: one that cannot honour it says so itself."""
-    found = check.findings(scene, engine=engines.AUTO)
+    found = check.findings(scene, engine=AUTO)
     return Misgivings(*([f.text for f in found if f.level == level] for level in (check.ERROR, check.WARNING)))
 
 
