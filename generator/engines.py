@@ -265,10 +265,7 @@ def choose(scene: bpy.types.Scene) -> tuple[str, list[str]]:
 
 
 def _linear_output(scene: bpy.types.Scene, overrides: stage.Overrides) -> None:
-    """Float32 radiance straight from the renderer: no view transform, crop, compositor, dither or denoiser.
-
-    Nor Freestyle, whose style modules are Python that runs though a file's scripts are off.
-    """
+    """Float32 radiance from the renderer itself: no view transform, crop, compositor, Freestyle, dither, denoiser."""
     render = scene.render
     image = render.image_settings
     if hasattr(image, "media_type"):  # Blender 5
