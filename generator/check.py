@@ -11,7 +11,7 @@ import bpy
 import numpy as np
 from mathutils import Vector
 
-from generator import adopt, clearance, engines, extract, poses, spec, stage
+from generator import adopt, clearance, engines, extract, poses, replaced, spec, stage
 from generator.spec import Array, NlosError, Sweep
 
 GOOD, NOTE, WARNING, ERROR = "good", "note", "warning", "error"
@@ -145,12 +145,14 @@ def _roles(scene: bpy.types.Scene) -> list[Finding]:
 
 def _frame(scene: bpy.types.Scene) -> list[Finding]:
     found = []
-    wall = stage.find(scene, "relay_wall")
+    wall, target = stage.find(scene, "relay_wall"), stage.find(scene, "target")
+    if why := stage.unseen(scene, target):
+        found.append(Finding(ERROR, f"The target {target.name!r} {why}", target.name, "show"))
     if not adopt.in_metres(scene):
         unit = scene.unit_settings.scale_length
         text = f"A Blender unit is {unit:g} m here; light, voxels and poses count in metres"
         found.append(Finding(ERROR, text, fix="metres"))
-    if not stage.in_frame(wall):
+    if not stage.in_frame(wall, stage.snapshot(scene)):
         text = f"The relay wall {wall.name!r} is not in the plane y = 0, which the lab's frame starts from"
         found.append(Finding(ERROR, text, wall.name, "align"))
     return found
@@ -158,10 +160,6 @@ def _frame(scene: bpy.types.Scene) -> list[Finding]:
 
 def _settings(scene: bpy.types.Scene, described: spec.Scene) -> list[Finding]:
     found = []
-    target = stage.find(scene, "target")
-    if why := stage.unseen(scene, target):
-        text = f"The target {target.name!r} {why}"
-        found.append(Finding(ERROR, text, target.name, "show"))
     if scene.render.engine != "CYCLES":
         found.append(
             Finding(WARNING, "Cycles is not the scene's render engine: F12 shows another picture", fix="reflections")
@@ -176,12 +174,21 @@ def _settings(scene: bpy.types.Scene, described: spec.Scene) -> list[Finding]:
     if others := stage.others(scene):
         some = ", ".join(others[:3]) + (f" and {len(others) - 3} more" if len(others) > 3 else "")
         found.append(Finding(NOTE, f"Also rendered, without a role: {some}", others[0]))
+    if differing := replaced.replaced(scene):
+        usual = [setting.words for setting in differing if replaced.is_default(scene, setting)]
+        chosen = [replaced.told(scene, setting) for setting in differing if not replaced.is_default(scene, setting)]
+        parts = [f"settings of the file: {', '.join(chosen)}"] if chosen else []
+        parts += [f"some of Blender's defaults: {', '.join(usual)}"] if usual else []
+        found.append(Finding(NOTE, f"A sweep replaces {'; and '.join(parts)}"))
     return found
 
 
 def _engine(scene: bpy.types.Scene, engine: str) -> list[Finding]:
-    chosen, reasons = engines.choose(scene)
-    if engine == engines.AUTO:
+    survey = extract.survey(scene)
+    if survey.never:
+        return [Finding(ERROR, f"It cannot be swept: {reason}", _named(scene, reason)) for reason in survey.never]
+    chosen, reasons = engines.choose(scene, survey)
+    if engine == spec.AUTO:
         engine = chosen
     rank = engines.ENGINES.index
     found = []

@@ -21,7 +21,20 @@ from typing import TYPE_CHECKING, Any
 import bpy
 import numpy as np
 
-from generator import check, engines, experiments, links, poses, references, rehearsal, simplify, spec, stage
+from generator import (
+    check,
+    engines,
+    experiments,
+    extract,
+    links,
+    poses,
+    references,
+    rehearsal,
+    replaced,
+    simplify,
+    spec,
+    stage,
+)
 from generator.clearance import clearance
 from generator.dataset import (
     BACKGROUND_AMBIENT,
@@ -67,11 +80,17 @@ def plan(scene: bpy.types.Scene, source: Path, path: Path, chosen: Mapping[str, 
     """
     check_free(path)
     linked = links.recorded(references.refuse(source), path)
+    references.require(scene, source)  # of a scene that is open already, in `batch`
     described = stage.read(scene)
     engines.refuse_hidden(scene)
     sweep, reasons = settled(scene, described, chosen)
+    # What cannot be honoured is said before any work is done; what is left out may be just that, and is no matter.
+    extract.survey(scene, resolution=sweep.resolution, ambient=True).check(
+        "path" if sweep.leave_out else sweep.engine
+    )
+    described = stage.read(scene, sweep.resolution)
     idle = Sweep.idle(sweep.engine)
-    if chosen.get("engine") != engines.AUTO and any(name in chosen for name in idle):
+    if chosen.get("engine", spec.AUTO) != spec.AUTO and any(name in chosen for name in idle):
         name = next(name for name in idle if name in chosen)
         raise NlosError(f"{name}: means nothing to the engine {sweep.engine!r}; leave it out")
     records = placed(scene, described, sweep)
@@ -88,6 +107,7 @@ def plan(scene: bpy.types.Scene, source: Path, path: Path, chosen: Mapping[str, 
         "reference_radiance": described.reference_radiance,
         "scene": spec.to_dict(described),
         "extra_objects": stage.others(scene),
+        "replaced": [replaced.told(scene, setting) for setting in replaced.replaced(scene)],
         **({"links": linked} if linked else {}),
         "software": {"nlos-lab": version(), "blender": bpy.app.version_string, "numpy": np.__version__},
     }
@@ -99,7 +119,8 @@ def plan(scene: bpy.types.Scene, source: Path, path: Path, chosen: Mapping[str, 
 
 def placed(scene: bpy.types.Scene, described: spec.Scene, sweep: Sweep) -> list[PoseRecord]:
     """Return the poses of a sweep: where nothing is in the way, whether it is left out of the pictures or not."""
-    with engines.opened(scene, "path", resolution=sweep.resolution):  # the camera's view depends on the resolution
+    with stage.Overrides() as overrides:
+        stage.shape_pictures(scene, sweep.resolution, overrides)  # on which the camera's view depends
         is_free = clearance(scene, described, engine=sweep.engine)
     planned = poses.trajectory if sweep.frames else poses.plan
     return planned(described.grid, sweep, stage.hull(scene), is_free)
@@ -109,7 +130,7 @@ def settled(scene: bpy.types.Scene, described: spec.Scene, chosen: Mapping[str, 
     """Return the sweep that the user's settings mean in a scene, and why `auto` took no cheaper engine."""
     settings = with_defaults(described, chosen)
     reasons: list[str] = []
-    if settings.get("engine") == engines.AUTO:
+    if settings["engine"] == spec.AUTO:
         settings["engine"], reasons = engines.choose(scene)
     sweep: Sweep = spec.from_dict(Sweep, settings, "")
     return sweep, reasons
@@ -118,7 +139,12 @@ def settled(scene: bpy.types.Scene, described: spec.Scene, chosen: Mapping[str, 
 def with_defaults(described: spec.Scene, chosen: Mapping[str, Any]) -> dict[str, Any]:
     """Return the settings that the user chose, with those that follow from the scene where none was chosen."""
     width, height = described.resolution
-    settings = {"resolution": [width, height], "rotation": list(TURNS[described.target.kind]), **chosen}
+    settings = {
+        "engine": spec.AUTO,
+        "resolution": [width, height],
+        "rotation": list(TURNS[described.target.kind]),
+        **chosen,
+    }
     if isinstance(settings["resolution"], str):
         settings["resolution"] = list(spec.parse_resolution(settings["resolution"], width / height))
     return settings
@@ -222,7 +248,7 @@ def _background(renderer: engines.Renderer | engines.SurfelRenderer, dataset: Da
 
 def check_scene(scene: bpy.types.Scene, chosen: Mapping[str, Any]) -> list[check.Finding]:
     """Return what is to be said of a scene before a sweep with the settings that the user chose."""
-    found = check.findings(scene, engine=chosen.get("engine", Sweep().engine))
+    found = check.findings(scene, engine=chosen.get("engine", spec.AUTO))
     if check.hopeless(found):
         return found
     sweep, _ = settled(scene, stage.read(scene), chosen)
