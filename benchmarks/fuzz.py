@@ -43,7 +43,7 @@ with atheris.instrument_imports(
 ):
     from classify import atlas, localise, models, store
     from classify.features import FeatureSettings
-    from generator import bulk, dataset, exr, journal, plans, simulated, spec
+    from generator import bombs, bulk, dataset, exr, journal, plans, simulated, spec
     from generator.sensor import Sensor
     from generator.transport import store as worlds
 
@@ -325,6 +325,7 @@ def main() -> None:
     if target not in TARGETS:
         sys.exit(f"usage: {sys.argv[0]} {'|'.join(TARGETS)} [libFuzzer's options]")
     _OUTSIDE.write_bytes(b"none of its business")
+    bombs.MUCH = hostile.LIMIT
     corpus = _FILE.parent / "corpus"
     seeds(target, corpus)
     limits = ["-timeout=10", "-rss_limit_mb=1024", "-max_len=65536"]

@@ -350,7 +350,7 @@ def _answer(estimator: Any, row: NDArray[np.float64], name: str) -> NDArray[np.f
 
 
 def _check_inside(estimator: Any, width: int) -> None:
-    """Raise ValueError for numbers by which scikit-learn's compiled code would read where nothing is."""
+    """Raise ValueError unless the numbers inside are what scikit-learn's compiled code takes for granted."""
     for part in _parts(estimator):
         if isinstance(part, Tree):
             _check_tree(part, width)
@@ -384,7 +384,7 @@ def _check_tree(tree: Any, width: int) -> None:
     left, right, feature = tree.children_left, tree.children_right, tree.feature
     inner = left != -1
     numbers = np.arange(count)
-    # A child comes after its parent, as they grow: so no way down is endless.
+    # A child comes after its parent, as they grow.
     below = all(((child[inner] > numbers[inner]) & (child[inner] < count)).all() for child in (left, right))
     asked = feature[inner]
     known = (asked >= 0).all() and (asked < width).all()

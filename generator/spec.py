@@ -660,7 +660,7 @@ def merge(base: dict[str, Any], over: Mapping[str, Any]) -> dict[str, Any]:
 
 
 _DEEP = re.compile(r"""(?<![\w-])(?:(?:[\w-]++|"[^"\n]*+"|'[^'\n]*+')[ \t]*+\.[ \t]*+){50}""")
-"""A key of more parts than any of ours: what tomllib remembers of one grows with their square, to gigabytes."""
+"""A key of more parts than any of ours: tomllib of Python 3.11 took gigabytes for some."""
 
 
 def read_toml(path: Path) -> dict[str, Any]:

@@ -536,7 +536,7 @@ def as_rendered(scene: bpy.types.Scene, look: Callable[[Any], Result]) -> Result
                 ("engine", Look.bl_idname),
                 ("use_compositing", False),
                 ("use_sequencer", False),
-                ("use_freestyle", False),  # its style modules are Python, and run though scripts are off
+                ("use_freestyle", False),
                 ("use_multiview", False),
                 ("use_simplify", False),
                 ("use_persistent_data", False),

@@ -16,6 +16,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from conftest import ROOT
+from conftest import TINY as SHARED
 
 from blender_addon import build
 from generator.dataset import Dataset
@@ -255,9 +256,9 @@ def test_a_temporary_folder_of_any_name(tmp_path, scene_file, command, tiny_data
     """Blender 5 takes braces in what it renders to for variables; the pixels do not depend on them."""
     folder = tmp_path / name
     folder.mkdir()
-    run = ("sweep", scene_file, "-o", folder / "set", "--poses", "1", "--samples", "4", "--resolution", "8")
+    run = ("sweep", scene_file, "-o", folder / "set", *SHARED)
     result = subprocess.run(
-        [sys.executable, "-m", "generator.cli", *map(str, run), "--workers", "1"],
+        [sys.executable, "-m", "generator.cli", *map(str, run)],
         capture_output=True,
         text=True,
         check=False,
