@@ -10,7 +10,7 @@ import pytest
 from nodetrees import WHITE, bare, node, output, paint, tree_of
 from radiometry import floor_room
 
-from generator import engines, extract, stage
+from generator import coincident, engines, extract, stage
 from generator.spec import NlosError
 
 SAMPLES, SEEDS = 16384, 6
@@ -419,3 +419,81 @@ def test_smooth_shading_over_coarse_faces_lets_no_light_around():
     setattr(owner, name, 0.1)
     bulb(scene)
     refused(scene, "'Target' is shaded smooth over coarse faces", "patch")
+
+
+def copied_in_place(scene):
+    obj = target(scene)
+    twin = bpy.data.objects.new("Twin", obj.data)
+    twin.parent = obj
+    scene.collection.objects.link(twin)
+
+
+def mirrored_onto_itself(scene):
+    """Cut into triangles the other way."""
+    modifier = target(scene).modifiers.new("Mirror", "MIRROR")
+    modifier.use_mirror_merge = False
+
+
+def half_on(scene):
+    mesh = bpy.data.meshes.new("Patch")
+    mesh.from_pydata([(0.1, 0, 0.1), (0.4, 0, 0.15), (0.2, 0, 0.5)], [], [(0, 1, 2)])
+    mesh.materials.append(target(scene).data.materials[0])
+    child = bpy.data.objects.new("Rag", mesh)
+    child.parent = target(scene)
+    scene.collection.objects.link(child)
+
+
+def carpet(scene):
+    bpy.ops.mesh.primitive_plane_add(size=0.7, location=(0.1, 1.0, -1.0), rotation=(0.0, 0.0, 0.3))
+    bpy.context.object.data.materials.append(grey("Carpet", 0.2))
+
+
+def box(z):
+    def edit(scene):
+        bpy.ops.mesh.primitive_cube_add(size=0.2, location=(0.5, 1.5, z))
+        bpy.context.object.data.materials.append(grey("Box", 0.2))
+
+    return edit
+
+
+@pytest.mark.parametrize(
+    ("edit", "words"),
+    [
+        (copied_in_place, "the target 'Target' and 'Twin', which moves with the target, lie on one another"),
+        (mirrored_onto_itself, "parts of the target 'Target' lie on one another"),
+        (half_on, "the target 'Target' and 'Rag', which moves with the target, lie on one another"),
+        (carpet, "'Floor' and 'Plane' lie on one another"),
+        (box(-1.1), "'Floor' and 'Cube' lie on one another"),
+    ],
+)
+def test_what_lies_on_one_another_is_named(edit, words):
+    scene = bare(room=floor_room())
+    edit(scene)
+    bpy.context.view_layer.update()
+    reasons = extract.survey(scene).surfel_reasons
+    assert len(reasons) == 1
+    assert words in reasons[0]
+
+
+@pytest.mark.parametrize("z", [-0.9, -0.89])
+def test_what_stands_on_the_floor_is_fine(z):
+    """Its foot and the floor under it see no light."""
+    scene = bare(room=floor_room())
+    box(z)(scene)
+    bpy.context.view_layer.update()
+    assert extract.survey(scene).surfel_reasons == []
+
+
+def test_many_neighbours_are_no_overlap():
+    """Nor do they take long: each is compared with those near it only."""
+    x, z = np.meshgrid(np.arange(60) / 7.0, np.arange(60) / 7.0)
+    a = np.stack([x.ravel(), np.zeros(3600), z.ravel()], axis=1)
+    step = np.eye(3) / 7.0
+    first = np.stack([a, a + step[0], a + step[0] + step[2]], axis=1)
+    second = np.stack([a, a + step[0] + step[2], a + step[2]], axis=1)
+    grid = np.concatenate([first, second]).astype(np.float32).astype(np.float64)
+    assert len(coincident.overlapping(grid)) == 0
+    stray = grid[4321] + 0.3 * step[0]
+    found = coincident.overlapping(np.concatenate([grid, stray[None]]))
+    assert 4321 in found[:, 0]
+    assert set(found[:, 1]) == {len(grid)}
