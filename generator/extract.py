@@ -10,7 +10,7 @@ from typing import Any
 import bpy
 import numpy as np
 
-from generator import nodes, spec, stage
+from generator import coincident, nodes, spec, stage
 from generator.spec import Array, NlosError, rotation_matrix
 from generator.transport.world import AmbientLight, LitPatch, Mesh, Sphere, Watched, World
 
@@ -148,6 +148,7 @@ def survey(scene: bpy.types.Scene, *, resolution: tuple[int, int] | None = None,
     bent = [s for s in reading.surfaces if s.smooth and s.role != "target"]
     bent += [part for sphere, part in zip(spheres, parts, strict=True) if part.smooth and sphere is None]
     reasons += [f"{s.label} is shaded smooth, so that it reflects as if it were curved" for s in bent]
+    reasons += _coincident(reading, patch)
     if why := stage.unseen(scene, target):
         reasons.append(f"the target {target.name!r} {why}")
     elif not bodies:
@@ -165,6 +166,36 @@ def survey(scene: bpy.types.Scene, *, resolution: tuple[int, int] | None = None,
         lights=reading.lights,
         kinds=frozenset().union(*reading.kinds.values()),
     )
+
+
+def _coincident(reading: _Reading, patch: LitPatch | None) -> list[str]:
+    """Name surfaces that lie on one another, of which Cycles sees one and a sum over surfaces both."""
+    reasons = []
+    moving = [s for s in reading.surfaces if s.role == "target"]
+    still = [s for s in reading.surfaces if s.role != "target"]
+    for together in (moving, still):
+        if not together:
+            continue
+        triangles = np.concatenate([s.triangles for s in together])
+        owner = np.repeat(np.arange(len(together)), [len(s.triangles) for s in together])
+        pairs = coincident.overlapping(triangles)
+        if together is still and patch is not None:
+            sealed = np.concatenate([_sealed(s, patch.centre) for s in still])
+            pairs = pairs[~sealed[pairs].any(axis=1)]
+        for a, b in np.unique(owner[pairs], axis=0):
+            one, other = together[a], together[b]
+            what = f"parts of {one.label} lie" if a == b else f"{one.label} and {other.label} lie"
+            reasons.append(f"{what} on one another, so that their light would count twice")
+    return list(dict.fromkeys(reasons))
+
+
+def _sealed(surface: _Surface, source: Array) -> Array:
+    """Which triangles of a closed surface face away from a point (3,), (n,): a cupboard's foot, and the floor under it."""
+    a, b, c = (surface.triangles[:, i] - source for i in range(3))
+    volumes = (np.cross(a, b) * c).sum(axis=1)
+    # Six times the signed volume: negative ones are inside out. Those of single faces say on which side the point is.
+    faces_away = volumes * np.sign(volumes.sum()) > 0.0
+    return faces_away if surface.closed else np.zeros(len(a), dtype=bool)
 
 
 def lit_patch(scene: bpy.types.Scene) -> LitPatch:
