@@ -4,14 +4,16 @@ from __future__ import annotations
 
 import re
 import time
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import bpy
 import numpy as np
-from mathutils import Vector
 
 from generator import adopt, clearance, engines, extract, poses, replaced, spec, stage
+from generator.extract import Light
+from generator.lighting import Beam, Eyes
 from generator.spec import Array, NlosError, Sweep
 
 GOOD, NOTE, WARNING, ERROR = "good", "note", "warning", "error"
@@ -25,10 +27,7 @@ _MANY = 64
 _PIXELS = (np.arange(5) + 0.5) / 5.0
 """Where the watched patch is, in its edges."""
 _RINGS = (0.0, 0.25, 0.5, 0.75, 1.0)
-_STEPS = np.linspace(0.0, 1.0, 200)
-"""Where a cone of light is looked at: in its radius, and along it."""
-_SHORT = 1e-4
-"""What a ray leaves out at both ends, in its length: there it meets what it starts from."""
+"""Where a cone of light is looked at, in its radius."""
 _HALF = 0.5
 _PROBE_SAMPLES, _PROBES, _PATIENCE = 16, 64, 8.0
 """Of a probe's pictures; how many pairs of them at most; and for how many seconds."""
@@ -201,47 +200,10 @@ def _engine(scene: bpy.types.Scene, engine: str) -> list[Finding]:
     return found
 
 
-class _Eyes:
-    """What sees what past everything but the target.
-
-    Parameters
-    ----------
-    scene : bpy.types.Scene
-    """
-
-    def __init__(self, scene: bpy.types.Scene) -> None:
-        self._trees = clearance.obstacles(scene)
-
-    def open(self, start: Array, end: Array) -> bool:
-        """Whether nothing stands between two points, each of shape (3,)."""
-        way = end - start
-        length = float(np.linalg.norm(way))
-        if length == 0.0:
-            return True
-        origin, unit = Vector(start + _SHORT * way), Vector(way / length)
-        reach = (1.0 - 2.0 * _SHORT) * length
-        return all(tree.ray_cast(origin, unit, reach)[0] is None for tree in self._trees)
-
-    def passed(self, starts: Array, ends: Array) -> Array:
-        """Return points along rays from starts (n, 3) to ends (n, 3), as far as nothing is in the way, (m, 3)."""
-        found = []
-        for start, end in zip(starts, ends, strict=True):
-            origin, way = Vector(start), Vector(end - start)
-            length = way.length
-            hits = [tree.ray_cast(origin, way.normalized(), length)[3] for tree in self._trees]
-            reach = min([hit for hit in hits if hit is not None], default=length) / (length or 1.0)
-            found.append(start + reach * _STEPS[:, None] * (end - start))
-        every: Array = np.concatenate(found)
-        return every
-
-    def share(self, starts: Array, ends: Array) -> Array:
-        """Return the open share of the ways from each of starts (n, 3) to ends (m, 3), (n,)."""
-        return np.array([np.mean([self.open(a, b) for b in ends]) for a in starts])
-
-
 def _sight(scene: bpy.types.Scene, described: spec.Scene) -> list[Finding]:
     """Lines of sight that must not be, and those that must."""
-    eyes, grid = _Eyes(scene), described.grid
+    seen, grid = stage.snapshot(scene), described.grid
+    eyes = Eyes.of(scene, seen)
     along = _LATTICE if grid.n_voxels <= _MANY else _LATTICE[1:2]
     u, v, w = np.meshgrid(along, along, along, indexing="ij")
     lattice = np.stack([u.ravel(), v.ravel(), w.ravel()], axis=1)
@@ -251,20 +213,19 @@ def _sight(scene: bpy.types.Scene, described: spec.Scene) -> list[Finding]:
     points = [lo + lattice * (hi - lo) for lo, hi in bounds]
     found = []
     lamp, camera = stage.find(scene, "spot"), stage.find(scene, "camera")
-    at = stage.numbers(lamp.matrix_world.translation)
-    starts, corners = stage.view(scene, camera)
+    at = seen.matrices["spot"][:3, 3]
+    starts, corners = stage.view(scene, camera, seen.matrices["camera"])
+    shown = {lamp: eyes.of_lamp(lamp), camera: eyes.rays("camera")}
     for obj, solid, does in zip(
-        (lamp, camera), clearance.sights(scene, described.spot), ("shines", "looks"), strict=True
+        (lamp, camera), clearance.sights(scene, described.spot, seen), ("shines", "looks"), strict=True
     ):
-        passed = eyes.passed(*solid.rays(_RINGS))
+        passed = shown[obj].passed(*solid.rays(_RINGS))
         direct = [label for label, (lo, hi) in zip(labels, bounds, strict=True) if _any_inside(passed, lo, hi)]
         unhidden = []
         for label, inside in zip(labels, points, strict=True):
             # An orthographic camera sees along parallel rays, each from a place of its own.
-            froms = (
-                _opposite(starts, corners, inside) if obj == camera else [lamp.matrix_world.translation] * len(inside)
-            )
-            if label not in direct and any(eyes.open(np.array(a), b) for a, b in zip(froms, inside, strict=True)):
+            froms = _opposite(starts, corners, inside) if obj == camera else [at] * len(inside)
+            if label not in direct and any(map(shown[obj].open, froms, inside)):
                 unhidden.append(label)
         if direct:
             which = _voxels(direct, grid.labels)
@@ -279,7 +240,7 @@ def _sight(scene: bpy.types.Scene, described: spec.Scene) -> list[Finding]:
     if camera_spec.x[0] <= w1[0] <= camera_spec.x[1] and camera_spec.z[0] <= w1[2] <= camera_spec.z[1]:
         text = f"{lamp.name!r} lights the watched patch itself, which outshines the hidden object thousands of times"
         found.append(Finding(WARNING, text, lamp.name))
-    if not eyes.open(at, w1):
+    if not shown[lamp].open(at, w1):
         found.append(Finding(ERROR, f"Something stands between {lamp.name!r} and the wall that it lights", lamp.name))
     s, t = np.meshgrid(_PIXELS, _PIXELS)
     weights = np.stack([(1 - s) * (1 - t), s * (1 - t), s * t, (1 - s) * t], axis=-1).reshape(-1, 4)
@@ -299,11 +260,77 @@ def _sight(scene: bpy.types.Scene, described: spec.Scene) -> list[Finding]:
             f"Of the ways from the lit patch by way of a voxel to the watched patch, few are open: {', '.join(low)}"
         )
         found.append(Finding(WARNING, text))
+    found += _lights(scene, eyes, watched, dict(zip(labels, zip(bounds, points, strict=True), strict=True)), grid)
     if not any(f.level in (WARNING, ERROR) for f in found):
         found.append(
             Finding(GOOD, f"V{_voxels(labels, grid.labels)[1:]}: hidden from lamp and camera, seen by the wall")
         )
     return found
+
+
+def _lights(
+    scene: bpy.types.Scene, eyes: Eyes, watched: Array, voxels: Mapping[str, Any], grid: spec.VoxelGrid
+) -> list[Finding]:
+    """What lights there are besides the spot, and what they shine on directly."""
+    told: dict[tuple[str, str], list[str]] = {}
+    shining: dict[str, list[Light]] = {}
+    for light in extract.other_lights(extract.lights(scene)):
+        shining.setdefault(light.name, []).append(light)
+    for name, alike in shining.items():
+        what = _one_light(scene, alike, eyes, watched, voxels, grid.labels)
+        if what is not None:
+            told.setdefault(what, []).append(name)
+    found = []
+    for (level, text), names in told.items():
+        some = ", ".join(map(repr, names[:3])) + (f" and {len(names) - 3} more" if len(names) > 3 else "")
+        found.append(Finding(level, f"Light of {some} {text}", names[0] if names[0] in scene.objects else ""))
+    return found
+
+
+def _one_light(
+    scene: bpy.types.Scene,
+    alike: Sequence[Light],
+    eyes: Eyes,
+    watched: Array,
+    voxels: Mapping[str, Any],
+    every: Sequence[str],
+) -> tuple[str, str] | None:
+    """What is to be said of the lights that are the same object, instanced; None if they light nothing here."""
+    wall, target = stage.find(scene, "relay_wall"), stage.find(scene, "target")
+    if alike[0].kind == "WORLD":
+        layers = [layer for layer in scene.view_layers if layer.use]
+        shows = scene.world is None or scene.world.cycles_visibility.diffuse
+        if not shows or not any(layer.use_sky for layer in layers):
+            return None
+        return NOTE, "of the world is in every picture, and in its background"
+    if alike[0].role == "target":
+        return WARNING, "moves with the hidden object, which is then seen without the lit patch"
+    if alike[0].role == "relay_wall":
+        return WARNING, "comes from the relay wall itself, and outshines what it reflects"
+    beams = [Beam(light, eyes) for light in alike]
+    holding = [
+        label
+        for label, ((lo, hi), _) in voxels.items()
+        if any(
+            _any_inside(beam.points, lo, hi) for light, beam in zip(alike, beams, strict=True) if light.kind != "SUN"
+        )
+    ]
+    into = [
+        label
+        for label, ((lo, hi), inside) in voxels.items()
+        if any(beam.meets(target, inside) or beam.passes(target, lo, hi) for beam in beams)
+    ]
+    onto = any(beam.meets(wall, watched) for beam in beams)
+    if holding and into:
+        return ERROR, f"comes from within {_voxels(holding, every)}, where the hidden object is looked for"
+    lit = [*(["the watched patch"] if onto else []), *([_voxels(into, every)] if into else [])]
+    if onto:
+        return WARNING, f"falls directly on {' and '.join(lit)}, and outshines what the hidden object adds"
+    if into:
+        return WARNING, f"falls directly on {lit[0]}: the object is seen there not by the lit patch alone"
+    if not any(beam.counts for beam in beams):
+        return None
+    return NOTE, "is in the scene too, hidden from the watched patch and from the voxels"
 
 
 def _any_inside(points: Array, lo: Array, hi: Array) -> bool:
