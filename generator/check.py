@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import itertools
+import math
 import re
 import time
 from collections.abc import Mapping, Sequence
@@ -30,7 +32,9 @@ _RINGS = (0.0, 0.25, 0.5, 0.75, 1.0)
 """Where a cone of light is looked at, in its radius."""
 _HALF = 0.5
 _PROBE_SAMPLES, _PROBES, _PATIENCE = 16, 64, 8.0
-"""Of a probe's pictures; how many pairs of them at most; and for how many seconds."""
+"""Of a probe's pictures; how many pairs where another engine can be asked; and for how many seconds at most."""
+_SMALL, _ROUGH = 32, 1e-2
+"""What `surfel` is asked with, where it only has to say how much the object adds: pixels a side, and accuracy."""
 _BYTES_PER_VALUE = 3.7
 """Of a float32 in a compressed EXR file: noise hardly packs."""
 
@@ -183,21 +187,22 @@ def _settings(scene: bpy.types.Scene, described: spec.Scene) -> list[Finding]:
 
 
 def _engine(scene: bpy.types.Scene, engine: str) -> list[Finding]:
-    survey = extract.survey(scene)
-    if survey.never:
-        return [Finding(ERROR, f"It cannot be swept: {reason}", _named(scene, reason)) for reason in survey.never]
-    chosen, reasons = engines.choose(scene, survey)
-    if engine == engines.AUTO:
-        engine = chosen
-    rank = engines.ENGINES.index
-    found = []
-    if rank(engine) > rank(chosen):
-        for reason in reasons:
-            text = f"The engine {engine!r} cannot honour that {reason}; {chosen!r} can"
-            found.append(Finding(ERROR, text, _named(scene, reason)))
-    elif rank(chosen) > rank(engine):
-        found.append(Finding(NOTE, f"The engine {chosen!r} can render this scene too, in less time"))
-    return found
+    surveyed = extract.survey(scene)
+    if surveyed.never:
+        return [Finding(ERROR, f"Cannot be swept: {why}", _named(scene, why)) for why in surveyed.never]
+    chosen, _ = engines.choose(scene, surveyed)
+    if engine in (engines.AUTO, chosen):
+        return []
+    # Whoever asks for `surfel` gets ambient light to a few per cent; nobody is advised to.
+    reasons = (extract.survey(scene, ambient=True) if engine == "surfel" else surveyed).reasons(engine)
+    if reasons:
+        return [
+            Finding(ERROR, f"The engine {engine!r} cannot honour that {why}; {chosen!r} can", _named(scene, why))
+            for why in reasons
+        ]
+    if engines.ENGINES.index(chosen) > engines.ENGINES.index(engine):
+        return [Finding(NOTE, f"The engine {chosen!r} can render this scene too, in less time")]
+    return []
 
 
 def _sight(scene: bpy.types.Scene, described: spec.Scene) -> list[Finding]:
@@ -380,11 +385,19 @@ class Probe:
         Mean of the difference picture, of the picture's.
     signal_to_noise : float
         Root mean square of the difference picture over that of its noise, at the sweep's samples; for `surfel`, over
-        that of the error asked for.
+        that of the error asked for. NaN if the pictures do not tell.
     seconds : float
         That the sweep takes on all cores, without starting Blender.
     bytes : float
         That its pictures take on disk.
+    error : float
+        Standard error of the share, where it was not told from the noise; else 0.
+    missed : int
+        Samples taken, if the object changed none of them; else 0.
+    exact : bool
+        Whether the share is known without noise, from the engine `surfel`.
+    other : bool
+        Whether `surfel` can render the scene as well.
     """
 
     engine: str
@@ -392,19 +405,38 @@ class Probe:
     signal_to_noise: float
     seconds: float
     bytes: float
+    error: float = 0.0
+    missed: int = 0
+    exact: bool = False
+    other: bool = False
 
     def findings(self) -> list[Finding]:
         """Return it in sentences."""
-        if self.signal_to_noise == 0.0 or (self.share == 0.0 and not np.isfinite(self.signal_to_noise)):
-            return [
-                Finding(ERROR, f"The object changes nothing in the pictures of {self.engine!r}, where it stands now")
-            ]
-        signal = f"The object adds {self.share:.2%} to the picture"
-        enough = self.signal_to_noise >= 3.0
-        noise = f"its difference stands {self.signal_to_noise:.3g} times above the noise of {self.engine!r}"
-        advice = "" if enough else "; more samples, a brighter lamp or the engine surfel would mend that"
         cost = f"A sweep takes about {_clock(self.seconds)} and {_size(self.bytes)} on disk"
-        return [Finding(GOOD if enough else WARNING, f"{signal}; {noise}{advice}"), Finding(NOTE, cost)]
+        return [self._signal(), Finding(NOTE, cost)]
+
+    def _signal(self) -> Finding:
+        if self.exact and self.signal_to_noise == 0.0:
+            return Finding(ERROR, "The object changes nothing in the pictures, where it stands now")
+        more = " or the engine 'surfel'" if self.other and self.engine != "surfel" else ""
+        missed = f"none of {self.missed:,} samples of {self.engine!r} met it"
+        if self.missed and not self.exact:
+            # Three in n is what, with 95 %, is not exceeded by what was met in none of n tries.
+            text = (
+                f"What the object adds to the picture is not known: {missed}, nor do more than {3 / self.missed:.1g}"
+            )
+            return Finding(WARNING, f"{text} of all (95 %); take more")
+        if self.error:
+            low, high = self.share - 2.0 * self.error, self.share + 2.0 * self.error
+            text = f"The object adds {_share(low)} to {_share(high)} to the picture (95 %)"
+            return Finding(WARNING, f"{text}, which the noise of {self.engine!r} hides; more samples would tell")
+        adds = f"The object adds {_share(self.share)} to the picture"
+        if self.missed:
+            return Finding(WARNING, f"{adds}, but {missed}; take many more{more}")
+        stands = f"its difference stands {self.signal_to_noise:.3g} times above the noise of {self.engine!r}"
+        if self.signal_to_noise >= 3.0:
+            return Finding(GOOD, f"{adds}; {stands}")
+        return Finding(WARNING, f"{adds}; {stands}; more samples{more} would mend that")
 
 
 def probe(scene: bpy.types.Scene, sweep: Sweep) -> Probe:
@@ -412,7 +444,8 @@ def probe(scene: bpy.types.Scene, sweep: Sweep) -> Probe:
 
     Pairs of pictures with and without the target, with few samples and noise of their own: what their differences
     share is signal, where they differ is noise, whose mean square falls with the samples. So many pairs, and no more
-    than some seconds, as tell the signal from the noise.
+    than some seconds, as tell the signal from the noise. Where they do not, the signal is `surfel`'s, if that can
+    render the scene.
 
     Parameters
     ----------
@@ -427,32 +460,61 @@ def probe(scene: bpy.types.Scene, sweep: Sweep) -> Probe:
     voxels = stage.read(scene).grid.n_voxels
     pictures = sweep.poses * voxels
     few = min(_PROBE_SAMPLES, sweep.samples)
+    other = sweep.engine == "surfel" or not extract.survey(scene, ambient=True).reasons("surfel")
     with engines.opened(scene, sweep.engine, **engines.settings(sweep)) as renderer:
         exact = isinstance(renderer, engines.SurfelRenderer)
         renderer.render(samples=few, seed=0)  # what is made once is no part of a picture's time
         if not exact:
             renderer.render(samples=few, seed=0, target=False)
         differences, level, start = [], 0.0, time.perf_counter()
-        for seed in range(1, _PROBES + 1):
+        for seed in itertools.count(1):
             picture = renderer.render(samples=few, seed=seed).astype(np.float64)
             begun = time.perf_counter()
             differences.append((picture - renderer.render(samples=few, seed=seed, target=False)).mean(axis=2))
             level += float(picture.mean())
             seconds = ((begun if exact else time.perf_counter()) - start) / seed
             signal, noise, sure = _signal(np.array(differences))
-            if exact or sure or time.perf_counter() - start > _PATIENCE:
+            if exact or sure or (other and seed >= _PROBES) or time.perf_counter() - start > _PATIENCE:
                 break
+    shares = np.array([d.mean() for d in differences]) / (level / len(differences) or 1.0)
+    share, error, missed = float(shares.mean()), 0.0, 0
     if not exact:
         noise *= few / sweep.samples
         seconds *= sweep.samples / few * (1.0 if sweep.paired else 0.5)
-    ratio = 1.0 / sweep.accuracy if exact else float(np.sqrt(signal / noise)) if noise > 0.0 else np.inf
+        missed = 0 if np.any(differences) else few * picture[..., 0].size * len(differences)
+    if not exact and not sure and other:
+        share, signal = _exactly(scene, sweep.resolution)
+    elif not exact and not sure:
+        error = float(shares.std(ddof=1) / np.sqrt(len(shares))) if len(shares) > 1 else abs(share)
+    told = exact or (other and not sure)
+    if exact:
+        ratio = 1.0 / sweep.accuracy if signal else 0.0
+    elif told and not signal:
+        ratio = 0.0
+    else:
+        ratio = float(np.sqrt(signal / noise)) if noise > 0.0 else math.nan
     return Probe(
         engine=sweep.engine,
-        share=float(np.sum([d.mean() for d in differences])) / level if level else 0.0,
+        share=share,
         signal_to_noise=ratio,
         seconds=seconds * pictures,
         bytes=_BYTES_PER_VALUE * 3.0 * sweep.resolution[0] * sweep.resolution[1] * pictures,
+        error=error,
+        missed=missed,
+        exact=told,
+        other=other,
     )
+
+
+def _exactly(scene: bpy.types.Scene, resolution: tuple[int, int]) -> tuple[float, float]:
+    """What the object changes by the engine `surfel`: mean, of the picture's, and mean square of the difference."""
+    longer = max(1.0, max(resolution) / _SMALL)
+    size = (max(1, round(resolution[0] / longer)), max(1, round(resolution[1] / longer)))
+    with engines.opened(scene, "surfel", resolution=size, accuracy=_ROUGH) as renderer:
+        picture = renderer.render(samples=0, seed=0).astype(np.float64).mean(axis=2)
+        difference = picture - renderer.render(samples=0, seed=0, target=False).mean(axis=2)
+    level = float(picture.mean())
+    return (float(difference.mean()) / level if level else 0.0), float((difference**2).mean())
 
 
 def _signal(pictures: Array) -> tuple[float, float, bool]:
@@ -467,6 +529,11 @@ def _signal(pictures: Array) -> tuple[float, float, bool]:
     left = noise / n
     signal = float((pictures.mean(axis=0) ** 2).mean()) - left
     return max(signal, 0.0), noise, signal > 6.0 * left * np.sqrt(2.0 / pictures[0].size)
+
+
+def _share(share: float) -> str:
+    """A share in per cent, with two digits that say something."""
+    return f"{share:.2%}" if abs(share) >= 1e-3 or share == 0.0 else f"{100.0 * share:.2g} %"
 
 
 def _clock(seconds: float) -> str:

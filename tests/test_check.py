@@ -478,3 +478,94 @@ def test_a_screen_that_rays_pass_hides_nothing():
     for screen in stage.players(scene, "partition"):
         screen.visible_shadow, screen.visible_camera = True, False
     assert [f.object for f in told(scene, NOTE) if "Nothing hides" in f.text] == ["Camera"]
+
+
+def rough_target(scene):
+    """Make the target of something that patch renders and surfel does not."""
+    node = stage.find(scene, "target").data.materials[0].node_tree.nodes["Diffuse BSDF"]
+    node.inputs["Roughness"].default_value = 0.5
+
+
+def small(scale):
+    scene = built()
+    stage.find(scene, "target").scale = (scale,) * 3
+    bpy.context.view_layer.update()
+    return scene
+
+
+PROBED = {"samples": 64, "resolution": (16, 16), "poses": 3, "seed": 0}
+
+
+@pytest.mark.parametrize(
+    ("scale", "engine", "missed"),
+    [(0.2, "patch", False), (0.02, "patch", False), (0.2, "path", True), (1.0, "path", False)],
+)
+def test_an_object_that_the_noise_hides_changes_what_surfel_says(scale, engine, missed):
+    """By 0.4 % to 0.00004 %: never "nothing", though no sample of path meets its light."""
+    scene = small(scale)
+    found = check.probe(scene, Sweep(engine=engine, **PROBED))
+    with engines.opened(scene, "surfel", resolution=(16, 16), accuracy=1e-4) as renderer:
+        wall, without = renderer.render(), renderer.render(target=False)
+    assert found.share == pytest.approx((wall - without).mean() / wall.mean(), rel=0.03)
+    assert bool(found.missed) == missed
+    [signal, _] = found.findings()
+    assert signal.level == WARNING
+    assert f"The object adds {check._share(found.share)} to the picture" in signal.text
+    assert "or the engine 'surfel'" in signal.text
+
+
+def test_where_surfel_cannot_be_asked_a_range_is_told():
+    scene = small(0.1)
+    with engines.opened(scene, "surfel", resolution=(16, 16), accuracy=1e-3) as renderer:
+        wall, without = renderer.render(), renderer.render(target=False)
+    rough_target(scene)  # which changes what it adds by less than the noise hides
+    found = check.probe(scene, Sweep(engine="patch", **PROBED))
+    [signal, _] = found.findings()
+    assert signal.level == WARNING
+    assert "(95 %), which the noise of 'patch' hides; more samples would tell" in signal.text
+    assert "surfel" not in signal.text
+    assert abs(found.share - (wall - without).mean() / wall.mean()) < 5.0 * found.error  # 1 in 10^6 by chance
+
+
+def test_what_no_sample_met_is_bounded_and_no_error():
+    scene = small(0.02)
+    rough_target(scene)
+    found = check.probe(scene, Sweep(engine="path", **PROBED))
+    [signal, _] = found.findings()
+    assert found.missed >= 16 * 256
+    assert signal.level == WARNING
+    assert "is not known: none of" in signal.text
+    assert f"more than {3 / found.missed:.1g} of all (95 %)" in signal.text
+
+
+def test_an_object_that_nothing_lights_changes_nothing():
+    scene = built()
+    with stage.Overrides() as overrides:
+        overrides.set(stage.find(scene, "spot").data, "energy", 0.0)
+        for engine in ("surfel", "patch"):
+            [signal, _] = check.probe(scene, Sweep(engine=engine, **PROBED)).findings()
+            assert (signal.level, "changes nothing" in signal.text) == (ERROR, True)
+
+
+def test_what_no_engine_can_is_a_finding_and_names_none():
+    scene = built()
+    target = stage.find(scene, "target")
+    target.keyframe_insert("location", frame=1)
+    found = [f for f in told(scene, ERROR) if target.name in f.text]
+    assert found
+    assert not [f for f in found if any(f"{engine!r}" in f.text for engine in engines.ENGINES)]
+
+
+def test_advice_names_an_engine_that_was_asked():
+    scene = built()
+    rough_target(scene)
+    assert any("'patch' can" in f.text for f in told(scene, ERROR, engine="surfel"))
+    stage.find(scene, "spot").data.shadow_soft_size = 0.1
+    for engine in ("surfel", "patch"):
+        errors = [f.text for f in told(scene, ERROR, engine=engine)]
+        assert errors
+        assert all(text.endswith("'path' can") for text in errors)
+    assert any("radius" in text for text in errors)
+    world = built()
+    world.world.node_tree.nodes["Background"].inputs["Strength"].default_value = 0.1
+    assert not told(world, ERROR, engine="surfel"), "who asks for surfel gets ambient light, as in a sweep"
