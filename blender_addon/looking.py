@@ -15,7 +15,7 @@ import bpy
 import numpy as np
 from bpy.app.handlers import persistent
 
-from generator import engines, extract, stage
+from generator import engines, extract, spec, stage
 from generator.spec import NlosError
 from generator.transport import Transport
 from generator.transport.compiled import COMPILED
@@ -201,7 +201,7 @@ def _instead(scene: Any, found: extract.Survey) -> str:
         return ""
     able, _ = engines.choose(scene, found)
     engine = scene.nlos.engine
-    chosen = engine == engines.AUTO or not found.reasons(engine)
+    chosen = engine == spec.AUTO or not found.reasons(engine)
     return ". Render Wall can show it" if chosen else f". Render Wall can show it by the engine {able}"
 
 

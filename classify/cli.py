@@ -11,6 +11,7 @@ from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from generator import console
 from generator.cli import LineProgress, guarded, print_table
 from generator.spec import NlosError
 
@@ -29,9 +30,13 @@ _RAW = argparse.RawDescriptionHelpFormatter
 
 
 def main(argv: list[str] | None = None) -> int:
-    """Run ``nlos-classify``; return the exit code: 0 well, 2 bad input, 130 interrupted."""
+    """Run ``nlos-classify``; return the exit code: 0 well, 2 bad input, 130 interrupted, 141 nobody reads on."""
+    return guarded(lambda: _run(argv), "interrupted; nothing was written")
+
+
+def _run(argv: list[str] | None) -> int:
     options = _parser().parse_args(argv)
-    return guarded(lambda: int(options.run(options)), "interrupted; nothing was written")
+    return int(options.run(options))
 
 
 def _parser() -> argparse.ArgumentParser:
@@ -461,10 +466,9 @@ def _compare(options: argparse.Namespace) -> int:
     names = [str(path) for path in options.features]
     for features, name in zip(sets, names, strict=True):
         if features.duplicates:
-            print(
+            console.complain(
                 f"warning: {name}: {features.duplicates} of {len(features.values)} pictures have exactly the "
-                "features of another; where both sides of a fold hold one, accuracy is flattered",
-                file=sys.stderr,
+                "features of another; where both sides of a fold hold one, accuracy is flattered"
             )
     chosen: list[models.Settings] = ["paper", "tuned"] if options.settings == "both" else [options.settings]
     with _progress("comparing", "classifiers") as progress:

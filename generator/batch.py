@@ -17,7 +17,7 @@ import bpy
 
 from generator import cli, links, sweep, worker
 from generator.dataset import Dataset, PoseRecord
-from generator.spec import NlosError
+from generator.spec import AUTO, NlosError
 
 
 def run(arguments: list[str]) -> int:
@@ -38,8 +38,8 @@ def _run(options: argparse.Namespace) -> int:
         sweep.check_same(dataset, source, chosen)
     else:
         dataset = worker.plan(bpy.context.scene, source, path, chosen)
-        if chosen.get("engine") == "auto":
-            print(sweep.engine_words(dataset))
+        if chosen.get("engine", AUTO) == AUTO:
+            print(sweep.engine_words(dataset, chosen))
     worker.check_blender(dataset)
     pending = sweep.pending_positions(dataset, shard)
     scene = worker.open_scene(dataset)

@@ -189,9 +189,9 @@ def _settings(scene: bpy.types.Scene, described: spec.Scene) -> list[Finding]:
 def _engine(scene: bpy.types.Scene, engine: str) -> list[Finding]:
     surveyed = extract.survey(scene)
     if surveyed.never:
-        return [Finding(ERROR, f"Cannot be swept: {why}", _named(scene, why)) for why in surveyed.never]
+        return [Finding(ERROR, f"It cannot be swept: {why}", _named(scene, why)) for why in surveyed.never]
     chosen, _ = engines.choose(scene, surveyed)
-    if engine in (engines.AUTO, chosen):
+    if engine in (spec.AUTO, chosen):
         return []
     # Whoever asks for `surfel` gets ambient light to a few per cent; nobody is advised to.
     reasons = (extract.survey(scene, ambient=True) if engine == "surfel" else surveyed).reasons(engine)

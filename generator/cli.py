@@ -13,7 +13,7 @@ from dataclasses import fields
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from generator import budget, links, plans, spec
+from generator import budget, console, links, plans, spec
 from generator.dataset import Dataset
 from generator.spec import NlosError, Sweep
 from generator.sweep import NO_BLENDER, clock
@@ -34,30 +34,52 @@ examples:
 
 
 def main(argv: list[str] | None = None) -> int:
-    """Run ``nlos-generate``; return the exit code: 0 well, 1 unfinished or faulty, 2 bad input, 130 interrupted."""
-    parser = _parser()
-    options = parser.parse_args(argv)
+    """Run ``nlos-generate``.
+
+    Returns
+    -------
+    int
+        The exit code: 0 well, 1 unfinished or faulty, 2 bad input, 130 interrupted, 141 nobody reads on.
+    """
+    return guarded(lambda: _run(argv))
+
+
+def _run(argv: list[str] | None) -> int:
+    options = _parser().parse_args(argv)
     with links.trusting(getattr(options, "trust_links", False)):
-        return guarded(lambda: int(options.run(options)))
+        return int(options.run(options))
 
 
 def guarded(work: Callable[[], int], interrupted: str = "interrupted; the same command goes on from here") -> int:
-    """Run a command; turn bad input, or no Blender, into one sentence and exit code 2, Ctrl-C into a word and 130."""
+    """Run a command and return its exit code.
+
+    Bad input, no Blender, or an output that cannot be written become one sentence and 2, Ctrl-C a word and 130. When
+    whoever reads the output has left, as ``head`` does, the command ends without a word and with 141, as one that the
+    system ends for it.
+    """
     try:
-        return work()
+        with console.told_apart():
+            return work()
+    except console.Unwritable as error:
+        if error.unread:
+            return 128 + 13  # SIGPIPE's number
+        return _refused(f"standard output cannot be written ({error})")
     except NlosError as error:
-        print(f"error: {error}", file=sys.stderr)
-        return 2
+        return _refused(error)
     except ImportError as error:
         if error.name != "bpy":
             raise
         missing = isinstance(error, ModuleNotFoundError)
         lacking = f"Blender's module bpy does not load, for a system library is missing: {error}"
-        print(f"error: {NO_BLENDER if missing else lacking}", file=sys.stderr)
-        return 2
+        return _refused(NO_BLENDER if missing else lacking)
     except KeyboardInterrupt:
-        print(f"\n{interrupted}", file=sys.stderr)
+        console.complain(f"\n{interrupted}")
         return 130
+
+
+def _refused(why: object) -> int:
+    console.complain(f"error: {why}")
+    return 2
 
 
 def _parser() -> argparse.ArgumentParser:
@@ -358,7 +380,7 @@ def _add_engine_options(parser: argparse.ArgumentParser) -> None:
         help="path: Cycles from the spot lamp, any scene, very noisy; "
         "patch: the lit patch as an emitter, same picture, far less noise; "
         "surfel: the integral itself, plain diffuse scenes, no noise, far faster, ambient light to a few per cent; "
-        f"auto: the cheapest that the scene allows, and says why (default: {default.engine})",
+        "auto: the cheapest that the scene allows, and says why (default)",
     )
     parser.add_argument(
         "--samples", type=int, metavar="N", help=f"rays per pixel, of path and patch (default: {default.samples})"
@@ -438,7 +460,7 @@ def chosen_settings(options: argparse.Namespace, kind: type = Sweep, **needed: A
     checked = {**needed, **chosen}
     if "resolution" in checked:
         checked["resolution"] = spec.parse_resolution(checked["resolution"])
-    if checked.get("engine") == "auto":
+    if checked.get("engine") == spec.AUTO:
         del checked["engine"]
     spec.from_dict(kind, checked, "--")
     return chosen
@@ -723,7 +745,7 @@ def _farm(options: argparse.Namespace) -> dict[str, Any]:
 
 def _report(dataset: Dataset | Bulk, rendered: int, remaining: int, failed: list[str]) -> int:
     for failure in failed:
-        print(f"failed: {failure}", file=sys.stderr)
+        console.complain(f"failed: {failure}")
     print(summary(dataset, rendered=rendered, remaining=remaining))
     return 1 if failed else 0
 

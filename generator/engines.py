@@ -25,7 +25,6 @@ from generator.transport import Transport, partial
 from generator.transport.world import LitPatch
 
 ENGINES = ("path", "patch", "surfel")
-AUTO = "auto"
 GPU_KINDS = ("OPTIX", "CUDA", "HIP", "METAL", "ONEAPI")
 """Cycles' names of what it can reach a GPU through, the quickest first."""
 
@@ -73,7 +72,7 @@ class Renderer:
         with stage.Overrides() as overrides:
             overrides.set(scene.cycles, "samples", samples)
             overrides.set(scene.cycles, "seed", seed)
-            overrides.set(scene.render, "filepath", str(self._file))
+            overrides.set(scene.render, "filepath", stage.literal(self._file, rendered=True))
             if not target:
                 for part in target_parts:
                     overrides.set(part, "hide_render", True)
@@ -198,8 +197,7 @@ def opened(
             world, shadows = partial.without(found.world, leave_out)
             yield SurfelRenderer(scene, Transport(world, accuracy=accuracy, threads=threads), shadows=shadows)
             return
-        first = found.first if engine == "patch" else None
-        with _patch_lamp(scene, first, order) if first else contextlib.nullcontext():
+        with _patch_lamp(scene, found, order) if engine == "patch" else contextlib.nullcontext():
             yield Renderer(scene, Path(folder))
 
 
@@ -236,7 +234,7 @@ def use_gpu(overrides: stage.Overrides) -> list[str]:
         if kind == preferred and any(device.use for device in found):
             return [device.name for device in found if device.use]
         for device in preferences.devices:
-            device.use = device in found
+            overrides.set(device, "use", device in found)
         if found:
             return [device.name for device in found]
     raise NlosError("device gpu: Cycles finds no GPU on this machine; check its driver, or render with --device cpu")
@@ -285,12 +283,8 @@ def _by_cost(found: extract.Survey) -> Iterator[tuple[str, list[str]]]:
 
 def _linear_output(scene: bpy.types.Scene, overrides: stage.Overrides) -> None:
     """Let the renderer's own float32 radiance be what is written."""
-    image = scene.render.image_settings
-    space = getattr(image, "linear_colorspace_settings", None)
-    if space is not None:
-        overrides.keep(space, "name")
-    for name in ("exr_codec", "color_depth", "color_mode", "file_format"):
-        overrides.keep(image, name)  # these come back last, when the file format that they belong to is back
+    # Another format has other depths, codecs and colour spaces: assigning it changes them.
+    overrides.keep(scene.render.image_settings, "media_type", "file_format", "color_mode", "color_depth")
     _replace(scene, overrides, replaced.OUTPUT)
 
 
@@ -306,14 +300,15 @@ def _replace(scene: bpy.types.Scene, overrides: stage.Overrides, settings: Seque
 
 
 @contextlib.contextmanager
-def _patch_lamp(scene: bpy.types.Scene, reflection: extract.FirstReflection, order: int) -> Iterator[None]:
+def _patch_lamp(scene: bpy.types.Scene, found: extract.Survey, order: int) -> Iterator[None]:
     """Put an area lamp in the place of the lit patch, which stands for the first reflection.
 
     The spot itself stays for the light of order 1, which Cycles finds without noise, if the camera sees the patch.
     What comes from the patch lamp has one reflection behind it already, so it may make one bounce less than the
     scene allows.
     """
-    patch, spot = reflection.patch, stage.find(scene, "spot")
+    patch, spot = found.patch, stage.find(scene, "spot")
+    assert patch is not None
     light = bpy.data.lights.new("NLOS lit patch", "AREA")
     lamp = bpy.data.objects.new("NLOS lit patch", light)
     own = spot.data.copy()  # other lamps may share it, and keep theirs
@@ -327,15 +322,20 @@ def _patch_lamp(scene: bpy.types.Scene, reflection: extract.FirstReflection, ord
             if order < 2:
                 yield
                 return
-            if reflection.alone:  # after the patch lamp's last bounce there is nothing left to find
+            if found.alone:
+                # Only the wall sees the spot itself, and it is flat: that the patch lamp might shine around what is
+                # round in the shading only would be light that no reflection brings.
+                for obj in bpy.data.objects:
+                    overrides.set(*extract.softener(obj), 0.0)
+                # After the patch lamp's last bounce there is nothing left to find.
                 overrides.set(scene.cycles, "max_bounces", order - 2)
-            if reflection.alone and not seen:  # with one lamp there is nothing to choose among
+            if found.alone and not seen:  # with one lamp there is nothing to choose among
                 overrides.set(scene.cycles, "use_light_tree", False)
             _shape_lamp(lamp, patch)
             light.cycles.max_bounces = order - 2
             # A mirror shows the lamp only to rays that meet it by chance. They are not held to the limit above,
             # but to that of the scene, which is as low if there is no other light.
-            light.cycles.use_multiple_importance_sampling = reflection.alone and reflection.mirrors
+            light.cycles.use_multiple_importance_sampling = found.alone and found.mirrors
             lamp.visible_camera = False
             scene.collection.objects.link(lamp)
             yield

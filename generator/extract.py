@@ -29,6 +29,8 @@ _SMOOTH = 1e-3
 """Normals that lean by more than this many radians from their face's show in the shading."""
 _SHADE = 1e-6
 """Colours that differ by no more are the same."""
+_COARSE = 0.1
+"""Radians, likewise, from which it shows in the shadow as well: of an icosphere of 320 faces and less."""
 _SPHERE_FACES = 80
 _SPHERE_ROUND = 1e-3
 _NOT_MESH = {
@@ -41,24 +43,6 @@ _NOT_MESH = {
 
 
 @dataclass(frozen=True)
-class FirstReflection:
-    """The first reflection in closed form, and what a lamp in its place has to reckon with.
-
-    Attributes
-    ----------
-    patch : LitPatch
-    alone : bool
-        Whether nothing but the spot gives light.
-    mirrors : bool
-        Whether anything but a diffuse surface reflects, so that rays must be able to meet the lamp.
-    """
-
-    patch: LitPatch
-    alone: bool
-    mirrors: bool
-
-
-@dataclass(frozen=True)
 class Survey:
     """What a scene holds for each engine, and what each cannot honour: a phrase each that names the object.
 
@@ -68,7 +52,7 @@ class Survey:
         Its file.
     never : list of str
         Why it cannot be swept by any engine.
-    first : FirstReflection or None
+    patch : LitPatch or None
         None if `patch` cannot honour something.
     patch_reasons : list of str
         What `patch` cannot, besides.
@@ -76,14 +60,30 @@ class Survey:
         What `surfel` needs of it; None if it cannot honour something.
     surfel_reasons : list of str
         What `surfel` cannot, besides; all of `patch_reasons` among it.
+    lights : list of Light
+        All that give light; the spot too.
+    kinds : frozenset of str
+        How the materials of all that is rendered send light on (`nodes.kinds`).
     """
 
     scene: str
     never: list[str]
-    first: FirstReflection | None
+    patch: LitPatch | None
     patch_reasons: list[str]
     world: World | None
     surfel_reasons: list[str]
+    lights: list[Light]
+    kinds: frozenset[str]
+
+    @property
+    def alone(self) -> bool:
+        """Whether nothing but the spot gives light."""
+        return not other_lights(self.lights)
+
+    @property
+    def mirrors(self) -> bool:
+        """Whether anything but a diffuse surface reflects, so that rays must be able to meet a lamp by chance."""
+        return bool(self.kinds - {nodes.DIFFUSE, nodes.TRANSPARENT})
 
     def reasons(self, engine: str) -> list[str]:
         """Return what an engine cannot honour."""
@@ -130,7 +130,8 @@ def survey(scene: bpy.types.Scene, *, resolution: tuple[int, int] | None = None,
         walls = [s for s in reading.surfaces if s.role == "relay_wall"]
         sky = AmbientLight(reading.sky, _mesh(walls)) if walls else None
     elif reading.sky is not None:
-        reasons.append(f"the world {scene.world.name!r} gives ambient light")
+        [name] = [light.name for light in reading.lights if light.kind == "WORLD"]
+        reasons.append(f"the world {name!r} gives ambient light")
     if patch is not None and watched is not None and patch.normal @ watched.normal < 0:
         reasons.append(f"the camera {camera.name!r} and the spot {spot.name!r} stand on opposite sides of the wall")
     order = stage.reflection_order(scene)
@@ -157,10 +158,12 @@ def survey(scene: bpy.types.Scene, *, resolution: tuple[int, int] | None = None,
     return Survey(
         scene=bpy.data.filepath or "scene",
         never=list(dict.fromkeys(never)),
-        first=_first_reflection(patch, reading) if patch is not None and not patch_reasons else None,
+        patch=None if patch_reasons else patch,
         patch_reasons=list(dict.fromkeys(patch_reasons)),
         world=whole,
         surfel_reasons=list(dict.fromkeys(reasons)),
+        lights=reading.lights,
+        kinds=frozenset().union(*reading.kinds.values()),
     )
 
 
@@ -174,17 +177,8 @@ def lit_patch(scene: bpy.types.Scene) -> LitPatch:
     """
     found = survey(scene)
     found.check("patch")
-    assert found.first is not None
-    return found.first.patch
-
-
-def _first_reflection(patch: LitPatch, reading: _Reading) -> FirstReflection:
-    kinds = frozenset().union(*reading.kinds.values())
-    return FirstReflection(
-        patch=patch,
-        alone=not other_lights(reading.lights),
-        mirrors=bool(kinds - {nodes.DIFFUSE, nodes.TRANSPARENT}),
-    )
+    assert found.patch is not None
+    return found.patch
 
 
 def surfel_world(scene: bpy.types.Scene, *, resolution: tuple[int, int] | None = None) -> World:
@@ -241,6 +235,8 @@ class _Surface:
     kinds: frozenset[str] = frozenset()
     unseen_by: frozenset[str] = frozenset()
     """Kinds of rays that pass it by."""
+    softened: bool = False
+    """Whether Cycles lets lamps shine around its corners, which are round in the shading only."""
 
 
 @dataclass(frozen=True)
@@ -396,12 +392,13 @@ def _read_instance(
             triangles=triangles,
             albedo=shape.albedo,
             closed=shape.closed,
-            smooth=shape.smooth,
+            smooth=shape.lean > _SMOOTH,
             faces=shape.faces,
             seen=obj.visible_camera,
             flaws=tuple(f"{label} {flaw}" for flaw in flaws),
             kinds=shape.kinds,
             unseen_by=frozenset(_unseen_by(instance)),
+            softened=shape.lean > _COARSE and softening(obj.original) > 0.0,
         )
     )
     reading.kinds[obj.name] = reading.kinds.get(obj.name, frozenset()) | shape.kinds
@@ -462,7 +459,7 @@ class _Shape:
     corners: Array
     albedo: Array
     closed: bool
-    smooth: bool
+    lean: float
     faces: int
     flaws: tuple[str, ...]
     kinds: frozenset[str]
@@ -490,7 +487,7 @@ def _shape(obj: Any) -> _Shape:
             corners=corners[solid],
             albedo=colours,
             closed=bool((edges[edges > 0] == 2).all()),
-            smooth=is_smooth(mesh),
+            lean=_lean(mesh),
             faces=len(mesh.polygons),
             flaws=flaws,
             kinds=kinds,
@@ -509,19 +506,20 @@ def _values(collection: Any, name: str, width: int, kind: type) -> Any:
 
 def is_smooth(mesh: Any) -> bool:
     """Whether any corner's normal leans from its face's: shading that is set smooth may well be flat all the same."""
+    return _lean(mesh) > _SMOOTH
+
+
+def _lean(mesh: Any) -> float:
+    """By how much corners' normals lean from those of their faces, radians, at most; of a right angle no more."""
     if not len(mesh.polygons):
-        return False
+        return 0.0
     shading = _values(mesh.corner_normals, "vector", 3, np.float32)
-    faces = np.repeat(
-        _values(mesh.polygons, "normal", 3, np.float32),
-        _values(mesh.polygons, "loop_total", 1, np.int32)[:, 0],
-        axis=0,
-    )
-    lean = np.linalg.norm(np.cross(shading, faces), axis=1)
-    area = np.repeat(
-        _values(mesh.polygons, "area", 1, np.float32)[:, 0], _values(mesh.polygons, "loop_total", 1, np.int32)[:, 0]
-    )
-    return bool((((lean > _SMOOTH) | ((shading * faces).sum(axis=1) < 0)) & (area > 0)).any())
+    loops = _values(mesh.polygons, "loop_total", 1, np.int32)[:, 0]
+    faces = np.repeat(_values(mesh.polygons, "normal", 3, np.float32), loops, axis=0)
+    area = np.repeat(_values(mesh.polygons, "area", 1, np.float32)[:, 0], loops)
+    sine = np.linalg.norm(np.cross(shading, faces), axis=1)
+    lean = np.where((shading * faces).sum(axis=1) < 0, math.pi / 2.0, np.arcsin(np.minimum(sine, 1.0)))
+    return float(lean[area > 0].max(initial=0.0))
 
 
 def _slots(obj: Any, slots: Any) -> tuple[list[Any], Any]:
@@ -598,8 +596,20 @@ def _visibility_flaws(instance: Any, role: str, layer: bpy.types.ViewLayer) -> l
 
 def _terminator(obj: bpy.types.Object) -> bool:
     """Whether an object's shading is made smoother where light grazes it; that acts on flat faces too."""
-    own = getattr(obj, "shadow_terminator_shading_offset", 0.0)  # what Blender keeps it in, whatever shows it
-    return bool(own or getattr(obj.cycles, "shadow_terminator_offset", 0.0))
+    if hasattr(obj, "shadow_terminator_shading_offset"):  # Blender 5; what Cycles' own panel had is left unused there
+        return bool(obj.shadow_terminator_shading_offset)
+    return bool(obj.cycles.shadow_terminator_offset)
+
+
+def softening(obj: bpy.types.Object) -> float:
+    """Return by how much Cycles moves the start of shadow rays where shading is smooth (geometry offset)."""
+    return float(getattr(*softener(obj)))
+
+
+def softener(obj: bpy.types.Object) -> tuple[Any, str]:
+    """Return who holds `softening`, and in which attribute."""
+    name = "shadow_terminator_geometry_offset"
+    return (obj, name) if hasattr(obj, name) else (obj.cycles, name)
 
 
 def _layer_reasons(scene: bpy.types.Scene) -> list[str]:
@@ -878,6 +888,14 @@ def _reflection_reasons(scene: bpy.types.Scene, reading: _Reading) -> list[str]:
             reasons.append(f"{wall.label} is shaded smooth, so that it reflects as if it were curved")
     reasons += _passed_by(reading)
     reasons += _bounce_reasons(scene, reading)
+    reasons += _transparent_reasons(scene, reading)
+    if others := other_lights(reading.lights):
+        reasons += [
+            f"{s.label} is shaded smooth over coarse faces, around which lamps shine (shadow terminator geometry "
+            f"offset), while {others[0].name!r} shines too"
+            for s in reading.surfaces
+            if s.softened
+        ]
     return list(dict.fromkeys(reasons))
 
 
@@ -919,6 +937,34 @@ def _bounce_reasons(scene: bpy.types.Scene, reading: _Reading) -> list[str]:
         if nodes.MIRROR in kinds and others:
             reasons.append(f"{name!r} may reflect like a mirror while {others[0].name!r} shines too")
     return reasons
+
+
+def _transparent_reasons(scene: bpy.types.Scene, reading: _Reading) -> list[str]:
+    """Why the limit of transparent bounces may tell: to a shadow ray it is one more than to a path."""
+    limit, legs = scene.cycles.transparent_max_bounces, stage.reflection_order(scene)
+    clear = [s for s in reading.surfaces if nodes.TRANSPARENT in s.kinds]
+    known = {s.name for s in clear}
+    unknown = [name for name, kinds in reading.kinds.items() if nodes.TRANSPARENT in kinds and name not in known]
+    crossed = legs * sum(_planes(s.triangles) for s in clear)
+    if not unknown and crossed < limit:
+        return []
+    names = [*unknown, *(s.name for s in clear)]
+    return [
+        f"{names[0]!r} is transparent, and light may cross more such faces than the limit of transparent bounces "
+        f"({limit}) surely allows"
+        for _ in names[:1]
+    ]
+
+
+def _planes(triangles: Array) -> int:
+    """Return in how many planes triangles (n, 3, 3) lie: a straight line crosses no more of them."""
+    sides = np.cross(triangles[:, 1] - triangles[:, 0], triangles[:, 2] - triangles[:, 0])
+    normals = sides / np.linalg.norm(sides, axis=1, keepdims=True)
+    main = normals[np.arange(len(normals)), np.abs(normals).argmax(axis=1)]
+    normals = normals * np.sign(main)[:, None]  # both sides of a plane are one
+    size = np.ptp(triangles.reshape(-1, 3), axis=0).max()
+    offsets = (normals * (triangles[:, 0] - triangles[0, 0])).sum(axis=1) / size
+    return len(np.unique(np.round(np.column_stack([normals, offsets]), 4), axis=0))
 
 
 def other_lights(found: Sequence[Light]) -> list[Light]:

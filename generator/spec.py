@@ -340,6 +340,10 @@ class Scene:
         return replace(self, ambient=radiance, room=room)
 
 
+AUTO = "auto"
+"""The cheapest engine that a scene allows: what a sweep takes where its user names none."""
+
+
 @dataclass(frozen=True, kw_only=True)
 class Sweep:
     """What a sweep renders: all that decides the pixels of a data set besides the scene itself.
@@ -377,6 +381,7 @@ class Sweep:
     """
 
     engine: Literal["path", "patch", "surfel"] = "patch"
+    """Of a sweep that is made; where its user names none, it is the cheapest that the scene allows (`AUTO`)."""
     samples: int = 512
     device: Literal["cpu", "gpu"] = "cpu"
     denoise: bool = False

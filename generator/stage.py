@@ -8,6 +8,7 @@ of them can be read and edited in Blender without any add-on.
 from __future__ import annotations
 
 import contextlib
+import functools
 import math
 import os
 import sys
@@ -60,14 +61,14 @@ _FACES = {
 @contextlib.contextmanager
 def quiet() -> Iterator[None]:
     """Silence what Blender prints about its own doings (file descriptor 1, since C prints it)."""
+    if sys.stdout is not None:
+        sys.stdout.flush()
     try:
         saved = os.dup(1)
     except OSError:  # a windowed Blender may have no standard output at all
         yield
         return
     nowhere = os.open(os.devnull, os.O_WRONLY)
-    if sys.stdout is not None:
-        sys.stdout.flush()
     try:
         os.dup2(nowhere, 1)
         yield
@@ -85,7 +86,7 @@ class Overrides:
     """
 
     def __init__(self) -> None:
-        self._old: list[tuple[Any, str, Any]] = []
+        self._undo: list[Callable[[], None]] = []
 
     def __enter__(self) -> Overrides:
         return self
@@ -99,19 +100,48 @@ class Overrides:
             It is animated by an action that animates something else as well, which muting it would change.
         """
         for curve in animating(owner, name):
-            self._old.append((curve, "mute", False))
+            self._undo.append(functools.partial(setattr, curve, "mute", False))
             curve.mute = True
-        self._old.append((owner, name, getattr(owner, name)))
+        self._undo.append(functools.partial(setattr, owner, name, getattr(owner, name)))
         setattr(owner, name, value)
 
-    def keep(self, owner: Any, name: str) -> None:
-        """Set an attribute back on leaving, whatever changes it: a file format has a depth and a colour space."""
-        self._old.append((owner, name, getattr(owner, name)))
+    def keep(self, owner: Any, *first: str) -> None:
+        """Set back whatever will have changed of an owner's settings, where setting one changes others.
+
+        Parameters
+        ----------
+        owner : bpy.types.bpy_struct
+            With the settings that it owns, theirs too.
+        *first : str
+            Names of those that decide what others may be, in the order in which they do.
+        """
+        before = sorted(_plain(owner), key=lambda one: first.index(one[1]) if one[1] in first else len(first))
+        self._undo.append(functools.partial(_set_back, before))
 
     def __exit__(self, *_: object) -> None:
-        for owner, name, value in reversed(self._old):
-            # A codec or depth that only the old file format has comes back with that format, set after it.
-            with contextlib.suppress(TypeError):
+        for undo in reversed(self._undo):
+            with contextlib.suppress(TypeError):  # what only another Blender or add-on knows, such as its engine
+                undo()
+
+
+def _plain(owner: Any) -> Iterator[tuple[Any, str, Any]]:
+    """Every value that can be set of an owner, and of what it owns: whose, by what name, and which."""
+    for about in owner.bl_rna.properties:
+        if about.type == "COLLECTION" or about.identifier == "rna_type":
+            continue
+        value = getattr(owner, about.identifier)
+        if about.type == "POINTER":
+            if value is not None and not isinstance(value, bpy.types.ID):
+                yield from _plain(value)
+        elif not about.is_readonly:
+            yield owner, about.identifier, tuple(value) if getattr(about, "is_array", False) else value
+
+
+def _set_back(before: list[tuple[Any, str, Any]]) -> None:
+    for owner, name, value in before:
+        now = getattr(owner, name)
+        if (tuple(now) if isinstance(value, tuple) else now) != value:
+            with contextlib.suppress(TypeError):  # likewise
                 setattr(owner, name, value)
 
 
@@ -193,17 +223,33 @@ def open_file(path: Path, known: Collection[Path] = ()) -> bpy.types.Scene:
     Raises
     ------
     NlosError
-        There is no such file, Blender cannot read it, or it refers to files elsewhere (`references.refuse`).
+        There is no such file, Blender cannot read it, it refers to files elsewhere (`references.refuse`), or its
+        pictures are made from files that are not there (`references.require`).
     """
     if not path.is_file():
         raise NlosError(f"{path}: no such scene file")
     references.refuse(path, known)
     try:
         with quiet():
-            bpy.ops.wm.open_mainfile(filepath=str(path), load_ui=False, use_scripts=False)
+            bpy.ops.wm.open_mainfile(filepath=literal(path), load_ui=False, use_scripts=False)
     except RuntimeError:
         raise NlosError(f"{path}: is not a scene Blender {bpy.app.version_string} can open") from None
+    references.require(bpy.context.scene, path)
     return bpy.context.scene
+
+
+def literal(path: Path, *, rendered: bool = False) -> str:
+    """Return a path as Blender has to be given it.
+
+    Two slashes at its start would be the open file's folder, and braces in a path that is rendered to would be
+    variables, from Blender 5 on.
+    """
+    text = str(path)
+    if text.startswith("//"):
+        text = text[1:]
+    if rendered and bpy.app.version >= (5, 0):
+        text = text.replace("{", "{{").replace("}", "}}")
+    return text
 
 
 def save_file(path: Path) -> None:
@@ -213,7 +259,7 @@ def save_file(path: Path) -> None:
     with atomic(path) as temporary, quiet():
         try:
             bpy.ops.wm.save_as_mainfile(
-                filepath=str(temporary), copy=True, compress=True, check_existing=False, relative_remap=True
+                filepath=literal(temporary), copy=True, compress=True, check_existing=False, relative_remap=True
             )
         except RuntimeError as error:
             raise NlosError(f"{path}: cannot be written ({' '.join(str(error).split())})") from None
@@ -1022,7 +1068,7 @@ def _import_mesh(wanted: spec.Target) -> bpy.types.Object:
     before = set(bpy.data.objects)
     try:
         with meshes.importable(path) as sound:
-            importers[path.suffix.lower()](filepath=str(sound.absolute()))
+            importers[path.suffix.lower()](filepath=literal(sound.absolute()))
     except (OSError, RuntimeError, KeyError):
         raise NlosError(f"target.mesh: {path} is not a mesh file Blender can read (.obj, .ply, .stl)") from None
     shape = bmesh.new()

@@ -25,6 +25,7 @@ from generator import journal as journals
 from generator import links, spec
 from generator.dataset import SCENE, Dataset, check_free, scene_hash
 from generator.spec import NlosError, Sweep
+from generator.transport import caching
 
 ANSWER = "nlos "
 
@@ -170,12 +171,12 @@ def begin(
     stop: threading.Event | None = None,
 ) -> Outcome:
     """Plan a data set and render its background, as far as that is not done; parameters as of `run`."""
-    known = Dataset.open(path).settings["engine"] if Dataset.exists(path) else chosen.get("engine")
+    known = Dataset.open(path).settings["engine"] if Dataset.exists(path) else chosen.get("engine", spec.AUTO)
     if words := compiling_words(known):
         tell(words)
     dataset = prepare(scene, path, chosen, launch)
-    if chosen.get("engine") == "auto":
-        tell(engine_words(dataset))
+    if chosen.get("engine", spec.AUTO) == spec.AUTO:
+        tell(engine_words(dataset, chosen))
     if not all(dataset.has_background(name) for name in dataset.background_names):
         with _crew(dataset, shard, lambda done, total: None, launch=launch, stop=stop) as crew:
             crew.work([], first="the background")
@@ -219,17 +220,21 @@ def compiling_words(engine: str | None) -> str:
     """Return what to say before an engine's first run, which compiles it; nothing if there is nothing to wait for."""
     folder = Path(__file__).resolve().parent / "transport"
     newest = max(source.stat().st_mtime for source in folder.glob("*.py"))
-    compiled = any(index.stat().st_mtime > newest for index in folder.glob("__pycache__/numba-*/*/*.nbi"))
+    kept = caching.folder()
+    compiled = kept is not None and any(index.stat().st_mtime > newest for index in kept.glob("*/*.nbi"))
     if compiled or engine not in ("surfel", "auto"):
         return ""
     when = "engine surfel" if engine == "surfel" else "engine auto: surfel, if the scene allows it,"
-    return f"{when} is compiled for this machine first, once; that takes a minute or so"
+    again = "once" if kept else "by every process, for nothing that it makes can be kept (set NUMBA_CACHE_DIR)"
+    return f"{when} is compiled for this machine first, {again}; that takes a minute or so"
 
 
-def engine_words(dataset: Dataset) -> str:
-    """Return which engine renders a data set, and what in its scene asked for one so dear."""
-    reasons = dataset.meta.get("engine_reasons", [])
-    return f"engine: {dataset.settings['engine']}" + (f", because {'; '.join(reasons)}" if reasons else "")
+def engine_words(dataset: Dataset, chosen: Mapping[str, Any]) -> str:
+    """Return which engine renders a data set, what in its scene asked for one so dear, and what is nothing to it."""
+    engine, reasons = dataset.settings["engine"], dataset.meta.get("engine_reasons", [])
+    words = f"engine: {engine}" + (f", because {'; '.join(reasons)}" if reasons else "")
+    idle = [f"--{name}" for name in Sweep.idle(engine) if name in chosen]
+    return words + (f"; {' and '.join(idle)} {'mean' if len(idle) > 1 else 'means'} nothing to it" if idle else "")
 
 
 def prepare(scene: Path, path: Path, chosen: Mapping[str, Any], launch: Launch = python) -> Dataset:
@@ -266,9 +271,9 @@ def check_same(dataset: _Made, scene: Path, chosen: Mapping[str, Any]) -> None:
     for name, value in chosen.items():
         if name == "resolution" and isinstance(value, str):
             value = list(spec.parse_resolution(value, width / height))
-        if name == "engine" and value == "auto":
+        if name == "engine" and value == spec.AUTO:
             continue
-        if name in Sweep.idle(own["engine"]) and chosen.get("engine") != "auto":
+        if name in Sweep.idle(own["engine"]) and chosen.get("engine", spec.AUTO) != spec.AUTO:
             differences.append(f"{name} means nothing to its engine {own['engine']!r}")
         if name in own and own[name] != value:
             differences.append(f"{name} is {own[name]} there and {value} here")
@@ -472,7 +477,7 @@ class Crew:
         self._workers: set[Worker] = set()
         self._stop = stop or threading.Event()
         self._stopped = threading.Event()
-        self._error: NlosError | None = None
+        self._error: Exception | None = None
         self._done = 0
         self._total = 0
 
@@ -597,7 +602,7 @@ class Crew:
                         else:
                             self.failed.append(f"{self._name(unit)}: {words}")
                             self._log.error("given up after %d tries: %s", TRIES, self.failed[-1])
-        except NlosError as error:
+        except Exception as error:  # bad input, or that nobody reads on; the thread that waits for this one raises it
             self._error = error
             self._stopped.set()
 

@@ -80,6 +80,7 @@ def plan(scene: bpy.types.Scene, source: Path, path: Path, chosen: Mapping[str, 
     """
     check_free(path)
     linked = links.recorded(references.refuse(source), path)
+    references.require(scene, source)  # of a scene that is open already, in `batch`
     described = stage.read(scene)
     engines.refuse_hidden(scene)
     sweep, reasons = settled(scene, described, chosen)
@@ -89,7 +90,7 @@ def plan(scene: bpy.types.Scene, source: Path, path: Path, chosen: Mapping[str, 
     )
     described = stage.read(scene, sweep.resolution)
     idle = Sweep.idle(sweep.engine)
-    if chosen.get("engine") != engines.AUTO and any(name in chosen for name in idle):
+    if chosen.get("engine", spec.AUTO) != spec.AUTO and any(name in chosen for name in idle):
         name = next(name for name in idle if name in chosen)
         raise NlosError(f"{name}: means nothing to the engine {sweep.engine!r}; leave it out")
     records = placed(scene, described, sweep)
@@ -129,7 +130,7 @@ def settled(scene: bpy.types.Scene, described: spec.Scene, chosen: Mapping[str, 
     """Return the sweep that the user's settings mean in a scene, and why `auto` took no cheaper engine."""
     settings = with_defaults(described, chosen)
     reasons: list[str] = []
-    if settings.get("engine") == engines.AUTO:
+    if settings["engine"] == spec.AUTO:
         settings["engine"], reasons = engines.choose(scene)
     sweep: Sweep = spec.from_dict(Sweep, settings, "")
     return sweep, reasons
@@ -138,7 +139,12 @@ def settled(scene: bpy.types.Scene, described: spec.Scene, chosen: Mapping[str, 
 def with_defaults(described: spec.Scene, chosen: Mapping[str, Any]) -> dict[str, Any]:
     """Return the settings that the user chose, with those that follow from the scene where none was chosen."""
     width, height = described.resolution
-    settings = {"resolution": [width, height], "rotation": list(TURNS[described.target.kind]), **chosen}
+    settings = {
+        "engine": spec.AUTO,
+        "resolution": [width, height],
+        "rotation": list(TURNS[described.target.kind]),
+        **chosen,
+    }
     if isinstance(settings["resolution"], str):
         settings["resolution"] = list(spec.parse_resolution(settings["resolution"], width / height))
     return settings
@@ -242,7 +248,7 @@ def _background(renderer: engines.Renderer | engines.SurfelRenderer, dataset: Da
 
 def check_scene(scene: bpy.types.Scene, chosen: Mapping[str, Any]) -> list[check.Finding]:
     """Return what is to be said of a scene before a sweep with the settings that the user chose."""
-    found = check.findings(scene, engine=chosen.get("engine", Sweep().engine))
+    found = check.findings(scene, engine=chosen.get("engine", spec.AUTO))
     if check.hopeless(found):
         return found
     sweep, _ = settled(scene, stage.read(scene), chosen)

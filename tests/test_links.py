@@ -82,6 +82,7 @@ def volume(scene, elsewhere):
 
 
 def importer(scene, elsewhere, *, computed=False):
+    (elsewhere / "secret.txt").write_text("words", encoding="utf-8")
     tree = bpy.data.node_groups.new("import", "GeometryNodeTree")
     tree.interface.new_socket("Geometry", in_out="OUTPUT", socket_type="NodeSocketGeometry")
     node, output = tree.nodes.new("GeometryNodeImportText"), tree.nodes.new("NodeGroupOutput")

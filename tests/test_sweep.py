@@ -17,7 +17,7 @@ from conftest import ROOT, TINY
 from generator import sweep
 from generator.dataset import Dataset, read_picture
 
-SLOW = ("--poses", "2", "--samples", "48", "--resolution", "24")
+SLOW = ("--engine", "patch", "--poses", "2", "--samples", "48", "--resolution", "24")
 
 
 def pixels_of(path):
@@ -123,7 +123,7 @@ def test_another_scene_is_refused(tmp_path, tiny_dataset, command):
 def test_the_noise_of_no_two_poses_is_the_same(tmp_path, scene_file, command):
     """Unpaired, the pictures of a room differ by the target and by noise; equal noise would correlate them."""
     path = tmp_path / "noise"
-    options = ("--poses", "1", "--samples", "2", "--resolution", "24", "--no-paired")
+    options = ("--engine", "patch", "--poses", "1", "--samples", "2", "--resolution", "24", "--no-paired")
     assert command("generator", "sweep", scene_file, "-o", path, *options).returncode == 0
     other = tmp_path / "other"
     assert command("generator", "sweep", scene_file, "-o", other, *options, "--seed", "1").returncode == 0
