@@ -21,6 +21,7 @@ NEEDS_BLENDER = {
         "experiments",
         "extract",
         "laboratory",
+        "lighting",
         "misgivings",
         "nodes",
         "outlines",
