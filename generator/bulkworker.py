@@ -65,6 +65,7 @@ def plan(scene: bpy.types.Scene, source: Path, path: Path, chosen: Mapping[str, 
     stage.save_file(path / SCENE)
     meta = {
         "reference_radiance": described.reference_radiance,
+        "colour_space": worker.colour_space(),
         "scene": spec.to_dict(described),
         **({"links": linked} if linked else {}),
         "software": {

@@ -13,7 +13,7 @@ from dataclasses import fields
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from generator import budget, links, plans, spec
+from generator import audit, budget, links, plans, spec
 from generator.dataset import Dataset
 from generator.spec import NlosError, Sweep
 from generator.sweep import NO_BLENDER, clock
@@ -724,6 +724,8 @@ def _farm(options: argparse.Namespace) -> dict[str, Any]:
 def _report(dataset: Dataset | Bulk, rendered: int, remaining: int, failed: list[str]) -> int:
     for failure in failed:
         print(f"failed: {failure}", file=sys.stderr)
+    if isinstance(dataset, Dataset) and (words := audit.words(dataset)):
+        print(words, file=sys.stderr)
     print(summary(dataset, rendered=rendered, remaining=remaining))
     return 1 if failed else 0
 
@@ -742,16 +744,18 @@ def _verify(options: argparse.Namespace) -> int:
     from generator.bulk import Bulk
 
     if Bulk.exists(options.dataset):
-        bulk = Bulk.open(options.dataset)
+        bulk = Bulk.open(options.dataset, check=False)
         faults = bulk.verify()
         for fault in faults:
             print(fault)
         print(f"{options.dataset}: {bulk.planned} pictures in {bulk.parts} parts, {len(faults)} faults")
         return 1 if faults else 0
-    dataset = Dataset.open(options.dataset)
+    dataset = Dataset.open(options.dataset, check=False)
     faults = dataset.verify()
     for fault in faults:
         print(fault)
+    if words := audit.unchecked(dataset):
+        print(f"note: {words}")
     print(f"{options.dataset}: {dataset.planned} poses, {len(faults)} faults")
     return 1 if faults else 0
 

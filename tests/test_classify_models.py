@@ -304,7 +304,7 @@ def broken(tmp_path_factory):
     for name in ("newer", "nan", "cut"):
         shutil.copytree(folder / "good", folder / name)
     manifest = folder / "newer" / "dataset.toml"
-    manifest.write_text(manifest.read_text().replace("format = 1", "format = 2"))
+    manifest.write_text(manifest.read_text().replace("format = 2", "format = 3"))
     with_nan(folder / "nan")
     cut = folder / "cut" / "A" / "0000.exr"
     cut.write_bytes(cut.read_bytes()[:-9])
