@@ -136,38 +136,38 @@ def plan_faults(dataset: Dataset) -> Iterator[tuple[int, str]]:
         Of ``poses.csv``; 0 if it is all of them.
     words : str
     """
-    sweep, n = dataset.sweep, dataset.grid.n_voxels
-    wanted = sweep.frames or sweep.poses * n
+    sweep, grid = dataset.sweep, dataset.grid
+    wanted = sweep.frames or sweep.poses * grid.n_voxels
     if len(dataset.poses) != wanted:
         yield 0, f"holds {len(dataset.poses)} poses where the sweep has {wanted}"
-    labels = dataset.grid.labels
-    with np.errstate(invalid="ignore"):  # a changed place may be beyond what whole numbers count
-        own = dataset.grid.voxels(np.array([pose.position for pose in dataset.poses]).reshape(-1, 3))
-    for number, (pose, there) in enumerate(zip(dataset.poses, own.tolist(), strict=True)):
-        if words := _pose_fault(dataset, number, pose, there, labels):
-            yield number + 2, words
-
-
-def _pose_fault(dataset: Dataset, number: int, pose: PoseRecord, there: int, labels: list[str]) -> str:
-    sweep = dataset.sweep
-    index, voxel = (number, there) if sweep.frames else divmod(number, len(labels))
-    if pose.index != index:
-        return f"index is {pose.index} in place of {index}"
-    if pose.voxel != voxel:
-        return f"voxel is {pose.voxel} in place of {voxel}"
-    if pose.label != labels[voxel]:
-        return f"label is {pose.label} in place of {labels[voxel]}"
-    if sweep.frames or sweep.inside == "centre":
-        lo, hi = dataset.grid.bounds(voxel)
-        slack = _ROUNDING * np.abs([lo, hi]).max()
-        if not ((lo - slack <= pose.position) & (pose.position <= hi + slack)).all():
-            return f"its position lies outside voxel {pose.label}"
-    if not (np.abs(pose.rotation) <= np.asarray(sweep.rotation) * (1.0 + _ROUNDING)).all():
-        return f"its rotation is beyond the sweep's {sweep.rotation} degrees"
-    if pose.seed != (seed := noise_seed(sweep.seed, 1 + number)):
-        return f"seed is {pose.seed} in place of {seed}"
-    file = f"frames/{index:05d}.exr" if sweep.frames else f"{labels[voxel]}/{index:04d}.exr"
-    return "" if pose.file == file else f"file is {pose.file} in place of {file}"
+    count, labels = len(dataset.poses), grid.labels
+    positions, rotations = (
+        np.array([getattr(pose, name) for pose in dataset.poses]).reshape(-1, 3) for name in ("position", "rotation")
+    )
+    if sweep.frames:
+        with np.errstate(invalid="ignore"):  # a changed place may be beyond what whole numbers count
+            indices, voxels = np.arange(count), grid.voxels(positions)
+    else:
+        indices, voxels = np.divmod(np.arange(count), grid.n_voxels)
+    lo, hi = np.array([grid.bounds(voxel) for voxel in range(grid.n_voxels)]).transpose(1, 0, 2)
+    slack = _ROUNDING * np.abs([grid.lo, grid.hi]).max()
+    inside = ((lo[voxels] - slack <= positions) & (positions <= hi[voxels] + slack)).all(axis=1)
+    if not sweep.frames and sweep.inside == "whole":  # the origin of a mesh may lie beside it
+        inside[:] = True
+    turned = (np.abs(rotations) <= np.asarray(sweep.rotation) * (1.0 + _ROUNDING)).all(axis=1)
+    seeds = (noise_seed(sweep.seed, 0) + 1 + np.arange(count)) % 2**31  # as `noise_seed` has it
+    told = zip(indices.tolist(), voxels.tolist(), inside.tolist(), turned.tolist(), seeds.tolist(), strict=True)
+    for line, (pose, (index, voxel, held, within, seed)) in enumerate(zip(dataset.poses, told, strict=True), start=2):
+        file = f"frames/{index:05d}.exr" if sweep.frames else f"{labels[voxel]}/{index:04d}.exr"
+        planned = {"index": index, "voxel": voxel, "label": labels[voxel], "seed": seed, "file": file}
+        own = {name: getattr(pose, name) for name in planned}
+        if own != planned:
+            name = next(name for name in planned if own[name] != planned[name])
+            yield line, f"{name} is {own[name]} in place of {planned[name]}"
+        elif not held:
+            yield line, f"its position lies outside voxel {pose.label}"
+        elif not within:
+            yield line, f"its rotation is beyond the sweep's {sweep.rotation} degrees"
 
 
 def faults(dataset: Dataset) -> list[str]:

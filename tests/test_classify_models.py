@@ -267,7 +267,7 @@ def with_nan(path):
     ("arguments", "words"),
     [
         (("features", "nowhere", "-o", "x.h5"), "is not a data set"),
-        (("features", "newer", "-o", "x.h5"), "format 2"),
+        (("features", "newer", "-o", "x.h5"), "format 3"),
         (("features", "nan", "-o", "x.h5"), "A/0000.exr: holds 1 NaN"),
         (("features", "cut", "-o", "x.h5"), "A/0000.exr: is not a whole EXR picture"),
         (("features", "good", "-o", "/dev/null/x.h5"), "/dev/null/x.h5: cannot be written"),
