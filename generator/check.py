@@ -145,12 +145,14 @@ def _roles(scene: bpy.types.Scene) -> list[Finding]:
 
 def _frame(scene: bpy.types.Scene) -> list[Finding]:
     found = []
-    wall = stage.find(scene, "relay_wall")
+    wall, target = stage.find(scene, "relay_wall"), stage.find(scene, "target")
+    if why := stage.unseen(scene, target):
+        found.append(Finding(ERROR, f"The target {target.name!r} {why}", target.name, "show"))
     if not adopt.in_metres(scene):
         unit = scene.unit_settings.scale_length
         text = f"A Blender unit is {unit:g} m here; light, voxels and poses count in metres"
         found.append(Finding(ERROR, text, fix="metres"))
-    if not stage.in_frame(wall):
+    if not stage.in_frame(wall, stage.snapshot(scene)):
         text = f"The relay wall {wall.name!r} is not in the plane y = 0, which the lab's frame starts from"
         found.append(Finding(ERROR, text, wall.name, "align"))
     return found
@@ -158,10 +160,6 @@ def _frame(scene: bpy.types.Scene) -> list[Finding]:
 
 def _settings(scene: bpy.types.Scene, described: spec.Scene) -> list[Finding]:
     found = []
-    target = stage.find(scene, "target")
-    if why := stage.unseen(scene, target):
-        text = f"The target {target.name!r} {why}"
-        found.append(Finding(ERROR, text, target.name, "show"))
     if scene.render.engine != "CYCLES":
         found.append(
             Finding(WARNING, "Cycles is not the scene's render engine: F12 shows another picture", fix="reflections")

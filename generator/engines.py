@@ -42,6 +42,7 @@ class Renderer:
     def __init__(self, scene: bpy.types.Scene, folder: Path) -> None:
         self._scene = scene
         self._file = folder / "render.exr"
+        self._samples = 0
 
     def render(self, *, samples: int, seed: int, target: bool = True, ambient: bool = True) -> Picture:
         """Render one picture.
@@ -80,7 +81,13 @@ class Renderer:
                 refuse_hidden(scene)
             if not ambient:
                 overrides.set(scene, "world", None)
-            # With persistent data Cycles keeps the old samples and seed unless the scene is marked as changed.
+            if samples != self._samples:
+                # With persistent data the table that Cycles' random numbers come from stays as long as the most
+                # samples so far asked for, so that a picture would depend on those before it. This frees it.
+                scene.render.use_persistent_data = False
+                scene.render.use_persistent_data = True
+                self._samples = samples
+            # Cycles also keeps the old samples and seed unless the scene is marked as changed.
             scene.update_tag()
             self._file.unlink(missing_ok=True)
             with stage.quiet():
@@ -169,9 +176,8 @@ def opened(
     if engine not in ENGINES:
         raise NlosError(f"engine {engine!r}: there is none; choose from {', '.join(ENGINES)}")
     order = stage.reflection_order(scene)
-    camera = stage.find(scene, "camera")
     with tempfile.TemporaryDirectory(prefix="nlos-") as folder, stage.Overrides() as overrides:
-        overrides.set(scene, "camera", camera)
+        stage.hold_camera(scene, overrides)
         _linear_output(scene, overrides)
         _plain_cycles(scene, overrides)
         if device == "gpu" and engine != "surfel":
@@ -185,12 +191,14 @@ def opened(
         overrides.set(scene.render, "threads_mode", "FIXED" if threads else "AUTO")
         if threads:
             overrides.set(scene.render, "threads", threads)
-        if engine == "surfel":
-            whole = extract.surfel_world(scene, resolution=resolution)
-            world, shadows = partial.without(whole, leave_out)
+        found = extract.survey(scene, resolution=resolution, ambient=True)
+        found.check(engine)
+        if found.world is not None and engine == "surfel":
+            world, shadows = partial.without(found.world, leave_out)
             yield SurfelRenderer(scene, Transport(world, accuracy=accuracy, threads=threads), shadows=shadows)
             return
-        with _patch_lamp(scene, order, overrides) if engine == "patch" else contextlib.nullcontext():
+        lit = found.patch if engine == "patch" else None
+        with _patch_lamp(scene, lit, order, overrides) if lit else contextlib.nullcontext():
             yield Renderer(scene, Path(folder))
 
 
@@ -252,16 +260,20 @@ def choose(scene: bpy.types.Scene) -> tuple[str, list[str]]:
     Raises
     ------
     NlosError
-        A role is missing or played twice.
+        A role is missing or played twice, or no engine can sweep the scene.
     """
-    found, reasons = extract.world(scene)
-    if found is not None:
-        return "surfel", []
-    try:
-        extract.lit_patch(scene)
-    except NlosError:  # its reasons are among those of `surfel`, which needs the lit patch too
-        return "path", reasons
-    return "patch", reasons
+    found = extract.survey(scene)
+    found.check("path")
+    return next((engine, reasons) for engine, reasons in _by_cost(found))
+
+
+def _by_cost(found: extract.Survey) -> Iterator[tuple[str, list[str]]]:
+    """Engines that can honour a scene, the cheapest first, each with what the one before it cannot."""
+    cheaper: list[str] = []
+    for engine in reversed(ENGINES):
+        if not (reasons := found.reasons(engine)):
+            yield engine, cheaper
+        cheaper = reasons
 
 
 def _linear_output(scene: bpy.types.Scene, overrides: stage.Overrides) -> None:
@@ -326,14 +338,13 @@ def _plain_cycles(scene: bpy.types.Scene, overrides: stage.Overrides) -> None:
 
 
 @contextlib.contextmanager
-def _patch_lamp(scene: bpy.types.Scene, order: int, overrides: stage.Overrides) -> Iterator[None]:
+def _patch_lamp(scene: bpy.types.Scene, patch: LitPatch, order: int, overrides: stage.Overrides) -> Iterator[None]:
     """Put an area lamp in the place of the lit patch, which stands for the first reflection.
 
     The spot itself stays for the light of order 1, which Cycles finds without noise, if the camera sees the patch.
     What comes from the patch lamp has one reflection behind it already, so it may make one bounce less than the
     scene allows.
     """
-    patch = extract.lit_patch(scene)
     spot = stage.find(scene, "spot")
     overrides.set(spot.data.cycles, "max_bounces", 0)
     seen = _in_view(scene, patch)

@@ -2,11 +2,10 @@
 
 from __future__ import annotations
 
-import contextlib
 import math
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
-from typing import Any, NoReturn, TypeVar
+from typing import Any
 
 import bpy
 import numpy as np
@@ -28,6 +27,8 @@ _FLAT = 1e-5
 """A surface is plane if it leaves its plane by less, in units of its own size."""
 _SMOOTH = 1e-3
 """Normals that lean by more than this many radians from their face's show in the shading."""
+_SHADE = 1e-6
+"""Colours that differ by no more are the same."""
 _SPHERE_FACES = 80
 _SPHERE_ROUND = 1e-3
 _NOT_MESH = {
@@ -38,46 +39,51 @@ _NOT_MESH = {
     "GREASEPENCIL": "grease pencil",
 }
 
-Result = TypeVar("Result")
 
-_SLOT = "NLOS look"
-"""Of the render result: what reading a scene leaves there is no picture."""
+@dataclass(frozen=True)
+class Survey:
+    """What a scene holds for each engine, and what each cannot honour: a phrase each that names the object.
 
-
-def lit_patch(scene: bpy.types.Scene) -> LitPatch:
-    """Return the lit patch of a scene, or say why it has none in closed form.
-
-    Raises
-    ------
-    NlosError
-        The lamp or the wall is not one whose reflection is known in closed form, or something stands between them;
-        the message names what, and says that `path` can render it.
+    Attributes
+    ----------
+    scene : str
+        Its file.
+    never : list of str
+        Why it cannot be swept by any engine.
+    patch : LitPatch or None
+        None if `patch` cannot honour something.
+    patch_reasons : list of str
+        What `patch` cannot, besides.
+    world : World or None
+        What `surfel` needs of it; None if it cannot honour something.
+    surfel_reasons : list of str
+        What `surfel` cannot, besides; all of `patch_reasons` among it.
     """
-    patch, reasons = _lit_patch(scene, _read(scene))
-    if patch is None:
-        _refuse("patch", reasons, instead="path")
-    return patch
+
+    scene: str
+    never: list[str]
+    patch: LitPatch | None
+    patch_reasons: list[str]
+    world: World | None
+    surfel_reasons: list[str]
+
+    def reasons(self, engine: str) -> list[str]:
+        """Return what an engine cannot honour."""
+        more = {"path": [], "patch": self.patch_reasons, "surfel": self.surfel_reasons}
+        return list(dict.fromkeys([*self.never, *more[engine]]))
+
+    def check(self, engine: str) -> None:
+        """Raise NlosError, naming everything and the engine that can, if an engine cannot honour the scene."""
+        if self.never:
+            raise NlosError(f"{self.scene}: cannot be swept: {'; '.join(self.never)}")
+        if reasons := self.reasons(engine):
+            instead = "path" if self.patch_reasons else "patch"
+            what = ", nor that ".join(reasons)
+            raise NlosError(f"{self.scene}: the engine {engine!r} cannot honour that {what}; use --engine {instead}")
 
 
-def surfel_world(scene: bpy.types.Scene, *, resolution: tuple[int, int] | None = None) -> World:
-    """Return what the engine `surfel` needs of a scene (see `world`), or say why it cannot render it.
-
-    Raises
-    ------
-    NlosError
-        The message names everything that `surfel` cannot honour, and the engine that can.
-    """
-    found, reasons = world(scene, resolution=resolution, ambient=True)
-    if found is None:
-        patch, _ = _lit_patch(scene, _read(scene))
-        _refuse("surfel", reasons, instead="path" if patch is None else "patch")
-    return found
-
-
-def world(
-    scene: bpy.types.Scene, *, resolution: tuple[int, int] | None = None, ambient: bool = False
-) -> tuple[World | None, list[str]]:
-    """Return what the engine `surfel` needs of a scene, and what it cannot honour.
+def survey(scene: bpy.types.Scene, *, resolution: tuple[int, int] | None = None, ambient: bool = False) -> Survey:
+    """Read a scene as a render sees it, for all engines.
 
     Parameters
     ----------
@@ -86,28 +92,21 @@ def world(
     resolution : (int, int), optional
         Of the pictures, width and height; the scene's own if not given.
     ambient : bool
-        Whether uniform ambient light may be followed, which is right to a few per cent only; else it is a reason.
-
-    Returns
-    -------
-    world : World or None
-        None if there is any reason.
-    reasons : list of str
-        Everything that `surfel` cannot honour, a phrase each that names the object.
+        Whether `surfel` may follow uniform ambient light, which is right to a few per cent only; else it is a reason.
 
     Raises
     ------
     NlosError
-        A role is missing or played twice.
+        A role is missing or played twice, or the scene cannot be read.
     """
     spot, camera, target = (stage.find(scene, role) for role in ("spot", "camera", "target"))
     with stage.Overrides() as overrides:
-        size = _shape_pictures(scene, resolution, overrides)
+        size = stage.shape_pictures(scene, resolution, overrides)
         with stage.put_back(scene):
-            reading, reasons = _at_rest(scene, target)
+            reading, never = _at_rest(scene, target)
         patch, patch_reasons = _lit_patch(scene, reading)
         watched, view_reasons = _watched(scene, reading, size)
-    reasons = [*patch_reasons, *view_reasons, *reasons]
+    reasons = [*patch_reasons, *view_reasons, *reading.reasons]
     sky = None
     if reading.sky is not None and ambient:
         walls = [s for s in reading.surfaces if s.role == "relay_wall"]
@@ -134,9 +133,53 @@ def world(
         reasons.append(f"the target {target.name!r} {why}")
     elif not bodies:
         reasons.append(f"the target {target.name!r} has no surface to reflect light")
-    if reasons or patch is None or watched is None:
-        return None, list(dict.fromkeys(reasons))
-    return World(patch=patch, watched=watched, target=tuple(bodies), room=tuple(room), order=order, ambient=sky), []
+    whole = None
+    if not (never or reasons) and patch is not None and watched is not None:
+        whole = World(patch=patch, watched=watched, target=tuple(bodies), room=tuple(room), order=order, ambient=sky)
+    return Survey(
+        scene=bpy.data.filepath or "scene",
+        never=list(dict.fromkeys(never)),
+        patch=None if patch_reasons else patch,
+        patch_reasons=list(dict.fromkeys(patch_reasons)),
+        world=whole,
+        surfel_reasons=list(dict.fromkeys(reasons)),
+    )
+
+
+def lit_patch(scene: bpy.types.Scene) -> LitPatch:
+    """Return the lit patch of a scene, or say why it has none in closed form.
+
+    Raises
+    ------
+    NlosError
+        `Survey.check` of the engine `patch`.
+    """
+    found = survey(scene)
+    found.check("patch")
+    assert found.patch is not None
+    return found.patch
+
+
+def surfel_world(scene: bpy.types.Scene, *, resolution: tuple[int, int] | None = None) -> World:
+    """Return what the engine `surfel` needs of a scene, ambient light too, or say why it cannot render it.
+
+    Raises
+    ------
+    NlosError
+        `Survey.check` of the engine `surfel`.
+    """
+    found = survey(scene, resolution=resolution, ambient=True)
+    found.check("surfel")
+    assert found.world is not None
+    return found.world
+
+
+def world(
+    scene: bpy.types.Scene, *, resolution: tuple[int, int] | None = None, ambient: bool = False
+) -> tuple[World | None, list[str]]:
+    """Return what the engine `surfel` needs of a scene, or None, and what it cannot honour; see `survey`."""
+    found = survey(scene, resolution=resolution, ambient=ambient)
+    return found.world, found.reasons("surfel")
 
 
 def room_names(scene: bpy.types.Scene) -> list[str]:
@@ -147,13 +190,6 @@ def room_names(scene: bpy.types.Scene) -> list[str]:
 
 def _room(reading: Any) -> list[str]:
     return list(dict.fromkeys(s.name for s in reading.surfaces if s.role == "room"))
-
-
-def _refuse(engine: str, reasons: Sequence[str], *, instead: str) -> NoReturn:
-    what = ", nor that ".join(reasons)
-    raise NlosError(
-        f"{bpy.data.filepath or 'scene'}: the engine {engine!r} cannot honour that {what}; use --engine {instead}"
-    )
 
 
 # --------------------------------------------------------------------------------------------------------------------
@@ -188,70 +224,6 @@ class _Reading:
     sky: Array | None = None
 
 
-def _as_rendered(scene: bpy.types.Scene, look: Callable[[Any], Result]) -> Result:
-    """Let a function look at the scene as a render would: Blender shows that to render engines only.
-
-    The viewport's view, which scripts get elsewhere, has other subdivision levels and lacks what is hidden there.
-    """
-    results: list[Result] = []
-    errors: list[BaseException] = []
-
-    class Look(bpy.types.RenderEngine):  # type: ignore[misc]
-        bl_idname = "NLOS_LOOK"
-        bl_label = "NLOS look"
-
-        def render(self, depsgraph: Any) -> None:
-            try:
-                results.append(look(depsgraph))
-            except BaseException as error:  # Blender would print it and go on
-                errors.append(error)
-
-    bpy.utils.register_class(Look)
-    try:
-        with stage.Overrides() as overrides, stage.quiet(), _in_a_slot():
-            overrides.set(scene, "camera", stage.find(scene, "camera"))
-            for name, value in (
-                ("engine", Look.bl_idname),
-                ("use_compositing", False),
-                ("use_sequencer", False),
-                ("use_freestyle", False),  # its style modules are Python, and run though scripts are off
-                ("use_multiview", False),
-                ("use_simplify", False),
-                ("use_persistent_data", False),
-            ):
-                overrides.set(scene.render, name, value)
-            bpy.ops.render.render(scene=scene.name)
-    except RuntimeError as error:
-        raise NlosError(f"{bpy.data.filepath or 'scene'}: cannot be read ({' '.join(str(error).split())})") from None
-    finally:
-        bpy.utils.unregister_class(Look)
-    if errors:
-        raise errors[0]
-    if not results:
-        raise NlosError(f"{bpy.data.filepath or 'scene'}: cannot be read, for none of its view layers is rendered")
-    return results[0]
-
-
-@contextlib.contextmanager
-def _in_a_slot() -> Iterator[None]:
-    """Let a render fill a slot of its own, so that the picture that the user rendered last stays."""
-    result = next((image for image in bpy.data.images if image.type == "RENDER_RESULT"), None)
-    if result is None:
-        yield
-        return
-    slots = result.render_slots
-    before = slots.active_index
-    names = [slot.name for slot in slots]
-    if _SLOT not in names:
-        slots.new(name=_SLOT)
-        names.append(_SLOT)
-    slots.active_index = names.index(_SLOT)
-    try:
-        yield
-    finally:
-        slots.active_index = before
-
-
 def _read(scene: bpy.types.Scene) -> _Reading:
     parts = stage.target_parts(scene)
     roles = {stage.find(scene, role): role for role in ("relay_wall", "spot", "camera", "target")}
@@ -267,7 +239,7 @@ def _read(scene: bpy.types.Scene) -> _Reading:
             _read_instance(instance, roles, parts[0], layer, reading, known)
         return reading
 
-    return _as_rendered(scene, look)
+    return stage.as_rendered(scene, look)
 
 
 def _read_instance(
@@ -522,87 +494,76 @@ def _sphere(surface: _Surface, origin: Array) -> Sphere | None:
 
 
 def _at_rest(scene: bpy.types.Scene, target: bpy.types.Object) -> tuple[_Reading, list[str]]:
-    """Read the scene with the target unrotated where it is; find out what else changes when it moves."""
-    place = np.array(target.matrix_world.translation, dtype=np.float64)
+    """Read the scene with the target unrotated where it is; find out what else changes when it moves.
+
+    The second is why no engine can sweep the scene: a data set's poses would not be those of its pictures, or its
+    background not the one that they have.
+    """
     if stage.unseen(scene, target):  # where it goes cannot be seen
         reading = _read(scene)
         reading.places.setdefault("target", stage.numbers(target.matrix_world))
-        return reading, reading.reasons
-    corner, turn = np.zeros((0, 3)), (40.0, 25.0, 70.0)
+        return reading, []
     try:
+        place = stage.snapshot(scene).matrices["target"][:3, 3]
         stage.move_target(scene, _vector(place), (0.0, 0.0, 0.0))
         reading = _read(scene)
         parts = [s for s in reading.surfaces if s.role == "target"]
-        corner = np.concatenate([corner, *(s.triangles.reshape(-1, 3) for s in parts)])
+        corner = np.concatenate([np.zeros((0, 3)), *(s.triangles.reshape(-1, 3) for s in parts)])
         size = float(np.ptp(corner, axis=0).max()) if len(corner) else 1.0
         moved_to = place + size * np.array([0.31, 0.17, 0.23])
+        turn = (40.0, 25.0, 70.0)
         stage.move_target(scene, _vector(moved_to), turn)
         moved = _read(scene)
-        stays = False
-    except NlosError:
-        reading, stays = _read(scene), True
+    except NlosError as error:
+        reading = _read(scene)
+        reading.places.setdefault("target", stage.numbers(target.matrix_world))
+        return reading, [str(error).removeprefix(f"{bpy.data.filepath or 'scene'}: ")]
     before = reading.places.setdefault("target", stage.numbers(target.matrix_world))
-    if not stays:
-        after = moved.places.get("target", stage.numbers(target.matrix_world))
-        slack = 1e-4 * size + 1e-6 * float(np.abs(moved_to).max())
-        # An animation has its say only when a render starts: where the target was put is not where it is.
-        stays = bool(np.abs([before[:3, 3] - place, after[:3, 3] - moved_to]).max() > slack)
-    if stays:
-        why = f"the target {target.name!r} does not go where it is put (a constraint, a driver, an animation)"
-        return reading, [*reading.reasons, why]
+    after = moved.places.get("target", stage.numbers(target.matrix_world))
+    slack = 1e-4 * size + 1e-6 * float(np.abs(moved_to).max())
     matrix = rotation_matrix(turn)
+    # An animation has its say only when a render starts: where the target was put is not where it is.
+    stays = np.abs([before[:3, 3] - place, after[:3, 3] - moved_to]).max() > slack
+    turned = after[:3, :3] - matrix @ before[:3, :3]
+    if stays or np.abs(turned).max() > 1e-4 * np.abs(before[:3, :3]).max():
+        return reading, [stage.held(target)]
     carried = [replace(s, triangles=(s.triangles - before[:3, 3]) @ matrix.T + after[:3, 3]) for s in parts]
-    reasons = [
-        f"{label} changes its shape with where it stands"
+    reading.reasons += [
+        f"{label} changes its shape or colour with where it stands"
         for label in _changed(carried, [s for s in moved.surfaces if s.role == "target"], slack)
     ]
     others, still = ([s for s in r.surfaces if s.role != "target"] for r in (reading, moved))
-    reasons += [
+    never = [
         f"{label} changes when the target moves, and is not one of its children"
         for label in _changed(others, still, 1e-6 * size)
     ]
     for role in ("camera", "spot"):
         if role in moved.places and np.abs(reading.places[role] - moved.places[role]).max() > 1e-6:
-            reasons.append(f"the {role} {stage.find(scene, role).name!r} moves when the target does")
-    return reading, [*reading.reasons, *reasons]
+            never.append(f"the {role} {stage.find(scene, role).name!r} moves when the target does")
+    return reading, never
 
 
 def _changed(before: Sequence[_Surface], after: Sequence[_Surface], slack: float) -> list[str]:
-    """Return the labels of surfaces that are not, corner by corner, what they were."""
+    """Return the labels of surfaces that are not, corner by corner, what they were, in shape and colour."""
     left: dict[str, list[_Surface]] = {}
     for surface in after:
         left.setdefault(surface.name, []).append(surface)
     labels = []
     for surface in before:
-        now = left[surface.name].pop(0).triangles if left.get(surface.name) else np.empty((0, 3, 3))
-        if now.shape != surface.triangles.shape or np.abs(now - surface.triangles).max(initial=0.0) > slack:
+        now = left[surface.name].pop(0) if left.get(surface.name) else None
+        if now is None or not (
+            _alike(now.triangles, surface.triangles, slack) and _alike(now.albedo, surface.albedo, _SHADE)
+        ):
             labels.append(surface.label)
     return [*labels, *(surface.label for rest in left.values() for surface in rest)]
 
 
+def _alike(one: Array, other: Array, slack: float) -> bool:
+    return one.shape == other.shape and float(np.abs(one - other).max(initial=0.0)) <= slack
+
+
 def _vector(values: Array) -> spec.Vector:
     return (float(values[0]), float(values[1]), float(values[2]))
-
-
-def _shape_pictures(
-    scene: bpy.types.Scene, resolution: tuple[int, int] | None, overrides: stage.Overrides
-) -> tuple[int, int]:
-    """Give the scene the pictures' resolution, on which the camera's view depends, and square pixels."""
-    render = scene.render
-    share = render.resolution_percentage
-    width, height = resolution or (
-        max(1, render.resolution_x * share // 100),
-        max(1, render.resolution_y * share // 100),
-    )
-    for name, value in (
-        ("resolution_x", width),
-        ("resolution_y", height),
-        ("resolution_percentage", 100),
-        ("pixel_aspect_x", 1.0),
-        ("pixel_aspect_y", 1.0),
-    ):
-        overrides.set(render, name, value)
-    return width, height
 
 
 # --------------------------------------------------------------------------------------------------------------------

@@ -21,7 +21,7 @@ from typing import TYPE_CHECKING, Any
 import bpy
 import numpy as np
 
-from generator import check, engines, experiments, links, poses, references, rehearsal, simplify, spec, stage
+from generator import check, engines, experiments, extract, links, poses, references, rehearsal, simplify, spec, stage
 from generator.clearance import clearance
 from generator.dataset import (
     BACKGROUND_AMBIENT,
@@ -74,6 +74,11 @@ def plan(scene: bpy.types.Scene, source: Path, path: Path, chosen: Mapping[str, 
     described = stage.read(scene)
     engines.refuse_hidden(scene)
     sweep, reasons = settled(scene, described, chosen)
+    # What cannot be honoured is said before any work is done; what is left out may be just that, and is no matter.
+    extract.survey(scene, resolution=sweep.resolution, ambient=True).check(
+        "path" if sweep.leave_out else sweep.engine
+    )
+    described = stage.read(scene, sweep.resolution)
     idle = Sweep.idle(sweep.engine)
     if chosen.get("engine") != engines.AUTO and any(name in chosen for name in idle):
         name = next(name for name in idle if name in chosen)
@@ -104,7 +109,8 @@ def plan(scene: bpy.types.Scene, source: Path, path: Path, chosen: Mapping[str, 
 
 def placed(scene: bpy.types.Scene, described: spec.Scene, sweep: Sweep) -> list[PoseRecord]:
     """Return the poses of a sweep: where nothing is in the way, whether it is left out of the pictures or not."""
-    with engines.opened(scene, "path", resolution=sweep.resolution):  # the camera's view depends on the resolution
+    with stage.Overrides() as overrides:
+        stage.shape_pictures(scene, sweep.resolution, overrides)  # on which the camera's view depends
         is_free = clearance(scene, described, engine=sweep.engine)
     planned = poses.trajectory if sweep.frames else poses.plan
     return planned(described.grid, sweep, stage.hull(scene), is_free)
