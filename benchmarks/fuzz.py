@@ -91,7 +91,7 @@ def read_dataset(data: bytes) -> None:
         (folder / dataset.MANIFEST).write_bytes(data[1:])
     (folder / dataset.POSES).write_bytes(_SOUND["poses"])
     with contextlib.suppress(spec.NlosError):
-        opened = simulated.opened(folder)
+        opened = dataset.Dataset.open(folder, check=False)  # or the seal would stop nearly all of it
         asks: list[Callable[[], object]] = [
             lambda: opened.grid.labels,
             lambda: opened.settings["engine"],
@@ -166,7 +166,7 @@ def read_bulk(data: bytes) -> None:
     with contextlib.suppress(spec.NlosError):
         worlds.load_world(folder / bulk.WORLD)
     with contextlib.suppress(spec.NlosError):
-        opened = bulk.Bulk.open(folder)
+        opened = bulk.Bulk.open(folder, check=False)
         try:
             with contextlib.suppress(spec.NlosError):
                 opened.verify()

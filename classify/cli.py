@@ -18,6 +18,7 @@ from generator.spec import NlosError
 
 if TYPE_CHECKING:
     from classify.atlas import Atlas
+    from generator.dataset import Picture
     from generator.sensor import Sensor
 
 _EXAMPLES = """\
@@ -543,13 +544,19 @@ def _train(options: argparse.Namespace) -> int:
 
 def _predict(options: argparse.Namespace) -> int:
     from classify import models
-    from generator.dataset import read_picture
+    from generator.dataset import COLOUR_SPACE, check_colours, read_picture
 
     model = models.load(options.model)
-    background = read_picture(options.background)[0] if options.background else None
+
+    def read(path: Path) -> Picture:
+        pixels, header = read_picture(path)
+        check_colours(path, header.get("colour_space", COLOUR_SPACE), model.colour_space, str(options.model))
+        return pixels
+
+    background = read(options.background) if options.background else None
     answers = []  # all before any is printed: a broken picture leaves no half answer
     for path in options.pictures:
-        pixels, _ = read_picture(path)
+        pixels = read(path)
         answers.append((path, model.probabilities(pixels, background=background, name=str(path))))
     for path, voxels in answers:
         label = max(voxels, key=lambda v: voxels[v])

@@ -29,7 +29,7 @@ from sklearn.tree._tree import Tree
 from classify.features import FeatureSettings, describe, feature_names
 from classify.store import Features
 from generator.bombs import check_archive
-from generator.dataset import Picture, atomic
+from generator.dataset import COLOUR_SPACE, Picture, atomic
 from generator.spec import NlosError, VoxelGrid, from_dict, to_dict
 
 Settings = Literal["paper", "tuned"]
@@ -158,6 +158,12 @@ class Model:
     reference_radiance: float
     grid: VoxelGrid
     about: dict[str, Any]
+
+    @property
+    def colour_space(self) -> str:
+        """The linear space that the channels of the pictures it was trained on are of."""
+        provenance = self.about.get("provenance")
+        return str(provenance.get("colour_space", COLOUR_SPACE)) if isinstance(provenance, dict) else COLOUR_SPACE
 
     def probabilities(
         self, picture: Picture, *, background: Picture | None = None, name: str = "picture"

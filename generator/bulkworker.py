@@ -83,6 +83,7 @@ def plan(
     stage.save_file(path / SCENE)
     meta = {
         "reference_radiance": described.reference_radiance,
+        "colour_space": worker.colour_space(),
         "scene": spec.to_dict(described),
         **({"forced": found.errors} if found.errors else {}),
         **({"links": linked} if linked else {}),

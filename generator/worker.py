@@ -39,6 +39,7 @@ from generator import (
 from generator.clearance import clearance
 from generator.dataset import (
     BACKGROUND_AMBIENT,
+    COLOUR_SPACE,
     SCENE,
     Dataset,
     Picture,
@@ -55,6 +56,9 @@ if TYPE_CHECKING:
 
 _WRITERS = 4
 """Threads that write a batch: while one waits for the disk the next packs, and the disk flushes several at once."""
+
+_SMALLEST = 4
+"""Pixels: Blender's own limit of a picture's sides."""
 
 TURNS = {"sphere": (0.0, 0.0, 0.0), "sheet": (15.0, 15.0, 90.0), "mesh": (15.0, 15.0, 90.0)}
 """Largest rotations, degrees, where the user names none. About z, +-90 covers a two-sided sheet once."""
@@ -121,6 +125,7 @@ def plan(
         },
         "engine_reasons": reasons,
         "reference_radiance": described.reference_radiance,
+        "colour_space": colour_space(),
         "scene": spec.to_dict(described),
         "extra_objects": stage.others(scene),
         "replaced": [replaced.told(scene, setting) for setting in replaced.replaced(scene)],
@@ -160,6 +165,12 @@ def settled(scene: bpy.types.Scene, described: spec.Scene, chosen: Mapping[str, 
     if settings["engine"] == spec.AUTO:
         settings["engine"], reasons = engines.choose(scene)
     sweep: Sweep = spec.from_dict(Sweep, settings, "")
+    width, height = sweep.resolution
+    if sweep.engine != "surfel" and min(width, height) < _SMALLEST:  # Blender would take the least that it knows
+        raise NlosError(
+            f"resolution: {width} x {height} is less than Blender renders, {_SMALLEST} pixels a side; ask for more, "
+            "or take the engine 'surfel'"
+        )
     return sweep, reasons
 
 
@@ -175,6 +186,12 @@ def with_defaults(described: spec.Scene, chosen: Mapping[str, Any]) -> dict[str,
     if isinstance(settings["resolution"], str):
         settings["resolution"] = list(spec.parse_resolution(settings["resolution"], width / height))
     return settings
+
+
+def colour_space() -> str:
+    """Return the linear space that the open file's colours are of, and what Cycles renders; before Blender 5 one."""
+    working = getattr(getattr(bpy.data, "colorspace", None), "working_space", "")
+    return str(working).removeprefix("Linear ") or COLOUR_SPACE
 
 
 def version(package: str = "nlos-lab") -> str:

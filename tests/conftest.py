@@ -38,7 +38,7 @@ def scene_file(tmp_path_factory, command):
     return path
 
 
-TINY = ("--engine", "patch", "--poses", "1", "--samples", "4", "--resolution", "8", "--workers", "1")
+TINY = ("--engine", "patch", "--poses", "1", "--samples", "64", "--resolution", "8", "--workers", "1")
 
 
 @pytest.fixture(scope="session")

@@ -120,3 +120,85 @@ def test_pictures_of_many_values_a_pixel_are_none(tmp_path):
     (tmp_path / "p.exr").write_bytes(data)
     with pytest.raises(NlosError, match="it is deep"):
         read_picture(tmp_path / "p.exr")
+
+
+def library_file(path, channels, **header):
+    OpenEXR.File({"type": OpenEXR.scanlineimage, **header}, channels).write(str(path))
+    return path
+
+
+def window(x0, y0, x1, y1):
+    return np.array([x0, y0], np.int32), np.array([x1, y1], np.int32)
+
+
+GREY = np.ascontiguousarray(random_picture(4, 4)[..., 0])
+
+
+@pytest.mark.parametrize("compression", ["ZIP", "PIZ"])
+@pytest.mark.parametrize("display", [window(0, 0, 9, 9), window(2, 1, 5, 5), window(3, 1, 4, 4)])
+def test_a_picture_that_is_not_all_of_its_window_is_refused(tmp_path, display, compression):
+    """Cropped, or with more around it: its pixels are not those of the watched rectangle."""
+    header = {"dataWindow": window(2, 1, 5, 4), "compression": getattr(OpenEXR, f"{compression}_COMPRESSION")}
+    path = library_file(tmp_path / "p.exr", {"RGB": random_picture(4, 4)}, **header, displayWindow=display)
+    with pytest.raises(
+        NlosError, match=r"it is cropped: its pixels are those of x 2 to 5, y 1 to 4, and the picture"
+    ):
+        read_picture(path)
+
+
+def test_a_picture_may_begin_anywhere(tmp_path):
+    place = {"dataWindow": window(2, 1, 5, 4), "displayWindow": window(2, 1, 5, 4)}
+    picture = random_picture(4, 4)
+    path = library_file(tmp_path / "p.exr", {"RGB": picture}, **place)
+    np.testing.assert_array_equal(read_picture(path)[0], picture)
+
+
+@pytest.mark.parametrize(
+    "names", [["Z"], ["A"], ["R"], ["depth.Z"], ["U", "V2"], ["A", "Z"], ["RY", "BY", "Y"], ["Y", "V"]]
+)
+def test_what_is_no_radiance_is_refused_by_name(tmp_path, names):
+    path = library_file(tmp_path / "p.exr", dict.fromkeys(names, GREY))
+    with pytest.raises(NlosError, match="is no picture of radiance") as caught:
+        read_picture(path)
+    assert all(name in str(caught.value) for name in names)
+
+
+@pytest.mark.parametrize("names", [["Y"], ["V"], ["Y", "A"], ["Y", "Z", "A"]])
+def test_grey_by_its_two_names_with_or_without_what_is_beside_it(tmp_path, names):
+    """Y is OpenEXR's, V Blender's."""
+    planes = {name: GREY + np.float32(number) for number, name in enumerate(names)}
+    picture, _ = read_picture(library_file(tmp_path / "p.exr", planes))
+    np.testing.assert_array_equal(picture, np.repeat(GREY[..., None], 3, axis=2))
+
+
+@pytest.mark.parametrize("compression", ["ZIP", "PIZ"])
+def test_whole_numbers_are_no_radiance(tmp_path, compression):
+    planes = dict.fromkeys("RGB", np.arange(16, dtype=np.uint32).reshape(4, 4))
+    compressed = {"compression": getattr(OpenEXR, f"{compression}_COMPRESSION")}
+    with pytest.raises(NlosError, match="its channel B holds whole numbers"):
+        read_picture(library_file(tmp_path / "p.exr", planes, **compressed))
+
+
+@pytest.mark.parametrize("compression", ["ZIP", "PIZ"])
+@pytest.mark.parametrize(
+    ("primaries", "name"),
+    [
+        ((0.64, 0.33, 0.3, 0.6, 0.15, 0.06, 0.3127, 0.329), None),
+        ((0.708, 0.292, 0.17, 0.797, 0.131, 0.046, 0.3127, 0.329), "Rec.2020"),
+        ((0.713, 0.293, 0.165, 0.83, 0.128, 0.044, 0.32168, 0.33767), "ACEScg"),
+        ((0.7347, 0.2653, 0.0, 1.0, 0.0001, -0.077, 0.32168, 0.33767), "primaries 0.7347"),
+    ],
+)
+def test_the_space_of_the_channels_is_read_from_their_primaries(tmp_path, primaries, name, compression):
+    header = {"chromaticities": primaries, "compression": getattr(OpenEXR, f"{compression}_COMPRESSION")}
+    found = read_picture(library_file(tmp_path / "p.exr", {"RGB": random_picture(4, 4)}, **header))[1]
+    assert found.get("colour_space", "").startswith(name or "")
+    assert ("colour_space" in found) == (name is not None)
+
+
+def test_other_software_reads_the_space_of_ours(tmp_path):
+    """By the attribute that Blender 5 writes too."""
+    write_picture(tmp_path / "p.exr", random_picture(4, 4), {"colour_space": "ACEScg"})
+    with OpenEXR.File(str(tmp_path / "p.exr")) as file:
+        assert file.header()["colorInteropID"] == "lin_ap1_scene"
+    assert read_picture(tmp_path / "p.exr")[1]["colour_space"] == "ACEScg"

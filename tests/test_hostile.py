@@ -341,7 +341,7 @@ def test_a_world_of_nonsense_is_refused(copied):
     ("change", "words"),
     [
         ({"sweep": {"part": 1, "pictures": 10**9}}, "too many"),
-        ({"sweep": {"resolution": [60000, 60000]}}, "parts are missing"),
+        ({"sweep": {"resolution": [60000, 60000]}}, "sweep.resolution was changed"),
         ({"scene": {"grid": 7}}, "scene.grid"),
         ({"scene": {"target": []}}, "scene.target"),
         ({"reference_radiance": float("nan")}, "reference_radiance"),
