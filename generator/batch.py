@@ -37,9 +37,11 @@ def _run(options: argparse.Namespace) -> int:
         dataset = Dataset.open(path)
         sweep.check_same(dataset, source, chosen)
     else:
-        dataset = worker.plan(bpy.context.scene, source, path, chosen)
+        dataset = worker.plan(bpy.context.scene, source, path, chosen, probe=options.probe)
         if chosen.get("engine") == "auto":
             print(sweep.engine_words(dataset))
+        if words := sweep.start_words(dataset):
+            print(words, flush=True)
     worker.check_blender(dataset)
     pending = sweep.pending_positions(dataset, shard)
     scene = worker.open_scene(dataset)

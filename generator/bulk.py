@@ -47,7 +47,7 @@ from generator.dataset import BACKGROUND, SCENE, Picture, atomic, fingerprint, r
 from generator.poses import Pose
 from generator.spec import Array, NlosError, Sweep, Vector, VoxelGrid, dump_toml, from_dict, read_toml, to_dict
 from generator.strangers import stranger
-from generator.sweep import Crew, Progress, Worker, check_same, compiling_words
+from generator.sweep import NO_PROBE, Crew, Progress, Worker, check_same, compiling_words, start_words
 from generator.transport.store import load_world, save_world, world_hash
 from generator.transport.world import World
 
@@ -191,6 +191,7 @@ def run(
     shard: tuple[int, int] = (0, 1),
     progress: Progress = lambda done, total: None,
     tell: Callable[[str], None] = lambda words: None,
+    probe: bool = True,
 ) -> Outcome:
     """Make a bulk set, or what is missing of it.
 
@@ -210,7 +211,9 @@ def run(
     progress : callable
         Is told how many pictures of this run are done, and how many there are to do.
     tell : callable
-        Is told that the engine is being compiled.
+        Is told that the engine is being compiled, and what the check at the start of a new set found.
+    probe : bool
+        Whether a new set begins with the check of the engine against plain Cycles (`generator.startcheck`).
 
     Raises
     ------
@@ -219,9 +222,12 @@ def run(
     """
     if words := compiling_words("surfel"):
         tell(words)
-    if not Bulk.exists(path):
-        _plan(scene, path, chosen)
+    new = not Bulk.exists(path)
+    if new:
+        _plan(scene, path, chosen, probe)
     bulk = Bulk.open(path)
+    if new and (words := start_words(bulk)):
+        tell(words)
     check_same(bulk, scene, chosen)
     index, count = shard
     if not 0 <= index < count:
@@ -245,13 +251,14 @@ def run(
     return outcome
 
 
-def _plan(scene: Path, path: Path, chosen: Mapping[str, Any]) -> None:
+def _plan(scene: Path, path: Path, chosen: Mapping[str, Any], probe: bool) -> None:
     if not scene.is_file():
         raise NlosError(f"{scene}: no such scene file")
     if "pictures" not in chosen:
         raise NlosError(f"{path}: is a new set, so say how many pictures it shall hold with --pictures N")
     check_free(path)
-    with Worker(["generator.bulkworker", "plan", str(scene), str(path), json.dumps(dict(chosen))]) as worker:
+    arguments = ["generator.bulkworker", "plan", str(scene), str(path), json.dumps(dict(chosen))]
+    with Worker([*arguments, *([] if probe else [NO_PROBE])]) as worker:
         if worker.answer() is None:
             raise NlosError(f"{scene}: Blender could not plan the set: {worker.last_words()}")
 

@@ -180,6 +180,7 @@ def _parser() -> argparse.ArgumentParser:
     bulk.add_argument("--part", type=int, metavar="N", help="pictures per file (default: about 64 MiB)")
     bulk.add_argument("--shard", default="0/1", metavar="i/n", help="make the i-th of n shares only (from 0)")
     bulk.add_argument("--workers", type=int, default=0, metavar="W", help="processes (default: one per core)")
+    _add_probe_option(bulk)
     _add_links_option(bulk)
     bulk.set_defaults(run=_bulk)
 
@@ -327,7 +328,17 @@ def _add_sweep_options(parser: argparse.ArgumentParser, *, frames: bool = False)
     _add_engine_options(parser)
     _add_pose_options(parser, "of all poses and all noise", inside=not frames)
     parser.add_argument("--shard", default="0/1", metavar="i/n", help="render the i-th of n parts only (from 0)")
+    _add_probe_option(parser)
     _add_links_option(parser)
+
+
+def _add_probe_option(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument(
+        "--no-probe",
+        dest="probe",
+        action="store_false",
+        help="leave out the check at the start of a new set, which holds the engine against plain Cycles at one pose",
+    )
 
 
 def _add_links_option(parser: argparse.ArgumentParser) -> None:
@@ -576,7 +587,14 @@ def _sweep(options: argparse.Namespace) -> int:
             outcome = _jobs(options, chosen, progress, paced=pace is not None)
         else:
             outcome = sweep.run(
-                options.scene, options.output, chosen, progress=progress, tell=print, pace=pace, **farm
+                options.scene,
+                options.output,
+                chosen,
+                progress=progress,
+                tell=print,
+                pace=pace,
+                probe=options.probe,
+                **farm,
             )
     if planned:
         plans.keep(planned, options.output)
@@ -602,6 +620,7 @@ def _jobs(
         options=dict(map(_job_option, options.job)),
         progress=progress,
         tell=functools.partial(print, flush=True),
+        probe=options.probe,
     )
 
 
@@ -676,7 +695,15 @@ def _bulk(options: argparse.Namespace) -> int:
 
     chosen = chosen_settings(options, bulk.Settings, pictures=1)
     with _progress() as progress:
-        outcome = bulk.run(options.scene, options.output, chosen, progress=progress, tell=print, **_farm(options))
+        outcome = bulk.run(
+            options.scene,
+            options.output,
+            chosen,
+            progress=progress,
+            tell=print,
+            probe=options.probe,
+            **_farm(options),
+        )
     return _report(outcome.bulk, outcome.rendered, outcome.remaining, outcome.failed)
 
 

@@ -579,7 +579,7 @@ class Dataset:
 
 _TABLES = {"sweep": dict, "scene": dict, "reference_radiance": float, "fingerprint": str}
 _IN_SCENE = {"grid": (dict,), "target": (dict,), "ambient": (int, float), "reflection_order": (int,)}
-_OPTIONAL = {"software": dict, "links": dict, "engine_reasons": list, "extra_objects": list}
+_OPTIONAL = {"software": dict, "links": dict, "engine_reasons": list, "extra_objects": list, "start_check": dict}
 
 
 def check_meta(meta: Mapping[str, Any], **needed: type) -> None:

@@ -27,6 +27,8 @@ from generator.dataset import SCENE, Dataset, check_free, scene_hash
 from generator.spec import NlosError, Sweep
 
 ANSWER = "nlos "
+NO_PROBE = "no-probe"
+"""Tells a worker that plans to leave out the check at the start."""
 
 NO_BLENDER = "this needs Blender's module bpy, which is not installed; install it with: pip install 'nlos-lab[bpy]'"
 
@@ -109,6 +111,7 @@ def run(
     launch: Launch = python,
     stop: threading.Event | None = None,
     pace: Pace | None = None,
+    probe: bool = True,
 ) -> Outcome:
     """Render a data set, or what is missing of it.
 
@@ -127,7 +130,8 @@ def run(
         ``(i, n)``: render the i-th of n parts only, i from 0.
     progress : callable
     tell : callable
-        Is told which engine ``auto`` took, and why; and that an engine is being compiled.
+        Is told which engine ``auto`` took, and why; that an engine is being compiled; what the check at the start of
+        a new set found, and how long it took.
     launch : callable
         How workers are started.
     stop : threading.Event, optional
@@ -135,13 +139,15 @@ def run(
     pace : callable, optional
         Says with how many samples each picture is rendered; without it all take the data set's. Voxels then take
         turns, lest the noise tell them apart.
+    probe : bool
+        Whether a new set begins with the check of its engine against plain Cycles (`generator.startcheck`).
 
     Raises
     ------
     NlosError
         The input is bad, or the data set at that path was made with other settings.
     """
-    dataset = begin(scene, path, chosen, shard=shard, tell=tell, launch=launch, stop=stop).dataset
+    dataset = begin(scene, path, chosen, shard=shard, tell=tell, launch=launch, stop=stop, probe=probe).dataset
     outcome = Outcome(dataset)
     pending = pending_positions(dataset, shard)
     if pace:
@@ -168,14 +174,18 @@ def begin(
     tell: Callable[[str], None] = lambda words: None,
     launch: Launch = python,
     stop: threading.Event | None = None,
+    probe: bool = True,
 ) -> Outcome:
     """Plan a data set and render its background, as far as that is not done; parameters as of `run`."""
-    known = Dataset.open(path).settings["engine"] if Dataset.exists(path) else chosen.get("engine")
+    new = not Dataset.exists(path)
+    known = chosen.get("engine") if new else Dataset.open(path).settings["engine"]
     if words := compiling_words(known):
         tell(words)
-    dataset = prepare(scene, path, chosen, launch)
+    dataset = prepare(scene, path, chosen, launch, probe=probe)
     if chosen.get("engine") == "auto":
         tell(engine_words(dataset))
+    if new and (words := start_words(dataset)):
+        tell(words)
     if not all(dataset.has_background(name) for name in dataset.background_names):
         with _crew(dataset, shard, lambda done, total: None, launch=launch, stop=stop) as crew:
             crew.work([], first="the background")
@@ -232,13 +242,20 @@ def engine_words(dataset: Dataset) -> str:
     return f"engine: {dataset.settings['engine']}" + (f", because {'; '.join(reasons)}" if reasons else "")
 
 
-def prepare(scene: Path, path: Path, chosen: Mapping[str, Any], launch: Launch = python) -> Dataset:
+def start_words(dataset: _Made) -> str:
+    """Return what the check at the start found, and how long it took; empty if there was none."""
+    return str(dataset.meta.get("start_check", {}).get("words", ""))
+
+
+def prepare(
+    scene: Path, path: Path, chosen: Mapping[str, Any], launch: Launch = python, *, probe: bool = True
+) -> Dataset:
     """Return the data set at a path, planned now if there is none, after comparing the settings if there is one."""
     if not Dataset.exists(path):
         if not scene.is_file():
             raise NlosError(f"{scene}: no such scene file")
         check_free(path)
-        _run_plan(scene, path, chosen, launch)
+        _run_plan(scene, path, chosen, launch, probe)
         return Dataset.open(path)
     dataset = Dataset.open(path)
     check_same(dataset, scene, chosen)
@@ -316,8 +333,9 @@ def in_batches(units: Sequence[int], size: int) -> list[Sequence[int]]:
     return [units[at : at + size] for at in range(0, len(units), size)]
 
 
-def _run_plan(scene: Path, path: Path, chosen: Mapping[str, Any], launch: Launch) -> None:
+def _run_plan(scene: Path, path: Path, chosen: Mapping[str, Any], launch: Launch, probe: bool) -> None:
     arguments = ["generator.worker", "plan", str(scene), str(path), json.dumps(dict(chosen))]
+    arguments += [] if probe else [NO_PROBE]
     with Worker(arguments, launch) as worker:
         if worker.answer() is None:
             raise NlosError(f"{scene}: Blender could not plan the sweep: {worker.last_words()}")

@@ -119,7 +119,9 @@ def run(
     if words := sweep.compiling_words("auto"):
         tell(words)
     with tempfile.TemporaryDirectory(prefix="nlos-") as trial:
-        cheapest = sweep.prepare(scene, Path(trial) / "plan", {**common, "poses": 1, "engine": "auto"}).sweep.engine
+        cheapest = sweep.prepare(
+            scene, Path(trial) / "plan", {**common, "poses": 1, "engine": "auto"}, probe=False
+        ).sweep.engine
     if cheapest == "path":
         raise NlosError(f"{scene}: only the engine 'path' can render it, so there is nothing to trade")
     took: dict[str, float] = {}
@@ -129,7 +131,7 @@ def run(
         if guess > most:
             tell(f"{rung.name}: left out, would take about {sweep.clock(guess)}")
             continue
-        outcome = sweep.run(scene, folder / rung.name, {**common, **rung.settings}, workers=workers)
+        outcome = sweep.run(scene, folder / rung.name, {**common, **rung.settings}, workers=workers, probe=False)
         if outcome.failed:
             raise NlosError(f"{folder / rung.name}: {outcome.failed[0]}")
         seconds = sum(record.seconds for record in outcome.dataset.records)

@@ -21,7 +21,19 @@ from typing import TYPE_CHECKING, Any
 import bpy
 import numpy as np
 
-from generator import check, engines, experiments, links, poses, references, rehearsal, simplify, spec, stage
+from generator import (
+    check,
+    engines,
+    experiments,
+    links,
+    poses,
+    references,
+    rehearsal,
+    simplify,
+    spec,
+    stage,
+    startcheck,
+)
 from generator.clearance import clearance
 from generator.dataset import (
     BACKGROUND_AMBIENT,
@@ -34,7 +46,7 @@ from generator.dataset import (
     write_picture,
 )
 from generator.spec import NlosError, Sweep
-from generator.sweep import ANSWER, BACKGROUND_FACTOR
+from generator.sweep import ANSWER, BACKGROUND_FACTOR, NO_PROBE
 
 if TYPE_CHECKING:
     from generator.bulk import Bulk
@@ -46,7 +58,15 @@ TURNS = {"sphere": (0.0, 0.0, 0.0), "sheet": (15.0, 15.0, 90.0), "mesh": (15.0, 
 """Largest rotations, degrees, where the user names none. About z, +-90 covers a two-sided sheet once."""
 
 
-def plan(scene: bpy.types.Scene, source: Path, path: Path, chosen: Mapping[str, Any]) -> Dataset:
+def plan(
+    scene: bpy.types.Scene,
+    source: Path,
+    path: Path,
+    chosen: Mapping[str, Any],
+    *,
+    probe: bool = True,
+    reference: Path | None = None,
+) -> Dataset:
     """Create a data set from the open scene: settings, a copy of the scene, every pose; no picture of them yet.
 
     Parameters
@@ -58,12 +78,16 @@ def plan(scene: bpy.types.Scene, source: Path, path: Path, chosen: Mapping[str, 
         Of the data set.
     chosen : mapping
         Fields of `Sweep` that the user chose; ``resolution`` may be text. The rest follow from the scene.
+    probe : bool
+        Whether the engine is held against plain Cycles first (`startcheck`).
+    reference : Path, optional
+        The file that plain Cycles renders; if there is none, or the sweep leaves something out, the set's own scene.
 
     Raises
     ------
     NlosError
         The scene lacks a role, the engine cannot honour it, the target fits nowhere, or nothing can be written; or
-        it refers to files elsewhere.
+        it refers to files elsewhere; or plain Cycles makes another picture of it.
     """
     check_free(path)
     linked = links.recorded(references.refuse(source), path)
@@ -78,7 +102,6 @@ def plan(scene: bpy.types.Scene, source: Path, path: Path, chosen: Mapping[str, 
     simplify.apply(scene, sweep.leave_out)
     with engines.opened(scene, sweep.engine, **engines.settings(sweep)) as renderer:
         pass  # refuses now what it could not honour later
-    stage.save_file(path / SCENE)
     meta = {
         "sweep": {
             **{name: value for name, value in spec.to_dict(sweep).items() if name not in sweep.unused},
@@ -91,6 +114,18 @@ def plan(scene: bpy.types.Scene, source: Path, path: Path, chosen: Mapping[str, 
         **({"links": linked} if linked else {}),
         "software": {"nlos-lab": version(), "blender": bpy.app.version_string, "numpy": np.__version__},
     }
+    with startcheck.withdrawn(path, SCENE):
+        stage.save_file(path / SCENE)
+        if probe:
+            meta["start_check"] = startcheck.run(
+                path / SCENE,
+                path / SCENE if sweep.leave_out or reference is None else reference,
+                links.of_dataset(linked, path),
+                meta,
+                records[0],
+                len(records),
+                render,
+            )
     dataset = Dataset.create(path, meta, records)
     if isinstance(renderer, engines.SurfelRenderer):
         _background(renderer, dataset, sweep)  # needs no scene, and far less time than a process of its own to start
@@ -256,7 +291,7 @@ def commands() -> Iterable[dict[int, int]]:
 def main(argv: list[str]) -> int:
     """Do one of six things.
 
-    ``plan SCENE DATASET SETTINGS``; ``render DATASET THREADS``, positions on standard input;
+    ``plan SCENE DATASET SETTINGS [NO_PROBE]``; ``render DATASET THREADS``, positions on standard input;
     ``check SCENE SETTINGS``, which answers what it found; ``rehearse SCENE SETTINGS THREADS I/N``, which answers
     what a few pictures took; ``picture SCENE FOLDER SETTINGS denoise|plain``, which
     leaves ``wall.exr`` and ``background.exr`` in the folder; ``experiment SCENE FILE
@@ -265,7 +300,8 @@ def main(argv: list[str]) -> int:
     try:
         if argv[0] == "plan":
             source = Path(argv[1])
-            plan(stage.open_file(source), source, Path(argv[2]), json.loads(argv[3]))
+            chosen, probe = json.loads(argv[3]), argv[4:] != [NO_PROBE]
+            plan(stage.open_file(source), source, Path(argv[2]), chosen, probe=probe, reference=source)
             answer(planned=True)
         elif argv[0] == "check":
             scene = stage.open_file(Path(argv[1]))

@@ -28,6 +28,7 @@ NEEDS_BLENDER = {
         "rehearsal",
         "simplify",
         "stage",
+        "startcheck",
         "worker",
     )
 }
