@@ -63,7 +63,7 @@ from generator.dataset import (
 from generator.poses import Pose
 from generator.spec import Array, NlosError, Sweep, Vector, VoxelGrid, dump_toml, from_dict, read_toml, to_dict
 from generator.strangers import stranger
-from generator.sweep import Crew, Progress, check_same, compiling_words, planned_notes
+from generator.sweep import NO_PROBE, Crew, Progress, check_same, compiling_words, planned_notes, start_words
 from generator.transport.store import load_world, save_world, world_hash
 from generator.transport.world import World
 
@@ -212,6 +212,7 @@ def run(
     progress: Progress = lambda done, total: None,
     tell: Callable[[str], None] = lambda words: None,
     force: bool = False,
+    probe: bool = True,
 ) -> Outcome:
     """Make a bulk set, or what is missing of it.
 
@@ -231,9 +232,12 @@ def run(
     progress : callable
         Is told how many pictures of this run are done, and how many there are to do.
     tell : callable
-        Is told that the engine is being compiled, and what the check says of a new set's scene.
+        Is told that the engine is being compiled, what the check says of a new set's scene, and what the check at its
+        start found.
     force : bool
         Begin a new set in spite of errors that the check finds in the scene.
+    probe : bool
+        Whether a new set begins with the check of the engine against plain Cycles (`generator.startcheck`).
 
     Raises
     ------
@@ -243,10 +247,13 @@ def run(
     """
     if words := compiling_words("surfel"):
         tell(words)
-    if not Bulk.exists(path):
-        for words in _plan(scene, path, chosen, force=force):
+    new = not Bulk.exists(path)
+    if new:
+        for words in _plan(scene, path, chosen, force=force, probe=probe):
             tell(words)
     bulk = Bulk.open(path)
+    if new and (words := start_words(bulk)):
+        tell(words)
     check_same(bulk, scene, chosen)
     index, count = shard
     if not 0 <= index < count:
@@ -270,14 +277,14 @@ def run(
     return outcome
 
 
-def _plan(scene: Path, path: Path, chosen: Mapping[str, Any], *, force: bool) -> list[str]:
+def _plan(scene: Path, path: Path, chosen: Mapping[str, Any], *, force: bool, probe: bool) -> list[str]:
     if not scene.is_file():
         raise NlosError(f"{scene}: no such scene file")
     if "pictures" not in chosen:
         raise NlosError(f"{path}: is a new set, so say how many pictures it shall hold with --pictures N")
     check_free(path)
     arguments = ["generator.bulkworker", "plan", str(scene), str(path), json.dumps(dict(chosen))]
-    return planned_notes(scene, arguments, force=force)
+    return planned_notes(scene, [*arguments, *([] if probe else [NO_PROBE])], force=force)
 
 
 def check_free(path: Path) -> None:

@@ -18,13 +18,13 @@ from typing import Any
 import bpy
 import numpy as np
 
-from generator import bulk, extract, links, misgivings, poses, references, spec, stage, worker
+from generator import bulk, extract, links, misgivings, poses, references, spec, stage, startcheck, worker
 from generator.bulk import Bulk, Engine, Settings
 from generator.clearance import Surroundings, clearance
-from generator.dataset import SCENE, scene_hash
+from generator.dataset import SCENE, PoseRecord, scene_hash
 from generator.spec import NlosError
 from generator.strangers import stranger
-from generator.sweep import FORCE
+from generator.sweep import FORCE, NO_PROBE
 from generator.transport import Transport
 
 
@@ -35,6 +35,7 @@ def plan(
     chosen: Mapping[str, Any],
     *,
     force: bool = False,
+    probe: bool = True,
     tell: Callable[[str], None] = lambda words: None,
 ) -> Bulk:
     """Create a bulk set from the open scene: settings, scene, world and background; no part yet.
@@ -52,12 +53,14 @@ def plan(
         In spite of errors that the check finds; the set then remembers them.
     tell : callable
         Is told what the check finds short of that.
+    probe : bool
+        Whether the engine is held against plain Cycles first (`startcheck`), with the target that the scene has.
 
     Raises
     ------
     NlosError
         The scene lacks a role, the engine cannot honour it, the target fits nowhere, or nothing can be written;
-        or it refers to files elsewhere.
+        or it refers to files elsewhere; or plain Cycles makes another picture of it.
     """
     bulk.check_free(path)
     linked = links.recorded(references.refuse(source), path)
@@ -80,7 +83,6 @@ def plan(
     for voxel in range(min(described.grid.n_voxels, settings.pictures)):
         draw(voxel, 0)  # refuses now a target that fits nowhere
     background = Transport(world, accuracy=settings.accuracy).background().astype(np.float32)
-    stage.save_file(path / SCENE)
     meta = {
         "reference_radiance": described.reference_radiance,
         "colour_space": worker.colour_space(),
@@ -94,7 +96,26 @@ def plan(
             "numba": worker.version("numba"),
         },
     }
+    first = _first(scene, settings) if probe else None
+    with startcheck.withdrawn(path, SCENE):
+        stage.save_file(path / SCENE)
+        if first:
+            sweep = replace(settings.sweep, engine="surfel", accuracy=settings.accuracy)
+            likewise = {**meta, "sweep": {**spec.to_dict(sweep), "scene_sha256": scene_hash(source)}}
+            known = links.of_dataset(linked, path)
+            meta["start_check"] = startcheck.run(
+                path / SCENE, source, known, likewise, first, settings.pictures, worker.render
+            )
     return Bulk.create(path, settings, meta, world, background, scene_hash(source))
+
+
+def _first(scene: bpy.types.Scene, settings: Settings) -> PoseRecord | None:
+    """Return a pose of the scene's own target, as the start check wants it; None if the target fits nowhere."""
+    try:
+        place, turn = _poses(scene, replace(settings, unknown=False))(0, 0)
+    except NlosError:  # which does not matter where unknown objects take its place
+        return None
+    return PoseRecord(0, 0, stage.read_grid(scene).labels[0], place, turn, seed=0, file="")
 
 
 def _poses(scene: bpy.types.Scene, settings: Settings) -> Callable[[int, int], poses.Pose]:
@@ -134,8 +155,9 @@ def main(argv: list[str]) -> int:
     try:
         if argv[0] == "plan":
             source, notes = Path(argv[1]), list[str]()
-            scene, force = stage.open_file(source), FORCE in argv[4:]
-            plan(scene, source, Path(argv[2]), json.loads(argv[3]), force=force, tell=notes.append)
+            scene, chosen = stage.open_file(source), json.loads(argv[3])
+            options = {"force": FORCE in argv[4:], "probe": NO_PROBE not in argv[4:]}
+            plan(scene, source, Path(argv[2]), chosen, **options, tell=notes.append)
             worker.answer(planned=True, notes=notes)
         else:
             parts = itertools.chain.from_iterable(worker.commands())

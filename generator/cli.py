@@ -204,6 +204,7 @@ def _parser() -> argparse.ArgumentParser:
     bulk.add_argument("--shard", default="0/1", metavar="i/n", help="make the i-th of n shares only (from 0)")
     bulk.add_argument("--workers", type=int, default=0, metavar="W", help="processes (default: one per core)")
     _add_force_option(bulk)
+    _add_probe_option(bulk)
     _add_links_option(bulk)
     bulk.set_defaults(run=_bulk)
 
@@ -353,6 +354,7 @@ def _add_sweep_options(parser: argparse.ArgumentParser, *, frames: bool = False)
     _add_pose_options(parser, "of all poses and all noise", inside=not frames)
     parser.add_argument("--shard", default="0/1", metavar="i/n", help="render the i-th of n parts only (from 0)")
     _add_force_option(parser)
+    _add_probe_option(parser)
     _add_links_option(parser)
 
 
@@ -361,6 +363,15 @@ def _add_force_option(parser: argparse.ArgumentParser) -> None:
         "--force",
         action="store_true",
         help="begin a new set in spite of errors that check finds in the scene; the set remembers them",
+    )
+
+
+def _add_probe_option(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument(
+        "--no-probe",
+        dest="probe",
+        action="store_false",
+        help="leave out the check at the start of a new set, which holds the engine against plain Cycles at one pose",
     )
 
 
@@ -633,6 +644,7 @@ def _sweep(options: argparse.Namespace) -> int:
                 tell=print,
                 pace=pace,
                 force=options.force,
+                probe=options.probe,
                 **farm,
             )
     if planned:
@@ -660,6 +672,7 @@ def _jobs(
         progress=progress,
         tell=functools.partial(print, flush=True),
         force=options.force,
+        probe=options.probe,
     )
 
 
@@ -739,6 +752,7 @@ def _bulk(options: argparse.Namespace) -> int:
             progress=progress,
             tell=print,
             force=options.force,
+            probe=options.probe,
             **_farm(options),
         )
     return _report(outcome.bulk, outcome.rendered, outcome.remaining, outcome.failed)

@@ -751,7 +751,7 @@ def _words(vector: Vector) -> str:
 
 _TABLES = {"sweep": dict, "scene": dict, "reference_radiance": float, "fingerprint": str}
 _IN_SCENE = {"grid": (dict,), "target": (dict,), "ambient": (int, float), "reflection_order": (int,)}
-_OPTIONAL = {"software": dict, "links": dict} | dict.fromkeys(
+_OPTIONAL = dict.fromkeys(("software", "links", "start_check"), dict) | dict.fromkeys(
     ("engine_reasons", "extra_objects", "replaced", "forced"), list
 )
 

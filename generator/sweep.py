@@ -28,6 +28,8 @@ from generator.spec import NlosError, Sweep
 from generator.transport import caching
 
 ANSWER = "nlos "
+NO_PROBE = "no-probe"
+"""Tells a worker that plans to leave out the check at the start."""
 
 FORCE = "force"
 """Last argument of a worker that plans in spite of errors that the check finds."""
@@ -114,6 +116,7 @@ def run(
     stop: threading.Event | None = None,
     pace: Pace | None = None,
     force: bool = False,
+    probe: bool = True,
 ) -> Outcome:
     """Render a data set, or what is missing of it.
 
@@ -132,7 +135,8 @@ def run(
         ``(i, n)``: render the i-th of n parts only, i from 0.
     progress : callable
     tell : callable
-        Is told which engine ``auto`` took, and why; and that an engine is being compiled.
+        Is told which engine ``auto`` took, and why; that an engine is being compiled; what the check at the start of
+        a new set found, and how long it took.
     launch : callable
         How workers are started.
     stop : threading.Event, optional
@@ -142,13 +146,16 @@ def run(
         turns, lest the noise tell them apart.
     force : bool
         Begin a new set in spite of errors that the check finds in the scene.
+    probe : bool
+        Whether a new set begins with the check of its engine against plain Cycles (`generator.startcheck`).
 
     Raises
     ------
     NlosError
         The input is bad, the check finds an error, or the data set at that path was made with other settings.
     """
-    dataset = begin(scene, path, chosen, shard=shard, tell=tell, launch=launch, stop=stop, force=force).dataset
+    options: dict[str, Any] = {"launch": launch, "stop": stop, "force": force, "probe": probe}
+    dataset = begin(scene, path, chosen, shard=shard, tell=tell, **options).dataset
     outcome = Outcome(dataset)
     pending = pending_positions(dataset, shard)
     if pace:
@@ -176,14 +183,18 @@ def begin(
     launch: Launch = python,
     stop: threading.Event | None = None,
     force: bool = False,
+    probe: bool = True,
 ) -> Outcome:
     """Plan a data set and render its background, as far as that is not done; parameters as of `run`."""
-    known = Dataset.open(path).settings["engine"] if Dataset.exists(path) else chosen.get("engine", spec.AUTO)
+    new = not Dataset.exists(path)
+    known = chosen.get("engine", spec.AUTO) if new else Dataset.open(path).settings["engine"]
     if words := compiling_words(known):
         tell(words)
-    dataset = prepare(scene, path, chosen, launch, force=force, tell=tell)
+    dataset = prepare(scene, path, chosen, launch, force=force, probe=probe, tell=tell)
     if chosen.get("engine", spec.AUTO) == spec.AUTO:
         tell(engine_words(dataset, chosen))
+    if new and (words := start_words(dataset)):
+        tell(words)
     if not all(dataset.has_background(name) for name in dataset.background_names):
         with _crew(dataset, shard, lambda done, total: None, launch=launch, stop=stop) as crew:
             crew.work([], first="the background")
@@ -244,6 +255,11 @@ def engine_words(dataset: Dataset, chosen: Mapping[str, Any]) -> str:
     return words + (f"; {' and '.join(idle)} {'mean' if len(idle) > 1 else 'means'} nothing to it" if idle else "")
 
 
+def start_words(dataset: _Made) -> str:
+    """Return what the check at the start found, and how long it took; empty if there was none."""
+    return str(dataset.meta.get("start_check", {}).get("words", ""))
+
+
 def prepare(
     scene: Path,
     path: Path,
@@ -251,6 +267,7 @@ def prepare(
     launch: Launch = python,
     *,
     force: bool = False,
+    probe: bool = True,
     tell: Callable[[str], None] = lambda words: None,
 ) -> Dataset:
     """Return the data set at a path, planned now if there is none, after comparing the settings if there is one."""
@@ -259,6 +276,7 @@ def prepare(
             raise NlosError(f"{scene}: no such scene file")
         check_free(path)
         arguments = ["generator.worker", "plan", str(scene), str(path), json.dumps(dict(chosen))]
+        arguments += [] if probe else [NO_PROBE]
         for words in planned_notes(scene, arguments, launch, force=force):
             tell(words)
         return Dataset.open(path)

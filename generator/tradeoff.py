@@ -123,7 +123,7 @@ def run(
         tell(words)
     with tempfile.TemporaryDirectory(prefix="nlos-") as trial:
         settings = {**common, "poses": 1, "engine": "auto"}
-        planned = sweep.prepare(scene, Path(trial) / "plan", settings, force=force, tell=tell)
+        planned = sweep.prepare(scene, Path(trial) / "plan", settings, force=force, probe=False, tell=tell)
     cheapest = planned.sweep.engine
     if cheapest == "path":
         raise NlosError(f"{scene}: only the engine 'path' can render it, so there is nothing to trade")
@@ -134,7 +134,8 @@ def run(
         if guess > most:
             tell(f"{rung.name}: left out, would take about {sweep.clock(guess)}")
             continue
-        outcome = sweep.run(scene, folder / rung.name, {**common, **rung.settings}, workers=workers, force=force)
+        options: dict[str, Any] = {"workers": workers, "force": force, "probe": False}
+        outcome = sweep.run(scene, folder / rung.name, {**common, **rung.settings}, **options)
         if outcome.failed:
             raise NlosError(f"{folder / rung.name}: {outcome.failed[0]}")
         seconds = sum(record.seconds for record in outcome.dataset.records)

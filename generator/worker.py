@@ -35,6 +35,7 @@ from generator import (
     simplify,
     spec,
     stage,
+    startcheck,
 )
 from generator.clearance import clearance
 from generator.dataset import (
@@ -49,7 +50,7 @@ from generator.dataset import (
     write_picture,
 )
 from generator.spec import NlosError, Sweep
-from generator.sweep import ANSWER, BACKGROUND_FACTOR, FORCE
+from generator.sweep import ANSWER, BACKGROUND_FACTOR, FORCE, NO_PROBE
 
 if TYPE_CHECKING:
     from generator.bulk import Bulk
@@ -72,6 +73,8 @@ def plan(
     *,
     force: bool = False,
     tell: Callable[[str], None] = lambda words: None,
+    probe: bool = True,
+    reference: Path | None = None,
 ) -> Dataset:
     """Create a data set from the open scene: settings, a copy of the scene, every pose; no picture of them yet.
 
@@ -88,12 +91,16 @@ def plan(
         In spite of errors that the check finds; the set then remembers them.
     tell : callable
         Is told what the check finds short of that.
+    probe : bool
+        Whether the engine is held against plain Cycles first (`startcheck`).
+    reference : Path, optional
+        The file that plain Cycles renders; if there is none, or the sweep leaves something out, the set's own scene.
 
     Raises
     ------
     NlosError
         The scene lacks a role, the engine cannot honour it, the check finds an error, the target fits nowhere, or
-        nothing can be written; or it refers to files elsewhere.
+        nothing can be written; or it refers to files elsewhere; or plain Cycles makes another picture of it.
     """
     check_free(path)
     linked = links.recorded(references.refuse(source), path)
@@ -117,7 +124,6 @@ def plan(
     simplify.apply(scene, sweep.leave_out)
     with engines.opened(scene, sweep.engine, **engines.settings(sweep)) as renderer:
         pass  # refuses now what it could not honour later
-    stage.save_file(path / SCENE)
     meta = {
         "sweep": {
             **{name: value for name, value in spec.to_dict(sweep).items() if name not in sweep.unused},
@@ -133,6 +139,18 @@ def plan(
         **({"links": linked} if linked else {}),
         "software": {"nlos-lab": version(), "blender": bpy.app.version_string, "numpy": np.__version__},
     }
+    with startcheck.withdrawn(path, SCENE):
+        stage.save_file(path / SCENE)
+        if probe:
+            meta["start_check"] = startcheck.run(
+                path / SCENE,
+                path / SCENE if sweep.leave_out or reference is None else reference,
+                links.of_dataset(linked, path),
+                meta,
+                records[0],
+                len(records),
+                render,
+            )
     dataset = Dataset.create(path, meta, records)
     if isinstance(renderer, engines.SurfelRenderer):
         _background(renderer, dataset, sweep)  # needs no scene, and far less time than a process of its own to start
@@ -326,7 +344,7 @@ def commands() -> Iterable[dict[int, int]]:
 def main(argv: list[str]) -> int:
     """Do one of six things.
 
-    ``plan SCENE DATASET SETTINGS [force]``; ``render DATASET THREADS``, positions on standard input;
+    ``plan SCENE DATASET SETTINGS [force] [no-probe]``; ``render DATASET THREADS``, positions on standard input;
     ``check SCENE SETTINGS``, which answers what it found; ``rehearse SCENE SETTINGS THREADS I/N [force]``, which
     answers what a few pictures took; ``picture SCENE FOLDER SETTINGS denoise|plain``, which
     leaves ``wall.exr`` and ``background.exr`` in the folder; ``experiment SCENE FILE
@@ -335,8 +353,13 @@ def main(argv: list[str]) -> int:
     try:
         if argv[0] == "plan":
             source, notes = Path(argv[1]), list[str]()
-            scene, force = stage.open_file(source), FORCE in argv[4:]
-            plan(scene, source, Path(argv[2]), json.loads(argv[3]), force=force, tell=notes.append)
+            scene, chosen = stage.open_file(source), json.loads(argv[3])
+            options: dict[str, Any] = {
+                "force": FORCE in argv[4:],
+                "probe": NO_PROBE not in argv[4:],
+                "reference": source,
+            }
+            plan(scene, source, Path(argv[2]), chosen, **options, tell=notes.append)
             answer(planned=True, notes=notes)
         elif argv[0] == "check":
             scene = stage.open_file(Path(argv[1]))

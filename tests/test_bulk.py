@@ -437,7 +437,7 @@ def test_what_a_killed_plan_leaves_is_no_obstacle(tmp_path):
         bulk.check_free(tmp_path)
 
 
-TINY = ("--pictures", "30", "--part", "4", "--resolution", "8", "--accuracy", "0.01")
+TINY = ("--pictures", "30", "--part", "4", "--resolution", "8", "--accuracy", "0.01", "--no-probe")
 
 
 @pytest.fixture(scope="module")

@@ -246,7 +246,7 @@ def test_an_adopted_scene_is_swept(tmp_path):
     source = tmp_path / "artist.blend"
     stage.save_file(source)
     chosen = {"engine": "surfel", "poses": 2, "resolution": [16, 16], "accuracy": 1e-3, "rotation": [15, 15, 90]}
-    plan = worker.plan(stage.open_file(source), source, tmp_path / "artist", chosen)
+    plan = worker.plan(stage.open_file(source), source, tmp_path / "artist", chosen, probe=False)
     worker.render(
         stage.open_file(tmp_path / "artist" / "scene.blend"), plan, [dict.fromkeys(range(len(plan.poses)), 0)]
     )

@@ -32,6 +32,7 @@ NEEDS_BLENDER = {
         "replaced",
         "simplify",
         "stage",
+        "startcheck",
         "worker",
     )
 }

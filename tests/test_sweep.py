@@ -17,7 +17,7 @@ from conftest import ROOT, TINY
 from generator import sweep
 from generator.dataset import Dataset, read_picture
 
-SLOW = ("--engine", "patch", "--poses", "2", "--samples", "48", "--resolution", "24")
+SLOW = ("--engine", "patch", "--poses", "2", "--samples", "48", "--resolution", "24", "--no-probe")
 
 
 def pixels_of(path):
@@ -262,7 +262,7 @@ def test_a_run_can_be_stopped_and_gone_on_with(tmp_path, scene_file):
         if done == 2:
             stop.set()
 
-    outcome = sweep.run(scene_file, path, chosen, workers=1, progress=progress, stop=stop)
+    outcome = sweep.run(scene_file, path, chosen, workers=1, progress=progress, stop=stop, probe=False)
     assert 2 <= outcome.rendered < 100
     assert outcome.remaining == 180 - outcome.rendered
     assert not outcome.failed
