@@ -125,7 +125,7 @@ class Overrides:
 
 
 def _plain(owner: Any, way: tuple[str, ...] = ()) -> Iterator[tuple[tuple[str, ...], str, Any]]:
-    """Every value that can be set of an owner, and of what it owns: whose (the way there), by what name, and which."""
+    """Every value that can be set of an owner, and of what it owns: the way to whose it is, its name, and which."""
     for about in owner.bl_rna.properties:
         if about.type == "COLLECTION" or about.identifier == "rna_type":
             continue
