@@ -175,7 +175,6 @@ def opened(
     """
     if engine not in ENGINES:
         raise NlosError(f"engine {engine!r}: there is none; choose from {', '.join(ENGINES)}")
-    order = stage.reflection_order(scene)
     with tempfile.TemporaryDirectory(prefix="nlos-") as folder, stage.Overrides() as overrides:
         stage.hold_camera(scene, overrides)
         _linear_output(scene, overrides)
@@ -193,6 +192,7 @@ def opened(
             overrides.set(scene.render, "threads", threads)
         found = extract.survey(scene, resolution=resolution, ambient=True)
         found.check(engine)
+        order = stage.reflection_order(scene)  # as animation has it, now that a render has started once
         if found.world is not None and engine == "surfel":
             world, shadows = partial.without(found.world, leave_out)
             yield SurfelRenderer(scene, Transport(world, accuracy=accuracy, threads=threads), shadows=shadows)

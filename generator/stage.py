@@ -112,7 +112,7 @@ class Overrides:
         with quiet():  # Blender complains of colour spaces that are not set
             every = list(_plain(owner))
         before = sorted(every, key=lambda one: first.index(one[1]) if one[1] in first else len(first))
-        self._undo.append(functools.partial(_set_back, before))
+        self._undo.append(functools.partial(_set_back, owner, before))
 
     def __exit__(self, *_: object) -> None:
         for undo in reversed(self._undo):
@@ -120,22 +120,26 @@ class Overrides:
                 undo()
 
 
-def _plain(owner: Any) -> Iterator[tuple[Any, str, Any]]:
-    """Every value that can be set of an owner, and of what it owns: whose, by what name, and which."""
+def _plain(owner: Any, way: tuple[str, ...] = ()) -> Iterator[tuple[tuple[str, ...], str, Any]]:
+    """Every value that can be set of an owner, and of what it owns: the way to whose it is, its name, and which."""
     for about in owner.bl_rna.properties:
         if about.type == "COLLECTION" or about.identifier == "rna_type":
             continue
         value = getattr(owner, about.identifier)
         if about.type == "POINTER":
             if value is not None and not isinstance(value, bpy.types.ID):
-                yield from _plain(value)
+                yield from _plain(value, (*way, about.identifier))
         elif not about.is_readonly:
-            yield owner, about.identifier, tuple(value) if getattr(about, "is_array", False) else value
+            yield way, about.identifier, tuple(value) if getattr(about, "is_array", False) else value
 
 
 @quiet()
-def _set_back(before: list[tuple[Any, str, Any]]) -> None:
-    for owner, name, value in before:
+def _set_back(root: Any, before: list[tuple[tuple[str, ...], str, Any]]) -> None:
+    for way, name, value in before:
+        # Looked up anew: a change of colour management frees the curves of the old one.
+        owner = functools.reduce(lambda holder, step: getattr(holder, step, None), way, root)
+        if owner is None:
+            continue
         now = getattr(owner, name)
         if (tuple(now) if isinstance(value, tuple) else now) != value:
             with contextlib.suppress(TypeError):  # likewise
