@@ -55,7 +55,8 @@ class Surroundings:
         around = others(scene, seen)
         self._surfaces = [_tree(shape.placed, shape.triangles) for shape in around]
         self._corners = [shape.placed[0] for shape in around]
-        solids = [solid for shape in around if (solid := Solid.of(shape.placed, shape.triangles))]
+        closed = [Solid.of(shape.placed, shape.triangles) for shape in around if shape.opaque]
+        solids = [solid for solid in closed if solid]
         # Light starts here. A room that is one closed mesh holds this point too, and is not in the way.
         lamp, lit = np.array(described.spot.location), np.array(described.spot.aim)
         start = lit + _LIFT * (lamp - lit)
@@ -132,9 +133,9 @@ class Solid:
 
 
 def others(scene: bpy.types.Scene, seen: stage.Snapshot) -> list[stage.Shape]:
-    """Return every rendered surface but the target's, instances too."""
+    """Return every rendered surface but the target's, instances too; fog is none."""
     parts = stage.target_parts(scene)
-    return [shape for shape in seen.shapes if shape.owner not in parts and len(shape.triangles)]
+    return [s for s in seen.shapes if s.owner not in parts and len(s.triangles) and not s.air]
 
 
 def obstacles(scene: bpy.types.Scene) -> list[BVHTree]:

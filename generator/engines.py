@@ -18,14 +18,13 @@ import numpy as np
 from bpy_extras.object_utils import world_to_camera_view
 from mathutils import Matrix, Vector
 
-from generator import extract, nodes, stage
+from generator import extract, nodes, replaced, stage
 from generator.dataset import Picture, read_picture
 from generator.spec import Array, NlosError, Sweep
 from generator.transport import Transport, partial
 from generator.transport.world import LitPatch
 
 ENGINES = ("path", "patch", "surfel")
-AUTO = "auto"
 GPU_KINDS = ("OPTIX", "CUDA", "HIP", "METAL", "ONEAPI")
 """Cycles' names of what it can reach a GPU through, the quickest first."""
 
@@ -73,7 +72,7 @@ class Renderer:
         with stage.Overrides() as overrides:
             overrides.set(scene.cycles, "samples", samples)
             overrides.set(scene.cycles, "seed", seed)
-            overrides.set(scene.render, "filepath", str(self._file))
+            overrides.set(scene.render, "filepath", stage.literal(self._file, rendered=True))
             if not target:
                 for part in target_parts:
                     overrides.set(part, "hide_render", True)
@@ -235,7 +234,7 @@ def use_gpu(overrides: stage.Overrides) -> list[str]:
         if kind == preferred and any(device.use for device in found):
             return [device.name for device in found if device.use]
         for device in preferences.devices:
-            device.use = device in found
+            overrides.set(device, "use", device in found)
         if found:
             return [device.name for device in found]
     raise NlosError("device gpu: Cycles finds no GPU on this machine; check its driver, or render with --device cpu")
@@ -248,8 +247,14 @@ def refuse_hidden(scene: bpy.types.Scene) -> None:
         raise NlosError(f"{bpy.data.filepath or 'scene'}: the target {target.name!r} {why}; show it")
 
 
-def choose(scene: bpy.types.Scene) -> tuple[str, list[str]]:
+def choose(scene: bpy.types.Scene, found: extract.Survey | None = None) -> tuple[str, list[str]]:
     """Return the cheapest engine that is valid for a scene, and why no cheaper one is.
+
+    Parameters
+    ----------
+    scene : bpy.types.Scene
+    found : extract.Survey, optional
+        Of the scene; it is surveyed if not given.
 
     Returns
     -------
@@ -262,7 +267,7 @@ def choose(scene: bpy.types.Scene) -> tuple[str, list[str]]:
     NlosError
         A role is missing or played twice, or no engine can sweep the scene.
     """
-    found = extract.survey(scene)
+    found = found or extract.survey(scene)
     found.check("path")
     return next((engine, reasons) for engine, reasons in _by_cost(found))
 
@@ -277,64 +282,21 @@ def _by_cost(found: extract.Survey) -> Iterator[tuple[str, list[str]]]:
 
 
 def _linear_output(scene: bpy.types.Scene, overrides: stage.Overrides) -> None:
-    """Float32 radiance straight from the renderer: no view transform, crop, compositor, dither or denoiser.
-
-    Nor Freestyle, whose style modules are Python that runs though a file's scripts are off.
-    """
-    render = scene.render
-    image = render.image_settings
-    if hasattr(image, "media_type"):  # Blender 5
-        overrides.set(image, "media_type", "IMAGE")
-    for owner, name, value in (
-        (image, "file_format", "OPEN_EXR"),
-        (image, "color_mode", "RGB"),
-        (image, "color_depth", "32"),
-        (image, "exr_codec", "NONE"),
-        (render, "engine", "CYCLES"),
-        (render, "resolution_percentage", 100),
-        (render, "pixel_aspect_x", 1.0),
-        (render, "pixel_aspect_y", 1.0),
-        (render, "use_border", False),
-        (render, "use_compositing", False),
-        (render, "use_sequencer", False),
-        (render, "use_freestyle", False),
-        (render, "use_motion_blur", False),
-        (render, "use_simplify", False),
-        (render, "use_file_extension", False),
-        (render, "use_overwrite", True),
-        (render, "use_multiview", False),
-        (render, "film_transparent", False),
-        (render, "use_persistent_data", True),
-    ):
-        overrides.set(owner, name, value)
+    """Let the renderer's own float32 radiance be what is written."""
+    # Another format has other depths, codecs and colour spaces: assigning it changes them.
+    overrides.keep(scene.render.image_settings, "media_type", "file_format", "color_mode", "color_depth")
+    _replace(scene, overrides, replaced.OUTPUT)
 
 
 def _plain_cycles(scene: bpy.types.Scene, overrides: stage.Overrides) -> None:
-    """Unbiased Cycles: a fixed number of samples, nothing clamped, filtered, denoised, guessed or cut short."""
-    for name, value in {
-        "device": "CPU",
-        "use_adaptive_sampling": False,
-        "use_denoising": False,
-        "time_limit": 0.0,
-        "sample_clamp_direct": 0.0,
-        "sample_clamp_indirect": 0.0,
-        "blur_glossy": 0.0,
-        "caustics_reflective": True,
-        "caustics_refractive": True,
-        "light_sampling_threshold": 0.0,
-        "pixel_filter_type": "BOX",
-        "film_exposure": 1.0,
-        "use_fast_gi": False,
-        "use_animated_seed": False,
-        "use_guiding": False,
-        "sampling_pattern": "TABULATED_SOBOL",
-        "use_sample_subset": False,
-        "sample_offset": 0,
-    }.items():
-        if name in scene.cycles.bl_rna.properties or hasattr(scene.cycles, name):
-            overrides.set(scene.cycles, name, value)
-    for layer in scene.view_layers:
-        overrides.set(layer, "samples", 0)
+    """Let Cycles be unbiased, and its noise follow from seed and samples alone."""
+    _replace(scene, overrides, replaced.SAMPLING)
+
+
+def _replace(scene: bpy.types.Scene, overrides: stage.Overrides, settings: Sequence[replaced.Setting]) -> None:
+    for setting in settings:
+        for owner, name in replaced.places(scene, setting):
+            overrides.set(owner, name, setting.value)
 
 
 @contextlib.contextmanager

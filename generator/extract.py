@@ -765,9 +765,23 @@ def _at_rest(scene: bpy.types.Scene, target: bpy.types.Object) -> tuple[_Reading
         for label in _changed(others, still, 1e-6 * size)
     ]
     for role in ("camera", "spot"):
-        if role in moved.places and np.abs(reading.places[role] - moved.places[role]).max() > 1e-6:
+        if role in moved.places and not _alike(reading.places[role], moved.places[role], 1e-6):
             never.append(f"the {role} {stage.find(scene, role).name!r} moves when the target does")
-    return reading, never
+    return reading, [*never, *_changed_lights(reading.lights, moved.lights)]
+
+
+def _changed_lights(before: Sequence[Light], after: Sequence[Light]) -> list[str]:
+    """Return what lights, those that the target carries left out, do when it moves."""
+    one, other = ([light for light in some if light.role != "target"] for some in (before, after))
+    if len(one) != len(other):
+        return ["there are other lights when the target moves"]
+    labels = []
+    for light, now in zip(one, other, strict=True):
+        if not np.array_equal(light.power, now.power, equal_nan=True):
+            labels.append(f"the light {light.name!r} changes its power when the target moves")
+        elif light.role != "spot" and not _alike(light.matrix, now.matrix, 1e-6):
+            labels.append(f"the light {light.name!r} moves when the target does")
+    return labels
 
 
 def _changed(before: Sequence[_Surface], after: Sequence[_Surface], slack: float) -> list[str]:

@@ -8,6 +8,7 @@ of them can be read and edited in Blender without any add-on.
 from __future__ import annotations
 
 import contextlib
+import functools
 import math
 import os
 import sys
@@ -43,31 +44,25 @@ _NO_SURFACE = ("LIGHT_PROBE", "CAMERA", "SPEAKER", "ARMATURE", "LATTICE")
 _SLOT = "NLOS look"
 """Of the render result: what reading a scene leaves there is no picture."""
 
+_THROUGH = {nodes.TRANSPARENT, nodes.TRANSMISSION, nodes.SUBSURFACE, nodes.VOLUME, nodes.UNKNOWN}
+"""Ways in which light comes through a surface."""
 _SHEAR = 1e-5
 """A frame is sheared if it differs by more from one that is not, in units of its scale."""
 
 Result = TypeVar("Result")
 
-_FACES = {
-    "floor": ("z", 0),
-    "ceiling": ("z", 1),
-    "back": ("y", 1),
-    "left": ("x", 0),
-    "right": ("x", 1),
-}
-
 
 @contextlib.contextmanager
 def quiet() -> Iterator[None]:
     """Silence what Blender prints about its own doings (file descriptor 1, since C prints it)."""
+    if sys.stdout is not None:
+        sys.stdout.flush()
     try:
         saved = os.dup(1)
     except OSError:  # a windowed Blender may have no standard output at all
         yield
         return
     nowhere = os.open(os.devnull, os.O_WRONLY)
-    if sys.stdout is not None:
-        sys.stdout.flush()
     try:
         os.dup2(nowhere, 1)
         yield
@@ -78,24 +73,139 @@ def quiet() -> Iterator[None]:
 
 
 class Overrides:
-    """Set attributes of Blender's data and set them back on leaving, last first."""
+    """Set attributes of Blender's data and set them back on leaving, last first.
+
+    Animation and drivers have their say when a render starts, and would overrule what is set; so those of just these
+    attributes are muted for as long.
+    """
 
     def __init__(self) -> None:
-        self._old: list[tuple[Any, str, Any]] = []
+        self._undo: list[Callable[[], None]] = []
 
     def __enter__(self) -> Overrides:
         return self
 
     def set(self, owner: Any, name: str, value: Any) -> None:
-        """Set an attribute until the block is left."""
-        self._old.append((owner, name, getattr(owner, name)))
+        """Set an attribute until the block is left.
+
+        Raises
+        ------
+        NlosError
+            It is animated by an action that animates something else as well, which muting it would change.
+        """
+        for curve in animating(owner, name):
+            self._undo.append(functools.partial(setattr, curve, "mute", False))
+            curve.mute = True
+        self._undo.append(functools.partial(setattr, owner, name, getattr(owner, name)))
         setattr(owner, name, value)
 
+    def keep(self, owner: Any, *first: str) -> None:
+        """Set back whatever will have changed of an owner's settings, where setting one changes others.
+
+        Parameters
+        ----------
+        owner : bpy.types.bpy_struct
+            With the settings that it owns, theirs too.
+        *first : str
+            Names of those that decide what others may be, in the order in which they do.
+        """
+        with quiet():  # Blender complains of colour spaces that are not set
+            every = list(_plain(owner))
+        before = sorted(every, key=lambda one: first.index(one[1]) if one[1] in first else len(first))
+        self._undo.append(functools.partial(_set_back, before))
+
     def __exit__(self, *_: object) -> None:
-        for owner, name, value in reversed(self._old):
-            # A codec or depth that only the old file format has comes back with that format, set after it.
-            with contextlib.suppress(TypeError):
+        for undo in reversed(self._undo):
+            with contextlib.suppress(TypeError):  # what only another Blender or add-on knows, such as its engine
+                undo()
+
+
+def _plain(owner: Any) -> Iterator[tuple[Any, str, Any]]:
+    """Every value that can be set of an owner, and of what it owns: whose, by what name, and which."""
+    for about in owner.bl_rna.properties:
+        if about.type == "COLLECTION" or about.identifier == "rna_type":
+            continue
+        value = getattr(owner, about.identifier)
+        if about.type == "POINTER":
+            if value is not None and not isinstance(value, bpy.types.ID):
+                yield from _plain(value)
+        elif not about.is_readonly:
+            yield owner, about.identifier, tuple(value) if getattr(about, "is_array", False) else value
+
+
+@quiet()
+def _set_back(before: list[tuple[Any, str, Any]]) -> None:
+    for owner, name, value in before:
+        now = getattr(owner, name)
+        if (tuple(now) if isinstance(value, tuple) else now) != value:
+            with contextlib.suppress(TypeError):  # likewise
                 setattr(owner, name, value)
+
+
+def animating(owner: Any, name: str) -> list[Any]:
+    """Return the F-curves, among them drivers, that set an attribute when a render starts.
+
+    Parameters
+    ----------
+    owner : bpy.types.bpy_struct
+    name : str
+
+    Raises
+    ------
+    NlosError
+        One is in an action that animates something else as well.
+    """
+    block: Any = getattr(owner, "id_data", None)
+    animation = getattr(block, "animation_data", None)
+    if animation is None:
+        return []
+    found = [curve for curve in animation.drivers if _sets(curve, owner, name)]
+    for action, slot in _actions(animation):
+        curves = [curve for curve in _curves(action, slot) if _sets(curve, owner, name)]
+        # Another scene's settings are not rendered.
+        if curves and not isinstance(block, bpy.types.Scene) and _shared(action, slot):
+            raise NlosError(
+                f"{_file()}: {block.name!r} shares the action {action.name!r}, which animates its {name!r}, with "
+                "something else; give it an action of its own"
+            )
+        found += curves
+    return found
+
+
+def _sets(curve: Any, owner: Any, name: str) -> bool:
+    """Whether an F-curve that counts sets that attribute."""
+    path = curve.data_path
+    if curve.mute or not path.endswith((name, f'"{name}"]')):
+        return False
+    head = path.removesuffix(f'["{name}"]').removesuffix(name).removesuffix(".")
+    if head in ("cycles", '["cycles"]'):  # Cycles' settings were custom properties until Blender 5
+        return bool(owner == getattr(owner.id_data, "cycles", None))
+    try:
+        return bool((owner.id_data.path_resolve(head) if head else owner.id_data) == owner)
+    except ValueError:  # it leads nowhere
+        return False
+
+
+def _actions(animation: Any) -> list[tuple[Any, Any]]:
+    """Actions that animate a data-block, by itself or as strips, each with the handle of its slot, if any."""
+    users, strips = [animation], [strip for track in animation.nla_tracks for strip in track.strips]
+    while strips:
+        strip = strips.pop()
+        users.append(strip)
+        strips += strip.strips  # of a meta-strip
+    return [(user.action, getattr(user, "action_slot_handle", None)) for user in users if user.action is not None]
+
+
+def _curves(action: Any, slot: Any) -> list[Any]:
+    if not hasattr(action, "layers"):  # until Blender 4.3
+        return list(action.fcurves)
+    bags = [bag for layer in action.layers for strip in layer.strips for bag in strip.channelbags]
+    return [curve for bag in bags if bag.slot_handle == slot for curve in bag.fcurves]
+
+
+def _shared(action: Any, slot: Any) -> bool:
+    slots = [s for s in getattr(action, "slots", ()) if s.handle == slot]
+    return len(slots[0].users()) > 1 if slots else action.users - action.use_fake_user > 1
 
 
 def open_file(path: Path, known: Collection[Path] = ()) -> bpy.types.Scene:
@@ -110,17 +220,33 @@ def open_file(path: Path, known: Collection[Path] = ()) -> bpy.types.Scene:
     Raises
     ------
     NlosError
-        There is no such file, Blender cannot read it, or it refers to files elsewhere (`references.refuse`).
+        There is no such file, Blender cannot read it, it refers to files elsewhere (`references.refuse`), or its
+        pictures are made from files that are not there (`references.require`).
     """
     if not path.is_file():
         raise NlosError(f"{path}: no such scene file")
     references.refuse(path, known)
     try:
         with quiet():
-            bpy.ops.wm.open_mainfile(filepath=str(path), load_ui=False, use_scripts=False)
+            bpy.ops.wm.open_mainfile(filepath=literal(path), load_ui=False, use_scripts=False)
     except RuntimeError:
         raise NlosError(f"{path}: is not a scene Blender {bpy.app.version_string} can open") from None
+    references.require(bpy.context.scene, path)
     return bpy.context.scene
+
+
+def literal(path: Path, *, rendered: bool = False) -> str:
+    """Return a path as Blender has to be given it.
+
+    Two slashes at its start would be the open file's folder, and braces in a path that is rendered to would be
+    variables, from Blender 5 on.
+    """
+    text = str(path)
+    if text.startswith("//"):
+        text = text[1:]
+    if rendered and bpy.app.version >= (5, 0):
+        text = text.replace("{", "{{").replace("}", "}}")
+    return text
 
 
 def save_file(path: Path) -> None:
@@ -130,7 +256,7 @@ def save_file(path: Path) -> None:
     with atomic(path) as temporary, quiet():
         try:
             bpy.ops.wm.save_as_mainfile(
-                filepath=str(temporary), copy=True, compress=True, check_existing=False, relative_remap=True
+                filepath=literal(temporary), copy=True, compress=True, check_existing=False, relative_remap=True
             )
         except RuntimeError as error:
             raise NlosError(f"{path}: cannot be written ({' '.join(str(error).split())})") from None
@@ -154,7 +280,7 @@ def build(scene: bpy.types.Scene, wanted: spec.Scene) -> None:
     Raises
     ------
     NlosError
-        The mesh file cannot be read, or the watched rectangle does not fit the resolution.
+        The mesh file cannot be read, the watched rectangle does not fit the resolution, or a surface has no area.
     """
     width, height = wanted.resolution
     x, z = wanted.camera.x, wanted.camera.z
@@ -165,6 +291,7 @@ def build(scene: bpy.types.Scene, wanted: spec.Scene) -> None:
             f"{x[1] - x[0]:g} x {z[1] - z[0]:g} m; pixels must be square"
         )
     # What can go wrong goes wrong first, and leaves the scene as it was.
+    wanted.check_buildable()
     _cycles(scene)
     for obj in scene.objects:
         if ROLE in obj and obj.library is not None:
@@ -182,7 +309,7 @@ def build(scene: bpy.types.Scene, wanted: spec.Scene) -> None:
     if wanted.room:
         extent = {axis: getattr(wanted.room, axis) for axis in "xyz"}
         for surface in wanted.room.surfaces:
-            axis, end = _FACES[surface]
+            axis, end = spec.FACES[surface]
             across = {a: r for a, r in extent.items() if a != axis}
             quad = _quad(
                 surface.capitalize(), axis, extent[axis][end], across, wanted.room.albedo, inward=1 - 2 * end
@@ -377,10 +504,10 @@ def target_parts(scene: bpy.types.Scene) -> list[bpy.types.Object]:
 
 def hold_camera(scene: bpy.types.Scene, overrides: Overrides) -> None:
     """Let the camera by its role be the scene's, whatever cameras are bound to markers of the timeline."""
-    for marker in scene.timeline_markers:
+    overrides.set(scene, "camera", find(scene, "camera"))
+    for marker in scene.timeline_markers:  # after it, for a marker that gets its camera back puts it into the scene
         if marker.camera is not None:
             overrides.set(marker, "camera", None)
-    overrides.set(scene, "camera", find(scene, "camera"))
 
 
 def as_rendered(scene: bpy.types.Scene, look: Callable[[Any], Result]) -> Result:
@@ -409,7 +536,7 @@ def as_rendered(scene: bpy.types.Scene, look: Callable[[Any], Result]) -> Result
                 ("engine", Look.bl_idname),
                 ("use_compositing", False),
                 ("use_sequencer", False),
-                ("use_freestyle", False),  # its style modules are Python, and run though scripts are off
+                ("use_freestyle", False),
                 ("use_multiview", False),
                 ("use_simplify", False),
                 ("use_persistent_data", False),
@@ -497,6 +624,10 @@ class Shape:
     vertices : ndarray of shape (n, 3)
         In its own frame, after modifiers.
     triangles : ndarray of shape (m, 3), int
+    air : bool
+        Whether it is no surface at all, but the bounds of a volume.
+    opaque : bool
+        Whether no light comes through.
     """
 
     owner: bpy.types.Object
@@ -505,6 +636,8 @@ class Shape:
     matrix: Array
     vertices: Array
     triangles: Any
+    air: bool = False
+    opaque: bool = True
 
     @property
     def placed(self) -> Array:
@@ -554,7 +687,10 @@ def snapshot(scene: bpy.types.Scene) -> Snapshot:
             if len(vertices):
                 owner = (instance.parent if instance.is_instance else obj).original
                 matrix = numbers(instance.matrix_world)
-                seen.shapes.append(Shape(owner, obj.name, instance.is_instance, matrix, vertices, triangles))
+                kinds = {kind for slot in obj.material_slots for kind in nodes.kinds(slot.material)}
+                air, opaque = kinds == {nodes.VOLUME}, not kinds & _THROUGH
+                one = Shape(owner, obj.name, instance.is_instance, matrix, vertices, triangles, air, opaque)
+                seen.shapes.append(one)
         return seen
 
     return as_rendered(scene, look)
@@ -876,7 +1012,8 @@ def _spot(lamp: spec.Spot) -> bpy.types.Object:
     light.shadow_soft_size = 0.0
     obj = bpy.data.objects.new("Spot", light)
     obj.location = lamp.location
-    obj.rotation_euler = Vector(np.subtract(lamp.aim, lamp.location)).to_track_quat("-Z", "Y").to_euler()
+    way = np.subtract(lamp.aim, lamp.location)  # in units of its own: Blender takes a short one for none
+    obj.rotation_euler = Vector(way / np.linalg.norm(way)).to_track_quat("-Z", "Y").to_euler()
     return obj
 
 
@@ -939,7 +1076,7 @@ def _import_mesh(wanted: spec.Target) -> bpy.types.Object:
     before = set(bpy.data.objects)
     try:
         with meshes.importable(path) as sound:
-            importers[path.suffix.lower()](filepath=str(sound.absolute()))
+            importers[path.suffix.lower()](filepath=literal(sound.absolute()))
     except (OSError, RuntimeError, KeyError):
         raise NlosError(f"target.mesh: {path} is not a mesh file Blender can read (.obj, .ply, .stl)") from None
     shape = bmesh.new()
@@ -956,7 +1093,13 @@ def _import_mesh(wanted: spec.Target) -> bpy.types.Object:
         raise NlosError(f"target.mesh: {path} holds no faces")
     corners = np.array([v.co for v in shape.verts], dtype=np.float64)
     low, high = corners.min(axis=0), corners.max(axis=0)
-    factor = wanted.size / max(high - low) if wanted.size else 1.0
+    extent, area = max(high - low), sum(face.calc_area() for face in shape.faces)
+    if not (0.0 < extent < math.inf and 0.0 < area < math.inf):
+        shape.free()
+        raise NlosError(
+            f"target.mesh: {path} has no extent, or corners that are no places; its faces must have an area"
+        )
+    factor = wanted.size / extent if wanted.size else 1.0
     bmesh.ops.translate(shape, vec=-(low + high) / 2.0, verts=shape.verts)
     bmesh.ops.scale(shape, vec=[factor] * 3, verts=shape.verts)
     mesh = bpy.data.meshes.new("Target")
