@@ -190,7 +190,7 @@ def _coincident(reading: _Reading, patch: LitPatch | None) -> list[str]:
 
 
 def _sealed(surface: _Surface, source: Array) -> Array:
-    """Which triangles of a closed surface face away from a point (3,), (n,): a cupboard's foot, the floor below."""
+    """Which triangles (n,) of a closed surface face away from a point (3,): a cupboard's foot, say."""
     a, b, c = (surface.triangles[:, i] - source for i in range(3))
     volumes = (np.cross(a, b) * c).sum(axis=1)
     # Six times the signed volume: negative ones are inside out. Those of single faces say on which side the point is.

@@ -327,7 +327,9 @@ class _Reader:
             if origin is None or origin is _NOWHERE:
                 continue
             if not origin.shader:  # Cycles lets a colour shine where a shader should be
-                yield Part("EMISSION", {"Color": origin.value, "Strength": 1.0}, frozenset({"Color"}))
+                # (of a world, before Blender 5, a tenth of it)
+                colour = origin.value if bpy.app.version >= (5, 0) else None
+                yield Part("EMISSION", {"Color": colour, "Strength": 1.0}, frozenset({"Color"}))
                 continue
             node, path = origin.node, origin.path
             key = (node.as_pointer(), *(group.as_pointer() for group in path))

@@ -183,8 +183,11 @@ def test_what_shines_is_what_cycles_renders(studio, build, kind):
     block = (bpy.data.materials if kind == "Material" else bpy.data.worlds).new("Block")
     build(tree_of(block), kind)
     rendered = studio(**{kind.lower(): block})
-    np.testing.assert_allclose(nodes.radiance(block), rendered, rtol=1e-3)  # luminance differs in the fourth digit
     assert nodes.glows(block) == nodes.shines(block) == bool(rendered.any())
+    if build is colour_as_shader and bpy.app.version < (5, 0):
+        assert nodes.radiance(block) is None
+        return
+    np.testing.assert_allclose(nodes.radiance(block), rendered, rtol=1e-3)  # luminance differs in the fourth digit
     assert nodes.level(block) == pytest.approx(rendered.mean(), rel=1e-3)
 
 
