@@ -355,6 +355,8 @@ def _put_out_the_sky(scene: bpy.types.Scene, overrides: stage.Overrides) -> list
 
 def _in_view(scene: bpy.types.Scene, patch: LitPatch) -> bool:
     """Whether the camera may see some of the patch, judged by the rectangle around it: a no is sure."""
+    if scene.camera.data.dof.use_dof:  # a lens sees past what a pinhole does not
+        return True
     turns = np.linspace(0.0, 2.0 * math.pi, 64, endpoint=False)
     rim = [patch.centre + 1.05 * (math.cos(t) * patch.major + math.sin(t) * patch.minor) for t in turns]
     seen = np.array([world_to_camera_view(scene, scene.camera, Vector(p)) for p in rim], dtype=np.float64)
