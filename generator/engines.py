@@ -22,6 +22,7 @@ from generator import extract, nodes, replaced, stage
 from generator.dataset import Picture, read_picture
 from generator.spec import Array, NlosError, Sweep
 from generator.transport import Transport, partial
+from generator.transport.compiled import COMPILED
 from generator.transport.world import LitPatch
 
 ENGINES = ("path", "patch", "surfel")
@@ -276,9 +277,17 @@ def _by_cost(found: extract.Survey) -> Iterator[tuple[str, list[str]]]:
     """Engines that can honour a scene, the cheapest first, each with what the one before it cannot."""
     cheaper: list[str] = []
     for engine in reversed(ENGINES):
-        if not (reasons := found.reasons(engine)):
+        reasons = found.reasons(engine) or (_uncompiled(found) if engine == "surfel" else [])
+        if not reasons:
             yield engine, cheaper
         cheaper = reasons
+
+
+def _uncompiled(found: extract.Survey) -> list[str]:
+    """Why `surfel`, which can render a scene, is not the cheapest: Blender's own Python has no compiler for it."""
+    if COMPILED or found.world is None or not found.world.room:
+        return []
+    return ["surfel takes minutes for a room's own light where numba is missing"]
 
 
 def _linear_output(scene: bpy.types.Scene, overrides: stage.Overrides) -> None:

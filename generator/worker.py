@@ -178,7 +178,7 @@ def placed(scene: bpy.types.Scene, described: spec.Scene, sweep: Sweep) -> list[
 
 def settled(scene: bpy.types.Scene, described: spec.Scene, chosen: Mapping[str, Any]) -> tuple[Sweep, list[str]]:
     """Return the sweep that the user's settings mean in a scene, and why `auto` took no cheaper engine."""
-    settings = with_defaults(described, chosen)
+    settings = {"engine": spec.AUTO, **with_defaults(described, chosen)}
     reasons: list[str] = []
     if settings["engine"] == spec.AUTO:
         settings["engine"], reasons = engines.choose(scene)

@@ -357,7 +357,8 @@ def test_a_trained_model_answers(
         assert "It works: Python 3." in state.environment_words, state.environment_words
         assert "no picture yet" in refused(bpy.ops.nlos.answer) or not settings.model
         bpy.ops.nlos.build_scene()
-        settings.samples, settings.resolution, settings.model = 4, (8, 8), {str(model)!r}
+        settings.engine, settings.samples, settings.resolution = "patch", 4, (8, 8)
+        settings.model = {str(model)!r}
         bpy.ops.nlos.render_wall()
         assert bpy.ops.nlos.answer() == {{"FINISHED"}}
         assert set(state.answer) == set("ABCDEFGHI"), state.answer_words
