@@ -1,7 +1,7 @@
 """Edits of a scene made by hand, each a way in which an artist's file once meant another picture than ours.
 
-Every edit is a function of the open scene and of the folder that the file will be saved in; `EDITS` names them all. They
-know the scene by its roles alone, so that any preset will do; `base` is the small one that `properties.py` uses.
+Every edit is a function of the open scene and of the folder that the file will be saved in; `EDITS` names them all.
+They know the scene by its roles alone, so that any preset will do; `BASE` is the small one that `properties.py` uses.
 """
 
 from __future__ import annotations
@@ -164,10 +164,10 @@ def lamp(name: str, kind: str, power: float, **settings: Any) -> Any:
     return light
 
 
-def beside(scene: bpy.types.Scene) -> Any:
-    """Return a place for furniture: behind the voxels, in nobody's way."""
+def beside(scene: bpy.types.Scene, *shift: float) -> Any:
+    """Return a place for furniture: behind the voxels, in nobody's way, or so far from there."""
     lo, hi = np.array(scene["nlos_grid_lo"]), np.array(scene["nlos_grid_hi"])
-    return np.array([(lo[0] + hi[0]) / 2.0, hi[1] + 0.3, lo[2] + 0.2])
+    return np.array([(lo[0] + hi[0]) / 2.0, hi[1] + 0.3, lo[2] + 0.2]) + (shift or 0.0)
 
 
 def keyed(owner: Any, name: str, *values: Any, index: int = -1) -> None:
@@ -300,7 +300,7 @@ def spot_power_driven(scene, folder):
 def spot_keyed_place(scene, folder):
     spot = part(scene, "spot")
     place = np.array(spot.location)
-    keyed(spot, "location", tuple(place + (0.05, 0.0, 0.05)), tuple(place))
+    keyed(spot, "location", tuple(place + [0.05, 0.0, 0.05]), tuple(place))
     spot.location = tuple(place)
 
 
@@ -308,7 +308,7 @@ def spot_keyed_place(scene, folder):
 def camera_keyed_place(scene, folder):
     camera = part(scene, "camera")
     place = np.array(camera.location)
-    keyed(camera, "location", tuple(place + (-0.05, 0.0, 0.05)), tuple(place))
+    keyed(camera, "location", tuple(place + [-0.05, 0.0, 0.05]), tuple(place))
     camera.location = tuple(place)
 
 
@@ -1147,12 +1147,12 @@ def no_transparent_bounces(scene, folder):
 
 @case(9)
 def point_lamp(scene, folder):
-    add(scene, "Bulb", lamp("Bulb", "POINT", 20.0, shadow_soft_size=0.05), beside(scene) + (0.0, 0.0, 1.0))
+    add(scene, "Bulb", lamp("Bulb", "POINT", 20.0, shadow_soft_size=0.05), beside(scene, 0.0, 0.0, 1.0))
 
 
 @case(9)
 def area_lamp(scene, folder):
-    add(scene, "Panel", lamp("Panel", "AREA", 20.0, size=0.3), beside(scene) + (0.0, 0.0, 1.2))
+    add(scene, "Panel", lamp("Panel", "AREA", 20.0, size=0.3), beside(scene, 0.0, 0.0, 1.2))
 
 
 @case(9)
@@ -1170,14 +1170,14 @@ def second_spot(scene, folder):
 
 @case(9)
 def point_lamp_in_an_instance(scene, folder):
-    bulb = add(scene, "Bulb", lamp("Bulb", "POINT", 20.0, shadow_soft_size=0.05), beside(scene) + (0.0, 0.0, 1.0))
+    bulb = add(scene, "Bulb", lamp("Bulb", "POINT", 20.0, shadow_soft_size=0.05), beside(scene, 0.0, 0.0, 1.0))
     instanced(scene, "Lamps", bulb)
 
 
 @case(9)
 def point_lamp_in_a_background_set(scene, folder):
     other = bpy.data.scenes.new("Set")
-    bulb = add(other, "Bulb", lamp("Bulb", "POINT", 20.0, shadow_soft_size=0.05), beside(scene) + (0.0, 0.0, 1.0))
+    bulb = add(other, "Bulb", lamp("Bulb", "POINT", 20.0, shadow_soft_size=0.05), beside(scene, 0.0, 0.0, 1.0))
     assert bulb.name in other.objects
     scene.background_set = other
 
@@ -1232,7 +1232,7 @@ def lamp_without_power(scene, folder):
 
 @case(9)
 def lamp_with_negative_power(scene, folder):
-    add(scene, "Bulb", lamp("Bulb", "POINT", -5.0, shadow_soft_size=0.05), beside(scene) + (0.0, 0.0, 1.0))
+    add(scene, "Bulb", lamp("Bulb", "POINT", -5.0, shadow_soft_size=0.05), beside(scene, 0.0, 0.0, 1.0))
 
 
 @case(9)
@@ -1568,7 +1568,7 @@ def furniture_of_curves(scene, folder):
 
 @case(15)
 def furniture_by_points_to_instances(scene, folder):
-    cupboard = add(scene, "Cupboard", box("Cupboard", 0.2), beside(scene) + (0.0, 0.2, 0.0))
+    cupboard = add(scene, "Cupboard", box("Cupboard", 0.2), beside(scene, 0.0, 0.2, 0.0))
     board = add(scene, "Board", plane("Board", 0.4), beside(scene))
     group, start, end = geometry(board)
     put, info = group.nodes.new("GeometryNodeInstanceOnPoints"), group.nodes.new("GeometryNodeObjectInfo")
