@@ -20,13 +20,13 @@ from generator.spec import Camera, Partition, Room, Scene, Spot, Target, VoxelGr
 
 BASE = Scene(
     preset="custom",
-    wall=Wall(x=(-1.6, 1.8), z=(0.0, 2.6)),
-    room=Room(x=(-1.6, 1.8), y=(0.0, 2.6), z=(0.0, 2.6), albedo=0.5, surfaces=("floor", "right")),
-    partition=Partition(x=0.05, y=(1.5, 2.6), z=(0.0, 1.5)),
-    spot=Spot(location=(0.3, 2.2, 2.2), aim=(0.75, 0.0, 1.5), half_angle=10.0, power=1000.0),
+    wall=Wall(x=(-1.6, 2.6), z=(0.0, 2.6)),
+    room=Room(x=(-1.6, 2.6), y=(0.0, 2.6), z=(0.0, 2.6), albedo=0.3, surfaces=("floor", "back")),
+    partition=Partition(x=0.3, y=(1.2, 2.6), z=(0.0, 2.6)),
+    spot=Spot(location=(1.2, 0.9, 1.7), aim=(1.2, 0.0, 1.4), half_angle=35.0, power=1000.0),
     camera=Camera(location=(-0.6, 2.4, 1.2), x=(-0.9, 0.1), z=(0.6, 1.6)),
-    grid=VoxelGrid(lo=(0.15, 0.45, 0.1), hi=(1.55, 1.15, 0.95), shape=(1, 1, 1)),
-    target=Target(kind="sheet", size=0.5),
+    grid=VoxelGrid(lo=(0.6, 1.0, 0.5), hi=(1.8, 1.7, 1.5), shape=(1, 1, 1)),
+    target=Target(kind="sheet", size=0.6),
     resolution=(8, 8),
 )
 """A room in which plain Cycles has little noise: a wide lit patch, and the target near the wall."""
@@ -300,7 +300,7 @@ def spot_power_driven(scene, folder):
 def spot_keyed_place(scene, folder):
     spot = part(scene, "spot")
     place = np.array(spot.location)
-    keyed(spot, "location", tuple(place + [0.05, 0.0, 0.05]), tuple(place))
+    keyed(spot, "location", tuple(np.add(place, (0.05, 0.0, 0.05))), tuple(place))
     spot.location = tuple(place)
 
 
@@ -308,7 +308,7 @@ def spot_keyed_place(scene, folder):
 def camera_keyed_place(scene, folder):
     camera = part(scene, "camera")
     place = np.array(camera.location)
-    keyed(camera, "location", tuple(place + [-0.05, 0.0, 0.05]), tuple(place))
+    keyed(camera, "location", tuple(np.add(place, (-0.05, 0.0, 0.05))), tuple(place))
     camera.location = tuple(place)
 
 
