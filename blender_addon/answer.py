@@ -16,7 +16,7 @@ from typing import Any
 import bpy
 from bpy.props import StringProperty
 
-from generator import dataset
+from generator import dataset, worker
 from generator.spec import NlosError
 
 from . import background, overlay, state
@@ -169,7 +169,7 @@ class NLOS_OT_answer(bpy.types.Operator):
                 raise NlosError("There is no picture yet: render the wall first")
             files = [background.folder() / f"{name}.exr" for name in ("asked", "asked-background")]
             for path, picture in zip(files, (state.shown.wall, state.shown.background), strict=True):
-                dataset.write_picture(path, picture, {})
+                dataset.write_picture(path, picture, {"colour_space": worker.colour_space()})
         except NlosError as error:
             self.report({"ERROR"}, str(error))
             return {"CANCELLED"}

@@ -5,14 +5,15 @@
 from __future__ import annotations
 
 import os
-import time
 from pathlib import Path
-from typing import Any
+from typing import Any, cast
 
 import bpy
+from bpy.props import BoolProperty
 
-from generator import budget, sweep
+from generator import budget, misgivings, sweep
 from generator.dataset import SCENE, Dataset
+from generator.remaining import Remaining
 from generator.spec import NlosError
 
 from . import background, properties, state
@@ -29,17 +30,26 @@ class Job:
         Pictures of this run.
     words : str
         How it ended; empty while it goes on.
+    left : float, optional
+        Seconds that it still takes, once that can be told.
     choice : str
         What was settled on, where a time or an error decides.
     """
 
     def __init__(
-        self, scene: Path, path: Path, chosen: dict[str, Any], workers: int, wished: dict[str, float] | None = None
+        self,
+        scene: Path,
+        path: Path,
+        chosen: dict[str, Any],
+        workers: int,
+        wished: dict[str, float] | None = None,
+        *,
+        force: bool = False,
     ) -> None:
         self.path = path
         self.done, self.total, self.words, self.choice = 0, 0, "", ""
-        self._begun = time.monotonic()
-        self._first: tuple[float, int] | None = None
+        self.left: float | None = None
+        self._remaining = Remaining()
         self._cancelled = self._rehearsing = False
         launch = background.launcher()
 
@@ -47,7 +57,8 @@ class Job:
             settings, pace = chosen, None
             if wished:
                 self._rehearsing = True
-                decided = budget.choose(scene, chosen, **wished, workers=workers, tell=self._chose, launch=launch)
+                how: dict[str, Any] = {"workers": workers, "tell": self._chose, "launch": launch, "force": force}
+                decided = budget.choose(scene, chosen, **{**wished, **how})
                 self._rehearsing = False
                 settings, pace = decided.settings, decided.pace
             return sweep.run(
@@ -57,6 +68,7 @@ class Job:
                 launch=launch,
                 stop=task.stop,
                 pace=pace,
+                force=force,
             )
 
         self._task = background.Task(work, self._ended, self._shown)
@@ -65,14 +77,6 @@ class Job:
     def running(self) -> bool:
         """Whether it goes on."""
         return not self.words
-
-    @property
-    def left(self) -> float | None:
-        """Seconds left, if that can be told."""
-        if self._first is None or self.done <= self._first[1]:
-            return None
-        since, before = self._first
-        return (time.monotonic() - since) / (self.done - before) * (self.total - self.done)
 
     def cancel(self) -> None:
         """End it; what is rendered stays."""
@@ -96,8 +100,7 @@ class Job:
         self.choice = words
 
     def _told(self, done: int, total: int) -> None:  # in the crew's threads
-        if done and self._first is None:
-            self._first = time.monotonic(), done
+        self.left = self._remaining.told(done, total)
         self.done, self.total = done, total
 
     def _shown(self, _: background.Task) -> None:
@@ -186,14 +189,34 @@ class NLOS_OT_sweep_start(_Running, bpy.types.Operator):
     bl_idname = "nlos.sweep_start"
     bl_label = "Render Data Set"
 
+    force: BoolProperty(  # type: ignore[valid-type]
+        name="In Spite of Errors", description="Begin though Check finds errors", options={"SKIP_SAVE"}
+    )
+
+    def invoke(self: Any, context: Any, event: Any) -> set[str]:
+        """Ask first where the check, short of rendering, finds an error."""
+        found = misgivings.look(context.scene)
+        if not found.errors:
+            return cast("set[str]", self.execute(context))
+        self.force = True  # if the answer is yes
+        answer: set[str] = context.window_manager.invoke_confirm(
+            self, event, title="Render in spite of this?", message=found.first, confirm_text="Render"
+        )
+        return answer
+
     def begin(self, scene: Any) -> Job:
         """Start anew."""
         path = folder(scene)
         if Dataset.exists(path):
             raise NlosError(f"{path} holds a data set already: resume it, or name another folder")
+        if not self.force:
+            misgivings.refuse(misgivings.look(scene))
         source = background.snapshot("dataset.blend")
         settings = scene.nlos
-        return Job(source, path, properties.sweep_of(settings), settings.workers, properties.wished(settings))
+        return Job(
+            *(source, path, properties.sweep_of(settings), settings.workers, properties.wished(settings)),
+            force=self.force,
+        )
 
 
 class NLOS_OT_sweep_resume(_Running, bpy.types.Operator):

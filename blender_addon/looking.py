@@ -15,7 +15,7 @@ import bpy
 import numpy as np
 from bpy.app.handlers import persistent
 
-from generator import extract, stage
+from generator import engines, extract, spec, stage
 from generator.spec import NlosError
 from generator.transport import Transport
 from generator.transport.compiled import COMPILED
@@ -195,6 +195,16 @@ def _pose(scene: Any) -> tuple[tuple[float, ...], tuple[float, ...], tuple[float
     return tuple(place), tuple(math.degrees(angle) for angle in turn.to_euler("XYZ")), tuple(scale)
 
 
+def _instead(scene: Any, found: extract.Survey) -> str:
+    """What can show a scene that the look cannot, if anything does."""
+    if found.never:
+        return ""
+    able, _ = engines.choose(scene, found)
+    engine = scene.nlos.engine
+    chosen = engine == spec.AUTO or not found.reasons(engine)
+    return ". Render Wall can show it" if chosen else f". Render Wall can show it by the engine {able}"
+
+
 def _read(scene: Any) -> None:
     """Read what a picture needs besides the pose."""
     _look.world_changed, _look.transport = False, None
@@ -203,9 +213,10 @@ def _read(scene: Any) -> None:
     described = stage.read(scene)
     width, height = described.resolution
     size = (pixels, max(1, round(pixels * height / width)))
-    world, reasons = extract.world(scene, resolution=size)
+    found = extract.survey(scene, resolution=size)
+    world = found.world
     if world is None:
-        raise NlosError(f"No live picture: {reasons[0]}. Render Wall can show it")
+        raise NlosError(f"No live picture: {found.reasons('surfel')[0]}{_instead(scene, found)}")
     _look.transport, _look.pose = Transport(world, accuracy=ACCURACY), None
     _look.reference = described.reference_radiance
     # With nothing to be shadowed, or the compiler at hand, shadows cost next to nothing.

@@ -117,15 +117,19 @@ def _crosses(scene: Any) -> Any:
 
 
 def _deciding(scene: Any) -> tuple[Any, ...]:
-    """All that decides where the poses are."""
+    """What decides where the poses are, as far as it can be told while drawing, when nothing may be rendered."""
     from . import properties
 
     others = tuple(
-        (o.name, o.hide_render, tuple(map(tuple, o.matrix_world))) for o in scene.objects if o.type == "MESH"
+        (o.name, o.hide_render, tuple(map(tuple, o.matrix_world)))
+        for o in scene.objects
+        if o.type in ("MESH", "LIGHT", "CAMERA")
     )
-    target = stage.find(scene, "target").name
-    around = tuple(other for other in others if other[0] != target)
-    return stage.read_grid(scene), properties.resolved_sweep(scene), stage.hull(scene).tobytes(), around
+    target = stage.find(scene, "target")
+    around = tuple(other for other in others if other[0] != target.name)
+    corners = stage.evaluated_vertices(target) @ np.diag(target.matrix_world.to_scale())
+    chosen = sorted((name, str(value)) for name, value in properties.sweep_of(scene.nlos).items())
+    return stage.read_grid(scene), tuple(chosen), corners.tobytes(), around
 
 
 def _plan() -> float | None:
@@ -137,9 +141,11 @@ def _plan() -> float | None:
     if state.rendering_now():
         return _SETTLED
     try:
+        from . import properties
+
         key = _deciding(context.scene)
         _poses = key, np.empty((0, 3))  # where nothing fits, it is not tried again until something changes
-        _poses = key, outlines.sampled(context.scene, key[1])
+        _poses = key, outlines.sampled(context.scene, properties.resolved_sweep(context.scene))
     except NlosError:  # the Check panel says why
         pass
     changed()

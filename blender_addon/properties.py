@@ -185,7 +185,7 @@ class NlosSettings(bpy.types.PropertyGroup):
         max=1024,
         soft_max=8,
     )
-    engine: EnumProperty(name="Engine", description="How the light is followed", items=_ENGINES)
+    engine: EnumProperty(name="Engine", description="How the light is followed", items=_ENGINES, default=spec.AUTO)
     samples: IntProperty(
         name="Samples",
         description="Rays per pixel. Four times as many halve the noise",

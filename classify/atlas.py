@@ -26,7 +26,7 @@ from classify import strengths
 from classify.store import numbers, opened
 from classify.strengths import Strengths
 from generator.bulk import Bulk, Engine
-from generator.dataset import Picture, atomic
+from generator.dataset import COLOUR_SPACE, Picture, atomic, check_colours
 from generator.sensor import Sensor
 from generator.spec import Array, NlosError, VoxelGrid, from_dict, to_dict
 
@@ -94,6 +94,11 @@ class Atlas:
     def empty(self) -> Array:
         """The empty scene on the scale of unit noise (`Sensor.stabilised_mean`), (height, width)."""
         return self.sensor.stabilised_mean(self.background[..., None])
+
+    @property
+    def colour_space(self) -> str:
+        """The linear space that the channels of the simulated pictures are of."""
+        return str(self.about.get("colour_space", COLOUR_SPACE))
 
     @property
     def unknown(self) -> bool:
@@ -326,6 +331,7 @@ def build(
             "targets": [b.target_kind for b in bulks],
             "sets": [b.path.resolve().name for b in bulks],
             "fingerprints": [b.meta["fingerprint"] for b in bulks],
+            "colour_space": bulk.colour_space,
             "lamp_drift": lamp_drift,
             "ambient_drift": ambient_drift,
         },
@@ -338,6 +344,8 @@ def _check_alike(bulks: list[Bulk]) -> None:
     first = bulks[0]
     for bulk in bulks:
         bulk.refuse_unfinished()
+        bulk.refuse_changed_parts()
+        check_colours(bulk.path, bulk.colour_space, first.colour_space, str(first.path))
         if bulk.grid != first.grid or bulk.picture_shape != first.picture_shape:
             raise NlosError(f"{bulk.path} and {first.path}: have different voxel grids or pictures of another size")
         if not np.allclose(bulk.background, first.background, rtol=0.02, atol=0.0):

@@ -11,11 +11,14 @@ from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from generator.cli import LineProgress, guarded, print_table
+from generator import console
+from generator.cli import LineProgress, guarded, left_words, print_table
+from generator.remaining import Remaining
 from generator.spec import NlosError
 
 if TYPE_CHECKING:
     from classify.atlas import Atlas
+    from generator.dataset import Picture
     from generator.sensor import Sensor
 
 _EXAMPLES = """\
@@ -29,9 +32,13 @@ _RAW = argparse.RawDescriptionHelpFormatter
 
 
 def main(argv: list[str] | None = None) -> int:
-    """Run ``nlos-classify``; return the exit code: 0 well, 2 bad input, 130 interrupted."""
+    """Run ``nlos-classify``; return the exit code: 0 well, 2 bad input, 130 interrupted, 141 nobody reads on."""
+    return guarded(lambda: _run(argv), "interrupted; nothing was written")
+
+
+def _run(argv: list[str] | None) -> int:
     options = _parser().parse_args(argv)
-    return guarded(lambda: int(options.run(options)), "interrupted; nothing was written")
+    return int(options.run(options))
 
 
 def _parser() -> argparse.ArgumentParser:
@@ -409,11 +416,18 @@ def _progress(what: str, unit: str) -> Iterator[Callable[[int, int, str], None]]
         yield lambda done, total, now: lines(done, total)
         return
     from rich.console import Console
-    from rich.progress import Progress
+    from rich.progress import BarColumn, Progress, TaskProgressColumn, TextColumn
 
-    with Progress(console=Console(stderr=True), transient=True) as bar:
+    remaining = Remaining()
+    columns = (TextColumn("{task.description}"), BarColumn(), TaskProgressColumn())
+    with Progress(*columns, console=Console(stderr=True), transient=True) as bar:
         task = bar.add_task(what, total=None)
-        yield lambda done, total, now: bar.update(task, completed=done, total=total, description=now or what)
+
+        def show(done: int, total: int, now: str) -> None:
+            left = left_words(remaining.told(done, total))
+            bar.update(task, completed=done, total=total, description=f"{now or what}{left}")
+
+        yield show
 
 
 def _features(options: argparse.Namespace) -> int:
@@ -461,10 +475,9 @@ def _compare(options: argparse.Namespace) -> int:
     names = [str(path) for path in options.features]
     for features, name in zip(sets, names, strict=True):
         if features.duplicates:
-            print(
+            console.complain(
                 f"warning: {name}: {features.duplicates} of {len(features.values)} pictures have exactly the "
-                "features of another; where both sides of a fold hold one, accuracy is flattered",
-                file=sys.stderr,
+                "features of another; where both sides of a fold hold one, accuracy is flattered"
             )
     chosen: list[models.Settings] = ["paper", "tuned"] if options.settings == "both" else [options.settings]
     with _progress("comparing", "classifiers") as progress:
@@ -531,13 +544,19 @@ def _train(options: argparse.Namespace) -> int:
 
 def _predict(options: argparse.Namespace) -> int:
     from classify import models
-    from generator.dataset import read_picture
+    from generator.dataset import COLOUR_SPACE, check_colours, read_picture
 
     model = models.load(options.model)
-    background = read_picture(options.background)[0] if options.background else None
+
+    def read(path: Path) -> Picture:
+        pixels, header = read_picture(path)
+        check_colours(path, header.get("colour_space", COLOUR_SPACE), model.colour_space, str(options.model))
+        return pixels
+
+    background = read(options.background) if options.background else None
     answers = []  # all before any is printed: a broken picture leaves no half answer
     for path in options.pictures:
-        pixels, _ = read_picture(path)
+        pixels = read(path)
         answers.append((path, model.probabilities(pixels, background=background, name=str(path))))
     for path, voxels in answers:
         label = max(voxels, key=lambda v: voxels[v])

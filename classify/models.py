@@ -29,7 +29,7 @@ from sklearn.tree._tree import Tree
 from classify.features import FeatureSettings, describe, feature_names
 from classify.store import Features
 from generator.bombs import check_archive
-from generator.dataset import Picture, atomic
+from generator.dataset import COLOUR_SPACE, Picture, atomic
 from generator.spec import NlosError, VoxelGrid, from_dict, to_dict
 
 Settings = Literal["paper", "tuned"]
@@ -158,6 +158,12 @@ class Model:
     reference_radiance: float
     grid: VoxelGrid
     about: dict[str, Any]
+
+    @property
+    def colour_space(self) -> str:
+        """The linear space that the channels of the pictures it was trained on are of."""
+        provenance = self.about.get("provenance")
+        return str(provenance.get("colour_space", COLOUR_SPACE)) if isinstance(provenance, dict) else COLOUR_SPACE
 
     def probabilities(
         self, picture: Picture, *, background: Picture | None = None, name: str = "picture"
@@ -350,7 +356,7 @@ def _answer(estimator: Any, row: NDArray[np.float64], name: str) -> NDArray[np.f
 
 
 def _check_inside(estimator: Any, width: int) -> None:
-    """Raise ValueError for numbers by which scikit-learn's compiled code would read where nothing is."""
+    """Raise ValueError unless the numbers inside are what scikit-learn's compiled code takes for granted."""
     for part in _parts(estimator):
         if isinstance(part, Tree):
             _check_tree(part, width)
@@ -384,7 +390,7 @@ def _check_tree(tree: Any, width: int) -> None:
     left, right, feature = tree.children_left, tree.children_right, tree.feature
     inner = left != -1
     numbers = np.arange(count)
-    # A child comes after its parent, as they grow: so no way down is endless.
+    # A child comes after its parent, as they grow.
     below = all(((child[inner] > numbers[inner]) & (child[inner] < count)).all() for child in (left, right))
     asked = feature[inner]
     known = (asked >= 0).all() and (asked < width).all()

@@ -18,7 +18,7 @@ from classify.evaluate import Interval, wilson
 from classify.localise import holds
 from classify.track import Filter, Step
 from generator import figures
-from generator.dataset import Dataset, PoseRecord, csv_text
+from generator.dataset import Dataset, PoseRecord, check_colours, csv_text
 from generator.sensor import Camera
 from generator.spec import Array, NlosError
 
@@ -190,6 +190,7 @@ def run(
         raise NlosError(f"{dataset.path}: is no trajectory; make one with nlos-generate trajectory")
     if dataset.grid != atlas.grid:
         raise NlosError(f"{dataset.path}: has another voxel grid than the atlas; make both of one scene")
+    check_colours(dataset.path, dataset.colour_space, atlas.colour_space, "the atlas")
     tracker, pursuit = Filter(atlas, step=step), Pursuit()
     camera = Camera(dataset, atlas.sensor, seed, like=atlas.background)
     background, clean = camera.background(), camera.empty()

@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from classify.features import FeatureSettings, describe, feature_names, software
 from classify.physics import Setup
 from generator.bombs import check_heaps, excessive, limited
-from generator.dataset import Picture, PoseRecord, Readable, atomic
+from generator.dataset import COLOUR_SPACE, Picture, PoseRecord, Readable, atomic, check_colours
 from generator.sensor import Camera, Sensor
 from generator.spec import NlosError, Scene, VoxelGrid, from_dict, to_dict
 
@@ -68,6 +68,11 @@ class Features:
     grid: VoxelGrid
     target: str
     provenance: dict[str, Any]
+
+    @property
+    def colour_space(self) -> str:
+        """The linear space that the pictures' channels are of."""
+        return str(self.provenance.get("colour_space", COLOUR_SPACE))
 
     @property
     def duplicates(self) -> int:
@@ -143,6 +148,7 @@ def extract(
         provenance={
             "dataset": dataset.path.resolve().name,
             "fingerprint": dataset.meta["fingerprint"],
+            "colour_space": dataset.colour_space,
             "sweep": dataset.settings,
             **({"sensor": asdict(camera.sensor), "noise_seed": seed} if isinstance(camera, Camera) else {}),
             "software": {**dataset.meta.get("software", {}), **software()},
@@ -312,6 +318,7 @@ def check_comparable(a: Features, b: Features, names: tuple[str, str]) -> None:
             f"{names[0]} and {names[1]}: have different voxel grids ({_grid(a.grid)} against {_grid(b.grid)}), so "
             "their labels mean different places; compare data sets of one grid"
         )
+    check_colours(Path(names[0]), a.colour_space, b.colour_space, names[1])
     seen = [{k: v for k, v in f.provenance.get("sensor", {}).items() if k != "exposure"} for f in (a, b)]
     if seen[0] != seen[1]:
         raise NlosError(

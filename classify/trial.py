@@ -18,7 +18,7 @@ from classify.detect import Detector, evidence
 from classify.evaluate import Interval, wilson
 from classify.localise import Place, holds, locate
 from generator import figures
-from generator.dataset import PoseRecord, Readable, csv_text
+from generator.dataset import PoseRecord, Readable, check_colours, csv_text
 from generator.sensor import Camera
 from generator.spec import Array, NlosError
 
@@ -203,6 +203,7 @@ def run(
     grid = atlas.grid
     if (dataset.grid.lo, dataset.grid.hi) != (grid.lo, grid.hi):
         raise NlosError(f"{dataset.path}: has another voxel grid than the atlas; make both of one scene")
+    check_colours(dataset.path, dataset.colour_space, atlas.colour_space, "the atlas")
     records = dataset.records
     if not records:
         raise NlosError(f"{dataset.path}: holds no finished picture yet")

@@ -117,11 +117,11 @@ def fit_grid(scene: bpy.types.Scene, shape: tuple[int, int, int] = (3, 3, 1)) ->
     NlosError
         There is not exactly one target, or it has no surface.
     """
-    hull = stage.hull(scene)
-    target = stage.find(scene, "target")
+    seen = stage.snapshot(scene)
+    hull = stage.hull(scene, seen)
     edge = _ROOMY * max(1e-6, 2.0 * float(np.linalg.norm(hull, axis=1).max()))
     size = edge * np.array(shape)
-    lo = stage.numbers(target.matrix_world.translation) - size / 2.0
+    lo = seen.matrices["target"][:3, 3] - size / 2.0
     lo[1] = max(lo[1], _LEFT_OVER * size[2])
     grid = spec.VoxelGrid(lo=_rounded(lo), hi=_rounded(lo + size), shape=shape)
     stage.write_grid(scene, grid)

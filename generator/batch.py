@@ -17,7 +17,7 @@ import bpy
 
 from generator import cli, links, sweep, worker
 from generator.dataset import Dataset, PoseRecord
-from generator.spec import NlosError
+from generator.spec import AUTO, NlosError
 
 
 def run(arguments: list[str]) -> int:
@@ -37,9 +37,13 @@ def _run(options: argparse.Namespace) -> int:
         dataset = Dataset.open(path)
         sweep.check_same(dataset, source, chosen)
     else:
-        dataset = worker.plan(bpy.context.scene, source, path, chosen)
-        if chosen.get("engine") == "auto":
-            print(sweep.engine_words(dataset))
+        dataset = worker.plan(
+            bpy.context.scene, source, path, chosen, force=options.force, probe=options.probe, tell=print
+        )
+        if chosen.get("engine", AUTO) == AUTO:
+            print(sweep.engine_words(dataset, chosen))
+        if words := sweep.start_words(dataset):
+            print(words, flush=True)
     worker.check_blender(dataset)
     pending = sweep.pending_positions(dataset, shard)
     scene = worker.open_scene(dataset)

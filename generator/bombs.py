@@ -25,7 +25,7 @@ def excessive(claimed: int, size: int) -> bool:
 def limited(spare: int) -> Iterator[None]:
     """Let what is done here take so many bytes of memory more and no others, where the system can see to that.
 
-    HDF5 believes what a file says of the length of a text, up to 4 GiB, and asks for that much before it looks.
+    HDF5 took gigabytes for spoilt files of a few kilobytes.
     """
     try:
         import resource
@@ -51,7 +51,10 @@ _SIZES = {0: 13, 1: 13, 2: 9, 3: 9}
 
 
 def check_heaps(path: Path) -> None:
-    """Raise ValueError if the texts of an HDF5 file lie one over the other: HDF5 would look for the next for ever."""
+    """Raise ValueError unless the texts of an HDF5 file lie one behind the other.
+
+    HDF5 hung at a file where they did not.
+    """
     if not path.stat().st_size:
         raise ValueError("it is empty")
     with path.open("rb") as file, mmap.mmap(file.fileno(), 0, access=mmap.ACCESS_READ) as data:

@@ -229,6 +229,7 @@ def choose(
     workers: int = 0,
     tell: Callable[[str], None] = lambda words: None,
     launch: sweep.Launch = sweep.python,
+    force: bool = False,
 ) -> Choice:
     """Return the settings of a sweep that ends in a time, or is as exact as asked for, whichever takes less.
 
@@ -250,6 +251,8 @@ def choose(
         Is told what was measured and chosen.
     launch : callable
         How workers are started.
+    force : bool
+        As of `generator.sweep.run`.
 
     Raises
     ------
@@ -262,7 +265,7 @@ def choose(
     settings = {"engine": "auto", **{k: v for k, v in chosen.items() if k != "accuracy"}}
     if words := sweep.compiling_words(str(settings["engine"])):
         tell(words)
-    known = rehearsed(scene, settings, workers, launch)
+    known = rehearsed(scene, settings, workers, launch, force=force)
     pictures = int(settings.get("poses", Sweep.poses)) * known.voxels
     surfel = known.engine == "surfel"
     left = budget - (time.monotonic() - begun)
@@ -301,15 +304,23 @@ def _percent(share: float) -> str:
 
 
 def rehearsed(
-    scene: Path, settings: Mapping[str, Any], workers: int = 0, launch: sweep.Launch = sweep.python
+    scene: Path,
+    settings: Mapping[str, Any],
+    workers: int = 0,
+    launch: sweep.Launch = sweep.python,
+    *,
+    force: bool = False,
 ) -> Measured:
     """Rehearse a sweep, on as many workers as it will have, side by side; 0 is one per core."""
     cores = sweep.available_cores()
     crew = max(1, min(workers or cores, REHEARSED))
     begun = time.monotonic()
     arguments = ["generator.worker", "rehearse", str(scene), json.dumps(settings), str(max(1, cores // crew))]
+    forced = [sweep.FORCE] if force else []
     with contextlib.ExitStack() as stack:
-        started = [stack.enter_context(sweep.Worker([*arguments, f"{i}/{crew}"], launch)) for i in range(crew)]
+        started = [
+            stack.enter_context(sweep.Worker([*arguments, f"{i}/{crew}", *forced], launch)) for i in range(crew)
+        ]
         told = [worker.answer() for worker in started]
         for worker, answer in zip(started, told, strict=True):
             if answer is None:

@@ -27,11 +27,14 @@ and would take another set's for it.
 
 from __future__ import annotations
 
+import contextlib
 import hashlib
+import io
 import json
 import math
 import os
-from collections.abc import Callable, Mapping
+from collections import Counter
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, field, replace
 from functools import cached_property, partial
 from pathlib import Path
@@ -41,17 +44,32 @@ import h5py
 import numpy as np
 from numpy.typing import NDArray
 
-from generator import dataset
+from generator import audit, dataset, seal
 from generator.bombs import MUCH, check_heaps, excessive, limited
-from generator.dataset import BACKGROUND, SCENE, Picture, atomic, fingerprint, read_picture, write_picture, write_text
+from generator.dataset import (
+    BACKGROUND,
+    COLOUR_SPACE,
+    SCENE,
+    Picture,
+    as_read,
+    atomic,
+    file_hash,
+    fingerprint,
+    pixel_hash,
+    read_picture,
+    write_picture,
+    write_text,
+)
 from generator.poses import Pose
 from generator.spec import Array, NlosError, Sweep, Vector, VoxelGrid, dump_toml, from_dict, read_toml, to_dict
 from generator.strangers import stranger
-from generator.sweep import Crew, Progress, Worker, check_same, compiling_words
+from generator.sweep import NO_PROBE, Crew, Progress, check_same, compiling_words, planned_notes, start_words
 from generator.transport.store import load_world, save_world, world_hash
 from generator.transport.world import World
 
-FORMAT = 1
+FORMAT = 2
+"""1 had no seal."""
+_PART_FORMAT = 1
 MANIFEST = "bulk.toml"
 WORLD = "world.npz"
 MASTER = "set.h5"
@@ -80,6 +98,8 @@ _SMALL = 2**24
 _TOO_MANY = 2**19
 """Parts; a billion pictures of 64 x 64 are half of these."""
 _BATCH = 16 * 1024**2
+_CHECKED = ".checked.json"
+"""Remembers which parts were found sound."""
 
 Pictures = NDArray[np.float32]
 
@@ -191,6 +211,8 @@ def run(
     shard: tuple[int, int] = (0, 1),
     progress: Progress = lambda done, total: None,
     tell: Callable[[str], None] = lambda words: None,
+    force: bool = False,
+    probe: bool = True,
 ) -> Outcome:
     """Make a bulk set, or what is missing of it.
 
@@ -210,18 +232,28 @@ def run(
     progress : callable
         Is told how many pictures of this run are done, and how many there are to do.
     tell : callable
-        Is told that the engine is being compiled.
+        Is told that the engine is being compiled, what the check says of a new set's scene, and what the check at its
+        start found.
+    force : bool
+        Begin a new set in spite of errors that the check finds in the scene.
+    probe : bool
+        Whether a new set begins with the check of the engine against plain Cycles (`generator.startcheck`).
 
     Raises
     ------
     NlosError
-        The input is bad, the engine cannot honour the scene, or the set at that path was made with other settings.
+        The input is bad, the check finds an error, the engine cannot honour the scene, or the set at that path was
+        made with other settings.
     """
     if words := compiling_words("surfel"):
         tell(words)
-    if not Bulk.exists(path):
-        _plan(scene, path, chosen)
+    new = not Bulk.exists(path)
+    if new:
+        for words in _plan(scene, path, chosen, force=force, probe=probe):
+            tell(words)
     bulk = Bulk.open(path)
+    if new and (words := start_words(bulk)):
+        tell(words)
     check_same(bulk, scene, chosen)
     index, count = shard
     if not 0 <= index < count:
@@ -245,15 +277,14 @@ def run(
     return outcome
 
 
-def _plan(scene: Path, path: Path, chosen: Mapping[str, Any]) -> None:
+def _plan(scene: Path, path: Path, chosen: Mapping[str, Any], *, force: bool, probe: bool) -> list[str]:
     if not scene.is_file():
         raise NlosError(f"{scene}: no such scene file")
     if "pictures" not in chosen:
         raise NlosError(f"{path}: is a new set, so say how many pictures it shall hold with --pictures N")
     check_free(path)
-    with Worker(["generator.bulkworker", "plan", str(scene), str(path), json.dumps(dict(chosen))]) as worker:
-        if worker.answer() is None:
-            raise NlosError(f"{scene}: Blender could not plan the set: {worker.last_words()}")
+    arguments = ["generator.bulkworker", "plan", str(scene), str(path), json.dumps(dict(chosen))]
+    return planned_notes(scene, [*arguments, *([] if probe else [NO_PROBE])], force=force)
 
 
 def check_free(path: Path) -> None:
@@ -306,13 +337,20 @@ class Bulk:
         return (Path(path) / MANIFEST).is_file()
 
     @classmethod
-    def open(cls, path: Path | str) -> Bulk:
+    def open(cls, path: Path | str, *, check: bool = True) -> Bulk:
         """Open a bulk set.
+
+        Parameters
+        ----------
+        path : Path
+        check : bool
+            Refuse one that was changed after it was planned (`changed`). Parts are looked at by
+            `refuse_changed_parts`.
 
         Raises
         ------
         NlosError
-            There is none, its format is newer than this software, or its manifest is broken.
+            There is none, its format is newer than this software, its manifest is broken, or it was changed.
         """
         path = Path(path)
         if not cls.exists(path):
@@ -333,6 +371,8 @@ class Bulk:
             raise NlosError(f"{path / MANIFEST}: sweep.part must be 1 or more, and channels 1 or 3")
         if bulk.parts > _TOO_MANY:
             raise NlosError(f"{path / MANIFEST}: sweep.part: {bulk.plan.part} makes {bulk.parts} files, too many")
+        if check and (fault := next(bulk.changed(), "")):
+            raise NlosError(fault)
         return bulk
 
     @classmethod
@@ -374,9 +414,42 @@ class Bulk:
             "sweep": settings,
         }
         save_world(path / WORLD, world)
-        write_picture(path / BACKGROUND, background, {"sweep": full["fingerprint"], "units": "W/m^2/sr"})
-        write_text(path / MANIFEST, dump_toml(full))
+        header = {"sweep": full["fingerprint"], "units": "W/m^2/sr", "background": BACKGROUND}
+        space = {"colour_space": full["colour_space"]} if "colour_space" in full else {}
+        hashes = {"background": write_picture(path / BACKGROUND, background, {**header, **space})}
+        if (path / SCENE).is_file():
+            hashes["scene"] = file_hash(path / SCENE)
+        write_text(path / MANIFEST, dump_toml(seal.sealed(as_read(full), **hashes)))
         return cls.open(path)
+
+    @property
+    def seal(self) -> dict[str, str]:
+        """The hashes of what was planned; empty in sets of older versions."""
+        found: dict[str, str] = self.meta.get(seal.SEAL, {})
+        return found
+
+    def changed(self) -> Iterator[str]:
+        """Look for what was changed after the set was planned: manifest, scene, world, background, files of others.
+
+        Parts are not read.
+
+        Yields
+        ------
+        str
+            One sentence per fault, which begins with the file that it is in.
+        """
+        if words := audit.manifest_fault(self.meta, FORMAT):
+            yield f"{self.path / MANIFEST}: {words}; {audit.PUT_BACK}"
+            return  # all else is judged by it
+        if words := audit.scene_fault(self.path / SCENE, self.seal.get("scene", "")):
+            yield words
+        for read in (self.world, lambda: self.background):
+            try:
+                read()
+            except NlosError as error:
+                yield str(error)
+        parts = {self.part_path(number).name for number in range(self.parts)}
+        yield from audit.foreign(self.path, {MANIFEST, SCENE, WORLD, BACKGROUND, MASTER, *parts})
 
     @property
     def settings(self) -> dict[str, Any]:
@@ -420,8 +493,26 @@ class Bulk:
 
     @property
     def background(self) -> Picture:
-        """The picture without the hidden object, (height, width, 3), W/m^2/sr."""
-        return read_picture(self.path / BACKGROUND)[0]
+        """The picture without the hidden object, (height, width, 3), W/m^2/sr.
+
+        Raises
+        ------
+        NlosError
+            It is missing, broken, or another picture.
+        """
+        pixels, header = read_picture(self.path / BACKGROUND)
+        digest = pixel_hash(pixels)
+        known = self.seal.get("background", header.get("pixel_hash"))
+        if digest != known or header.get("sweep") != self.meta["fingerprint"]:
+            raise NlosError(
+                f"{self.path / BACKGROUND}: is not the background that this set was begun with; {audit.PUT_BACK}"
+            )
+        return pixels
+
+    @property
+    def colour_space(self) -> str:
+        """The linear space that the three channels are of: Rec.709, Rec.2020 or ACEScg."""
+        return str(self.meta.get("colour_space", COLOUR_SPACE))
 
     @property
     def pictures(self) -> Rows:
@@ -579,7 +670,9 @@ class Bulk:
                 file.create_dataset(name, data=column, dtype=column.dtype.newbyteorder("<"))
                 digest.update(file[name][()].tobytes())
             _describe(file)
-            file.attrs.update(format=FORMAT, fingerprint=self.meta["fingerprint"], part=number, first=int(numbers[0]))
+            file.attrs.update(
+                format=_PART_FORMAT, fingerprint=self.meta["fingerprint"], part=number, first=int(numbers[0])
+            )
             file.attrs["sha256"] = digest.hexdigest()
             _write_image(self.part_path(number), file)
 
@@ -603,6 +696,18 @@ class Bulk:
             left.unlink(missing_ok=True)
         if self._has_master():
             return
+        with atomic(self.path / MASTER) as temporary:
+            temporary.write_bytes(self._master())
+
+    def _master(self) -> bytes:
+        """What ``set.h5`` holds: all parts as one."""
+        with h5py.File("set", "w", driver="core", backing_store=False, libver=_VERSIONS) as file:
+            self._describe_all(file)
+            file.flush()
+            image: bytes = file.id.get_file_image()
+        return image
+
+    def _describe_all(self, file: Any) -> None:
         columns = {
             "pictures": (self.picture_shape, "<f4", np.nan),
             "position": ((3,), "<f8", np.nan),
@@ -611,53 +716,92 @@ class Bulk:
             "index": ((), "<i8", -1),
         }
         # A part that is taken away later reads as the fill value: NaN, which nobody takes for a picture.
-        with h5py.File("set", "w", driver="core", backing_store=False, libver=_VERSIONS) as file:
-            for name, (shape, dtype, fill) in columns.items():
-                layout = h5py.VirtualLayout((self.planned, *shape), dtype)
-                for number in range(self.parts):
-                    rows = self.part_range(number)
-                    source = h5py.VirtualSource(self.part_path(number).name, name, (len(rows), *shape), dtype)
-                    layout[rows.start : rows.stop] = source
-                file.create_virtual_dataset(name, layout, fillvalue=fill)
-            _describe(file)
-            file["background"] = self.background
-            file["background"].attrs["units"] = "W/m^2/sr"
-            file.create_dataset("label", data=self.grid.labels, dtype=h5py.string_dtype())
-            file["label"].attrs["about"] = "names of the voxels: row v is voxel v's"
-            file.attrs.update(
-                format=FORMAT,
-                fingerprint=self.meta["fingerprint"],
-                reference_radiance=self.reference_radiance,
-                **{f"grid_{name}": value for name, value in to_dict(self.grid).items()},
-            )
-            _write_image(self.path / MASTER, file)
+        for name, (shape, dtype, fill) in columns.items():
+            layout = h5py.VirtualLayout((self.planned, *shape), dtype)
+            for number in range(self.parts):
+                rows = self.part_range(number)
+                source = h5py.VirtualSource(self.part_path(number).name, name, (len(rows), *shape), dtype)
+                layout[rows.start : rows.stop] = source
+            file.create_virtual_dataset(name, layout, fillvalue=fill)
+        _describe(file)
+        file["background"] = self.background
+        file["background"].attrs["units"] = "W/m^2/sr"
+        file.create_dataset("label", data=self.grid.labels, dtype=h5py.string_dtype())
+        file["label"].attrs["about"] = "names of the voxels: row v is voxel v's"
+        file.attrs.update(
+            format=_PART_FORMAT,
+            fingerprint=self.meta["fingerprint"],
+            reference_radiance=self.reference_radiance,
+            **{f"grid_{name}": value for name, value in to_dict(self.grid).items()},
+        )
 
     def _has_master(self) -> bool:
+        """Whether ``set.h5`` is there, and says what it was written with."""
         try:
             check_heaps(self.path / MASTER)
-            with h5py.File(self.path / MASTER, "r") as file, limited(MUCH):
-                return bool(file.attrs.get("fingerprint") == self.meta["fingerprint"])
+            with (
+                h5py.File(self.path / MASTER, "r") as file,
+                h5py.File(io.BytesIO(self._master()), "r") as wanted,
+                limited(MUCH),
+            ):
+                return set(file) == set(wanted) and all(
+                    _told(file, name) == _told(wanted, name) for name in ("/", *wanted)
+                )
         except Exception:  # HDF5's and h5py's, of many kinds
             return False
 
+    def refuse_changed_parts(self, count: int = 0) -> None:
+        """Raise NlosError if parts are not as they were rendered.
+
+        A part that was found sound is remembered, with its size and the time of its last change, and is read again
+        only when those differ; `verify` reads all.
+
+        Parameters
+        ----------
+        count : int
+            Of pictures, from the first, that are to be used; 0 is all.
+        """
+        known = self._sound()
+        before = dict(known)
+        for number in range(math.ceil((count or self.planned) / self.plan.part)):
+            path = self.part_path(number)
+            if known.get(path.name) != (state := _state(path)):
+                if fault := self._fault(number):
+                    raise NlosError(fault)
+                known[path.name] = state
+        self._remember(known, before)
+
+    def _sound(self) -> dict[str, Any]:
+        """What is remembered of parts that were found sound."""
+        try:
+            found = json.loads((self.path / _CHECKED).read_text(encoding="utf-8"))
+        except (OSError, ValueError, RecursionError):
+            return {}
+        return found if isinstance(found, dict) else {}
+
+    def _remember(self, sound: dict[str, Any], before: dict[str, Any]) -> None:
+        if sound != before:
+            with contextlib.suppress(NlosError):  # of a set that one may only read, parts are read again
+                write_text(self.path / _CHECKED, json.dumps(sound))
+
     def verify(self, progress: Progress = lambda done, total: None) -> list[str]:
-        """Re-read everything; return what is wrong, a line each."""
-        faults = []
-        for check in (self.world, lambda: self.background):
-            try:
-                check()
-            except NlosError as error:
-                faults.append(str(error))
+        """Re-read everything; return what is wrong, a sentence each, which begins with the file that it is in."""
+        faults, sound = list(self.changed()), {}
+        alike = _Alike(self)
         for number in range(self.parts):
             progress(number, self.parts)
-            if fault := self._fault(number):
+            if fault := self._fault(number, alike):
                 faults.append(fault)
+            else:
+                sound[self.part_path(number).name] = _state(self.part_path(number))
         progress(self.parts, self.parts)
+        self._remember(sound, {})
+        faults += alike.faults()
         if not faults and not self._has_master():
-            faults.append(f"{self.path / MASTER}: missing or broken; run the same command again to make it")
+            faults.append(f"{self.path / MASTER}: missing, broken or changed; run the same command again to make it")
         return faults
 
-    def _fault(self, number: int) -> str:
+    def _fault(self, number: int, alike: _Alike | None = None) -> str:
         path = self.part_path(number)
         try:
             file = self._open_part(number)
@@ -672,10 +816,13 @@ class Bulk:
                     pictures = np.ascontiguousarray(file["pictures"][start : start + batch], dtype="<f4")
                     finite &= bool(np.isfinite(pictures).all())
                     digest.update(pictures.tobytes())
+                    if alike:
+                        alike.look(numbers[start : start + batch], pictures)
                 for name in COLUMNS:
                     digest.update(file[name][()].tobytes())
                 order = np.array_equal(file["voxel"][()], numbers % self.grid.n_voxels)
                 order &= np.array_equal(file["index"][()], numbers // self.grid.n_voxels)
+                placed = self._stand_right(file["position"][()], file["rotation"][()], numbers % self.grid.n_voxels)
                 with limited(MUCH):
                     told = str(file.attrs.get("sha256"))
         except Exception as error:  # HDF5's and h5py's, of many kinds
@@ -684,7 +831,87 @@ class Bulk:
             return f"{path}: its contents differ from their hash; take it away and run the same command again"
         if not finite:
             return f"{path}: holds NaN or infinite pixels"
-        return "" if order else f"{path}: its voxels and indices are not those of this part"
+        if not order:
+            return f"{path}: its voxels and indices are not those of this part"
+        return "" if placed else f"{path}: its poses are not in their voxels, or turned by more than the set allows"
+
+    def _stand_right(self, positions: Array, rotations: Array, voxels: NDArray[np.int64]) -> bool:
+        """Whether poses are such as the settings allow, as far as that can be told without the object."""
+        turned = self.plan.unknown or bool((np.abs(rotations) <= np.array(self.plan.rotation) * (1 + 1e-9)).all())
+        if self.plan.inside == "whole":  # the origin of an object may lie beside it
+            return turned
+        lo, hi = np.array([self.grid.bounds(v) for v in range(self.grid.n_voxels)]).transpose(1, 0, 2)
+        slack = 1e-9 * np.abs([self.grid.lo, self.grid.hi]).max()
+        return turned and bool(((lo[voxels] - slack <= positions) & (positions <= hi[voxels] + slack)).all())
+
+
+class _Alike:
+    """Looks for pictures of a set that equal its background to the bit, or each other."""
+
+    def __init__(self, bulk: Bulk) -> None:
+        self._bulk = bulk
+        self._empty: list[int] = []
+        self._same: list[tuple[int, int]] = []
+        self._first: dict[bytes, int] = {}
+        try:
+            background = bulk.background
+        except NlosError:  # which is told elsewhere
+            background = np.zeros((0, 0, 3), dtype=np.float32)
+        grey = background if bulk.meta["channels"] == 3 else background[..., 0]
+        self._background = np.ascontiguousarray(grey, dtype="<f4").tobytes()
+
+    def look(self, numbers: NDArray[np.int64], pictures: Pictures) -> None:
+        """Take note of pictures."""
+        for number, picture in zip(numbers.tolist(), pictures, strict=True):
+            if (data := picture.tobytes()) == self._background:
+                self._empty.append(number)
+                continue
+            digest = hashlib.blake2b(data, digest_size=16).digest()
+            if (first := self._first.setdefault(digest, number)) != number:
+                self._same.append((first, number))
+
+    def faults(self) -> list[str]:
+        """Return a sentence per voxel whose pictures are the background, and one for those that equal each other."""
+        bulk, found = self._bulk, []
+        n, labels = bulk.grid.n_voxels, bulk.grid.labels
+        for voxel, count in sorted(Counter(number % n for number in self._empty).items()):
+            first = next(number for number in self._empty if number % n == voxel)
+            found.append(
+                f"{self._named(first)} equals the background to the bit, as {count} of "
+                f"{len(range(voxel, bulk.planned, n))} pictures of voxel {labels[voxel]} do: the object changes "
+                "nothing there, so it is in full shadow or hidden by something"
+            )
+        if self._same:
+            first, second = self._same[0]
+            more = f"; so do {len(self._same) - 1} more" if len(self._same) > 1 else ""
+            found.append(f"{self._named(second)} equals picture {first} to the bit, though the poses differ{more}")
+        return found
+
+    def _named(self, number: int) -> str:
+        return f"{self._bulk.part_path(number // self._bulk.plan.part)}: picture {number}"
+
+
+def _state(path: Path) -> list[int]:
+    """What of a file tells that it was not changed since."""
+    found = path.stat()
+    return [found.st_size, found.st_mtime_ns]
+
+
+def _told(file: Any, name: str) -> Any:
+    """The attributes of an HDF5 dataset or group, and what a dataset holds, or where it says that it lies."""
+    if name != "/" and not isinstance(file.get(name, getlink=True), h5py.HardLink):
+        return None
+    thing = file[name]
+    attributes = {name: np.asarray(value).tolist() for name, value in thing.attrs.items()}
+    if not isinstance(thing, h5py.Dataset) or thing.external:
+        return attributes
+    if not thing.is_virtual:
+        return attributes, thing.shape, thing.dtype.str, np.asarray(thing[()]).tolist()
+    places = [
+        (m.file_name, m.dset_name, m.vspace.get_select_bounds(), m.src_space.get_select_type())
+        for m in thing.virtual_sources()
+    ]
+    return attributes, thing.shape, thing.dtype.str, repr(thing.fillvalue), sorted(places)
 
 
 class Engine:

@@ -18,16 +18,26 @@ from typing import Any
 import bpy
 import numpy as np
 
-from generator import bulk, extract, links, poses, references, spec, stage, worker
+from generator import bulk, extract, links, misgivings, poses, references, spec, stage, startcheck, worker
 from generator.bulk import Bulk, Engine, Settings
 from generator.clearance import Surroundings, clearance
-from generator.dataset import SCENE, scene_hash
+from generator.dataset import SCENE, PoseRecord, scene_hash
 from generator.spec import NlosError
 from generator.strangers import stranger
+from generator.sweep import FORCE, NO_PROBE
 from generator.transport import Transport
 
 
-def plan(scene: bpy.types.Scene, source: Path, path: Path, chosen: Mapping[str, Any]) -> Bulk:
+def plan(
+    scene: bpy.types.Scene,
+    source: Path,
+    path: Path,
+    chosen: Mapping[str, Any],
+    *,
+    force: bool = False,
+    probe: bool = True,
+    tell: Callable[[str], None] = lambda words: None,
+) -> Bulk:
     """Create a bulk set from the open scene: settings, scene, world and background; no part yet.
 
     Parameters
@@ -39,12 +49,18 @@ def plan(scene: bpy.types.Scene, source: Path, path: Path, chosen: Mapping[str, 
         Of the set.
     chosen : mapping
         Fields of `Settings` that the user chose; ``resolution`` may be text. The rest follow from the scene.
+    force : bool
+        In spite of errors that the check finds; the set then remembers them.
+    tell : callable
+        Is told what the check finds short of that.
+    probe : bool
+        Whether the engine is held against plain Cycles first (`startcheck`), with the target that the scene has.
 
     Raises
     ------
     NlosError
         The scene lacks a role, the engine cannot honour it, the target fits nowhere, or nothing can be written;
-        or it refers to files elsewhere.
+        or it refers to files elsewhere; or plain Cycles makes another picture of it.
     """
     bulk.check_free(path)
     linked = links.recorded(references.refuse(source), path)
@@ -58,14 +74,20 @@ def plan(scene: bpy.types.Scene, source: Path, path: Path, chosen: Mapping[str, 
             f"{source}: a bulk set is made by the engine 'surfel', which cannot honour that "
             f"{', nor that '.join(reasons)}; use nlos-generate sweep"
         )
+    found = misgivings.look(scene)
+    if not force:
+        misgivings.refuse(found)
+    for words in found.notes:
+        tell(words)
     draw = _poses(scene, settings)
     for voxel in range(min(described.grid.n_voxels, settings.pictures)):
         draw(voxel, 0)  # refuses now a target that fits nowhere
     background = Transport(world, accuracy=settings.accuracy).background().astype(np.float32)
-    stage.save_file(path / SCENE)
     meta = {
         "reference_radiance": described.reference_radiance,
+        "colour_space": worker.colour_space(),
         "scene": spec.to_dict(described),
+        **({"forced": found.errors} if found.errors else {}),
         **({"links": linked} if linked else {}),
         "software": {
             "nlos-lab": worker.version(),
@@ -74,7 +96,26 @@ def plan(scene: bpy.types.Scene, source: Path, path: Path, chosen: Mapping[str, 
             "numba": worker.version("numba"),
         },
     }
+    first = _first(scene, settings) if probe else None
+    with startcheck.withdrawn(path, SCENE):
+        stage.save_file(path / SCENE)
+        if first:
+            sweep = replace(settings.sweep, engine="surfel", accuracy=settings.accuracy)
+            likewise = {**meta, "sweep": {**spec.to_dict(sweep), "scene_sha256": scene_hash(source)}}
+            known = links.of_dataset(linked, path)
+            meta["start_check"] = startcheck.run(
+                path / SCENE, source, known, likewise, first, settings.pictures, worker.render
+            )
     return Bulk.create(path, settings, meta, world, background, scene_hash(source))
+
+
+def _first(scene: bpy.types.Scene, settings: Settings) -> PoseRecord | None:
+    """Return a pose of the scene's own target, as the start check wants it; None if the target fits nowhere."""
+    try:
+        place, turn = _poses(scene, replace(settings, unknown=False))(0, 0)
+    except NlosError:  # which does not matter where unknown objects take its place
+        return None
+    return PoseRecord(0, 0, stage.read_grid(scene).labels[0], place, turn, seed=0, file="")
 
 
 def _poses(scene: bpy.types.Scene, settings: Settings) -> Callable[[int, int], poses.Pose]:
@@ -107,12 +148,17 @@ def render(found: Bulk, parts: Iterable[int], *, threads: int = 0) -> None:
 
 
 def main(argv: list[str]) -> int:
-    """Plan (``plan SCENE SET SETTINGS``) or make parts (``render SET THREADS``, their numbers on standard input)."""
+    """Do one of two things.
+
+    ``plan SCENE SET SETTINGS [force]``; ``render SET THREADS``, which makes parts, their numbers on standard input.
+    """
     try:
         if argv[0] == "plan":
-            source = Path(argv[1])
-            plan(stage.open_file(source), source, Path(argv[2]), json.loads(argv[3]))
-            worker.answer(planned=True)
+            source, notes = Path(argv[1]), list[str]()
+            scene, chosen = stage.open_file(source), json.loads(argv[3])
+            options = {"force": FORCE in argv[4:], "probe": NO_PROBE not in argv[4:]}
+            plan(scene, source, Path(argv[2]), chosen, **options, tell=notes.append)
+            worker.answer(planned=True, notes=notes)
         else:
             parts = itertools.chain.from_iterable(worker.commands())
             render(Bulk.open(Path(argv[1])), parts, threads=int(argv[2]))

@@ -2,16 +2,20 @@
 
 from __future__ import annotations
 
+import itertools
+import math
 import re
 import time
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import bpy
 import numpy as np
-from mathutils import Vector
 
-from generator import adopt, clearance, engines, extract, poses, spec, stage
+from generator import adopt, clearance, engines, extract, poses, replaced, spec, stage
+from generator.extract import Light
+from generator.lighting import Beam, Eyes
 from generator.spec import Array, NlosError, Sweep
 
 GOOD, NOTE, WARNING, ERROR = "good", "note", "warning", "error"
@@ -25,13 +29,12 @@ _MANY = 64
 _PIXELS = (np.arange(5) + 0.5) / 5.0
 """Where the watched patch is, in its edges."""
 _RINGS = (0.0, 0.25, 0.5, 0.75, 1.0)
-_STEPS = np.linspace(0.0, 1.0, 200)
-"""Where a cone of light is looked at: in its radius, and along it."""
-_SHORT = 1e-4
-"""What a ray leaves out at both ends, in its length: there it meets what it starts from."""
+"""Where a cone of light is looked at, in its radius."""
 _HALF = 0.5
 _PROBE_SAMPLES, _PROBES, _PATIENCE = 16, 64, 8.0
-"""Of a probe's pictures; how many pairs of them at most; and for how many seconds."""
+"""Of a probe's pictures; how many pairs where another engine can be asked; and for how many seconds at most."""
+_SMALL, _ROUGH = 32, 1e-2
+"""What `surfel` is asked with, where it only has to say how much the object adds: pixels a side, and accuracy."""
 _BYTES_PER_VALUE = 3.7
 """Of a float32 in a compressed EXR file: noise hardly packs."""
 
@@ -145,12 +148,14 @@ def _roles(scene: bpy.types.Scene) -> list[Finding]:
 
 def _frame(scene: bpy.types.Scene) -> list[Finding]:
     found = []
-    wall = stage.find(scene, "relay_wall")
+    wall, target = stage.find(scene, "relay_wall"), stage.find(scene, "target")
+    if why := stage.unseen(scene, target):
+        found.append(Finding(ERROR, f"The target {target.name!r} {why}", target.name, "show"))
     if not adopt.in_metres(scene):
         unit = scene.unit_settings.scale_length
         text = f"A Blender unit is {unit:g} m here; light, voxels and poses count in metres"
         found.append(Finding(ERROR, text, fix="metres"))
-    if not stage.in_frame(wall):
+    if not stage.in_frame(wall, stage.snapshot(scene)):
         text = f"The relay wall {wall.name!r} is not in the plane y = 0, which the lab's frame starts from"
         found.append(Finding(ERROR, text, wall.name, "align"))
     return found
@@ -158,10 +163,6 @@ def _frame(scene: bpy.types.Scene) -> list[Finding]:
 
 def _settings(scene: bpy.types.Scene, described: spec.Scene) -> list[Finding]:
     found = []
-    target = stage.find(scene, "target")
-    if why := stage.unseen(scene, target):
-        text = f"The target {target.name!r} {why}"
-        found.append(Finding(ERROR, text, target.name, "show"))
     if scene.render.engine != "CYCLES":
         found.append(
             Finding(WARNING, "Cycles is not the scene's render engine: F12 shows another picture", fix="reflections")
@@ -176,65 +177,38 @@ def _settings(scene: bpy.types.Scene, described: spec.Scene) -> list[Finding]:
     if others := stage.others(scene):
         some = ", ".join(others[:3]) + (f" and {len(others) - 3} more" if len(others) > 3 else "")
         found.append(Finding(NOTE, f"Also rendered, without a role: {some}", others[0]))
+    if differing := replaced.replaced(scene):
+        usual = [setting.words for setting in differing if replaced.is_default(scene, setting)]
+        chosen = [replaced.told(scene, setting) for setting in differing if not replaced.is_default(scene, setting)]
+        parts = [f"settings of the file: {', '.join(chosen)}"] if chosen else []
+        parts += [f"some of Blender's defaults: {', '.join(usual)}"] if usual else []
+        found.append(Finding(NOTE, f"A sweep replaces {'; and '.join(parts)}"))
     return found
 
 
 def _engine(scene: bpy.types.Scene, engine: str) -> list[Finding]:
-    chosen, reasons = engines.choose(scene)
-    if engine == engines.AUTO:
-        engine = chosen
-    rank = engines.ENGINES.index
-    found = []
-    if rank(engine) > rank(chosen):
-        for reason in reasons:
-            text = f"The engine {engine!r} cannot honour that {reason}; {chosen!r} can"
-            found.append(Finding(ERROR, text, _named(scene, reason)))
-    elif rank(chosen) > rank(engine):
-        found.append(Finding(NOTE, f"The engine {chosen!r} can render this scene too, in less time"))
-    return found
-
-
-class _Eyes:
-    """What sees what past everything but the target.
-
-    Parameters
-    ----------
-    scene : bpy.types.Scene
-    """
-
-    def __init__(self, scene: bpy.types.Scene) -> None:
-        self._trees = clearance.obstacles(scene)
-
-    def open(self, start: Array, end: Array) -> bool:
-        """Whether nothing stands between two points, each of shape (3,)."""
-        way = end - start
-        length = float(np.linalg.norm(way))
-        if length == 0.0:
-            return True
-        origin, unit = Vector(start + _SHORT * way), Vector(way / length)
-        reach = (1.0 - 2.0 * _SHORT) * length
-        return all(tree.ray_cast(origin, unit, reach)[0] is None for tree in self._trees)
-
-    def passed(self, starts: Array, ends: Array) -> Array:
-        """Return points along rays from starts (n, 3) to ends (n, 3), as far as nothing is in the way, (m, 3)."""
-        found = []
-        for start, end in zip(starts, ends, strict=True):
-            origin, way = Vector(start), Vector(end - start)
-            length = way.length
-            hits = [tree.ray_cast(origin, way.normalized(), length)[3] for tree in self._trees]
-            reach = min([hit for hit in hits if hit is not None], default=length) / (length or 1.0)
-            found.append(start + reach * _STEPS[:, None] * (end - start))
-        every: Array = np.concatenate(found)
-        return every
-
-    def share(self, starts: Array, ends: Array) -> Array:
-        """Return the open share of the ways from each of starts (n, 3) to ends (m, 3), (n,)."""
-        return np.array([np.mean([self.open(a, b) for b in ends]) for a in starts])
+    surveyed = extract.survey(scene)
+    if surveyed.never:
+        return [Finding(ERROR, f"It cannot be swept: {why}", _named(scene, why)) for why in surveyed.never]
+    chosen, _ = engines.choose(scene, surveyed)
+    if engine in (spec.AUTO, chosen):
+        return []
+    # Whoever asks for `surfel` gets ambient light to a few per cent; nobody is advised to.
+    reasons = (extract.survey(scene, ambient=True) if engine == "surfel" else surveyed).reasons(engine)
+    if reasons:
+        return [
+            Finding(ERROR, f"The engine {engine!r} cannot honour that {why}; {chosen!r} can", _named(scene, why))
+            for why in reasons
+        ]
+    if engines.ENGINES.index(chosen) > engines.ENGINES.index(engine):
+        return [Finding(NOTE, f"The engine {chosen!r} can render this scene too, in less time")]
+    return []
 
 
 def _sight(scene: bpy.types.Scene, described: spec.Scene) -> list[Finding]:
     """Lines of sight that must not be, and those that must."""
-    eyes, grid = _Eyes(scene), described.grid
+    seen, grid = stage.snapshot(scene), described.grid
+    eyes = Eyes.of(scene, seen)
     along = _LATTICE if grid.n_voxels <= _MANY else _LATTICE[1:2]
     u, v, w = np.meshgrid(along, along, along, indexing="ij")
     lattice = np.stack([u.ravel(), v.ravel(), w.ravel()], axis=1)
@@ -244,20 +218,19 @@ def _sight(scene: bpy.types.Scene, described: spec.Scene) -> list[Finding]:
     points = [lo + lattice * (hi - lo) for lo, hi in bounds]
     found = []
     lamp, camera = stage.find(scene, "spot"), stage.find(scene, "camera")
-    at = stage.numbers(lamp.matrix_world.translation)
-    starts, corners = stage.view(scene, camera)
+    at = seen.matrices["spot"][:3, 3]
+    starts, corners = stage.view(scene, camera, seen.matrices["camera"])
+    shown = {lamp: eyes.of_lamp(lamp), camera: eyes.rays("camera")}
     for obj, solid, does in zip(
-        (lamp, camera), clearance.sights(scene, described.spot), ("shines", "looks"), strict=True
+        (lamp, camera), clearance.sights(scene, described.spot, seen), ("shines", "looks"), strict=True
     ):
-        passed = eyes.passed(*solid.rays(_RINGS))
+        passed = shown[obj].passed(*solid.rays(_RINGS))
         direct = [label for label, (lo, hi) in zip(labels, bounds, strict=True) if _any_inside(passed, lo, hi)]
         unhidden = []
         for label, inside in zip(labels, points, strict=True):
             # An orthographic camera sees along parallel rays, each from a place of its own.
-            froms = (
-                _opposite(starts, corners, inside) if obj == camera else [lamp.matrix_world.translation] * len(inside)
-            )
-            if label not in direct and any(eyes.open(np.array(a), b) for a, b in zip(froms, inside, strict=True)):
+            froms = _opposite(starts, corners, inside) if obj == camera else [at] * len(inside)
+            if label not in direct and any(map(shown[obj].open, froms, inside)):
                 unhidden.append(label)
         if direct:
             which = _voxels(direct, grid.labels)
@@ -272,7 +245,7 @@ def _sight(scene: bpy.types.Scene, described: spec.Scene) -> list[Finding]:
     if camera_spec.x[0] <= w1[0] <= camera_spec.x[1] and camera_spec.z[0] <= w1[2] <= camera_spec.z[1]:
         text = f"{lamp.name!r} lights the watched patch itself, which outshines the hidden object thousands of times"
         found.append(Finding(WARNING, text, lamp.name))
-    if not eyes.open(at, w1):
+    if not shown[lamp].open(at, w1):
         found.append(Finding(ERROR, f"Something stands between {lamp.name!r} and the wall that it lights", lamp.name))
     s, t = np.meshgrid(_PIXELS, _PIXELS)
     weights = np.stack([(1 - s) * (1 - t), s * (1 - t), s * t, (1 - s) * t], axis=-1).reshape(-1, 4)
@@ -292,11 +265,77 @@ def _sight(scene: bpy.types.Scene, described: spec.Scene) -> list[Finding]:
             f"Of the ways from the lit patch by way of a voxel to the watched patch, few are open: {', '.join(low)}"
         )
         found.append(Finding(WARNING, text))
+    found += _lights(scene, eyes, watched, dict(zip(labels, zip(bounds, points, strict=True), strict=True)), grid)
     if not any(f.level in (WARNING, ERROR) for f in found):
         found.append(
             Finding(GOOD, f"V{_voxels(labels, grid.labels)[1:]}: hidden from lamp and camera, seen by the wall")
         )
     return found
+
+
+def _lights(
+    scene: bpy.types.Scene, eyes: Eyes, watched: Array, voxels: Mapping[str, Any], grid: spec.VoxelGrid
+) -> list[Finding]:
+    """What lights there are besides the spot, and what they shine on directly."""
+    told: dict[tuple[str, str], list[str]] = {}
+    shining: dict[str, list[Light]] = {}
+    for light in extract.other_lights(extract.lights(scene)):
+        shining.setdefault(light.name, []).append(light)
+    for name, alike in shining.items():
+        what = _one_light(scene, alike, eyes, watched, voxels, grid.labels)
+        if what is not None:
+            told.setdefault(what, []).append(name)
+    found = []
+    for (level, text), names in told.items():
+        some = ", ".join(map(repr, names[:3])) + (f" and {len(names) - 3} more" if len(names) > 3 else "")
+        found.append(Finding(level, f"Light of {some} {text}", names[0] if names[0] in scene.objects else ""))
+    return found
+
+
+def _one_light(
+    scene: bpy.types.Scene,
+    alike: Sequence[Light],
+    eyes: Eyes,
+    watched: Array,
+    voxels: Mapping[str, Any],
+    every: Sequence[str],
+) -> tuple[str, str] | None:
+    """What is to be said of the lights that are the same object, instanced; None if they light nothing here."""
+    wall, target = stage.find(scene, "relay_wall"), stage.find(scene, "target")
+    if alike[0].kind == "WORLD":
+        layers = [layer for layer in scene.view_layers if layer.use]
+        shows = scene.world is None or scene.world.cycles_visibility.diffuse
+        if not shows or not any(layer.use_sky for layer in layers):
+            return None
+        return NOTE, "of the world is in every picture, and in its background"
+    if alike[0].role == "target":
+        return WARNING, "moves with the hidden object, which is then seen without the lit patch"
+    if alike[0].role == "relay_wall":
+        return WARNING, "comes from the relay wall itself, and outshines what it reflects"
+    beams = [Beam(light, eyes) for light in alike]
+    holding = [
+        label
+        for label, ((lo, hi), _) in voxels.items()
+        if any(
+            _any_inside(beam.points, lo, hi) for light, beam in zip(alike, beams, strict=True) if light.kind != "SUN"
+        )
+    ]
+    into = [
+        label
+        for label, ((lo, hi), inside) in voxels.items()
+        if any(beam.meets(target, inside) or beam.passes(target, lo, hi) for beam in beams)
+    ]
+    onto = any(beam.meets(wall, watched) for beam in beams)
+    if holding and into:
+        return ERROR, f"comes from within {_voxels(holding, every)}, where the hidden object is looked for"
+    lit = [*(["the watched patch"] if onto else []), *([_voxels(into, every)] if into else [])]
+    if onto:
+        return WARNING, f"falls directly on {' and '.join(lit)}, and outshines what the hidden object adds"
+    if into:
+        return WARNING, f"falls directly on {lit[0]}: the object is seen there not by the lit patch alone"
+    if not any(beam.counts for beam in beams):
+        return None
+    return NOTE, "is in the scene too, hidden from the watched patch and from the voxels"
 
 
 def _any_inside(points: Array, lo: Array, hi: Array) -> bool:
@@ -346,11 +385,19 @@ class Probe:
         Mean of the difference picture, of the picture's.
     signal_to_noise : float
         Root mean square of the difference picture over that of its noise, at the sweep's samples; for `surfel`, over
-        that of the error asked for.
+        that of the error asked for. NaN if the pictures do not tell.
     seconds : float
         That the sweep takes on all cores, without starting Blender.
     bytes : float
         That its pictures take on disk.
+    error : float
+        Standard error of the share, where it was not told from the noise; else 0.
+    missed : int
+        Samples taken, if the object changed none of them; else 0.
+    exact : bool
+        Whether the share is known without noise, from the engine `surfel`.
+    other : bool
+        Whether `surfel` can render the scene as well.
     """
 
     engine: str
@@ -358,19 +405,38 @@ class Probe:
     signal_to_noise: float
     seconds: float
     bytes: float
+    error: float = 0.0
+    missed: int = 0
+    exact: bool = False
+    other: bool = False
 
     def findings(self) -> list[Finding]:
         """Return it in sentences."""
-        if self.signal_to_noise == 0.0 or (self.share == 0.0 and not np.isfinite(self.signal_to_noise)):
-            return [
-                Finding(ERROR, f"The object changes nothing in the pictures of {self.engine!r}, where it stands now")
-            ]
-        signal = f"The object adds {self.share:.2%} to the picture"
-        enough = self.signal_to_noise >= 3.0
-        noise = f"its difference stands {self.signal_to_noise:.3g} times above the noise of {self.engine!r}"
-        advice = "" if enough else "; more samples, a brighter lamp or the engine surfel would mend that"
         cost = f"A sweep takes about {_clock(self.seconds)} and {_size(self.bytes)} on disk"
-        return [Finding(GOOD if enough else WARNING, f"{signal}; {noise}{advice}"), Finding(NOTE, cost)]
+        return [self._signal(), Finding(NOTE, cost)]
+
+    def _signal(self) -> Finding:
+        if self.exact and self.signal_to_noise == 0.0:
+            return Finding(ERROR, "The object changes nothing in the pictures, where it stands now")
+        more = " or the engine 'surfel'" if self.other and self.engine != "surfel" else ""
+        missed = f"none of {self.missed:,} samples of {self.engine!r} met it"
+        if self.missed and not self.exact:
+            # Three in n is what, with 95 %, is not exceeded by what was met in none of n tries.
+            text = (
+                f"What the object adds to the picture is not known: {missed}, nor do more than {3 / self.missed:.1g}"
+            )
+            return Finding(WARNING, f"{text} of all (95 %); take more")
+        if self.error:
+            low, high = self.share - 2.0 * self.error, self.share + 2.0 * self.error
+            text = f"The object adds {_share(low)} to {_share(high)} to the picture (95 %)"
+            return Finding(WARNING, f"{text}, which the noise of {self.engine!r} hides; more samples would tell")
+        adds = f"The object adds {_share(self.share)} to the picture"
+        if self.missed:
+            return Finding(WARNING, f"{adds}, but {missed}; take many more{more}")
+        stands = f"its difference stands {self.signal_to_noise:.3g} times above the noise of {self.engine!r}"
+        if self.signal_to_noise >= 3.0:
+            return Finding(GOOD, f"{adds}; {stands}")
+        return Finding(WARNING, f"{adds}; {stands}; more samples{more} would mend that")
 
 
 def probe(scene: bpy.types.Scene, sweep: Sweep) -> Probe:
@@ -378,7 +444,8 @@ def probe(scene: bpy.types.Scene, sweep: Sweep) -> Probe:
 
     Pairs of pictures with and without the target, with few samples and noise of their own: what their differences
     share is signal, where they differ is noise, whose mean square falls with the samples. So many pairs, and no more
-    than some seconds, as tell the signal from the noise.
+    than some seconds, as tell the signal from the noise. Where they do not, the signal is `surfel`'s, if that can
+    render the scene.
 
     Parameters
     ----------
@@ -393,32 +460,61 @@ def probe(scene: bpy.types.Scene, sweep: Sweep) -> Probe:
     voxels = stage.read(scene).grid.n_voxels
     pictures = sweep.poses * voxels
     few = min(_PROBE_SAMPLES, sweep.samples)
+    other = sweep.engine == "surfel" or not extract.survey(scene, ambient=True).reasons("surfel")
     with engines.opened(scene, sweep.engine, **engines.settings(sweep)) as renderer:
         exact = isinstance(renderer, engines.SurfelRenderer)
         renderer.render(samples=few, seed=0)  # what is made once is no part of a picture's time
         if not exact:
             renderer.render(samples=few, seed=0, target=False)
         differences, level, start = [], 0.0, time.perf_counter()
-        for seed in range(1, _PROBES + 1):
+        for seed in itertools.count(1):
             picture = renderer.render(samples=few, seed=seed).astype(np.float64)
             begun = time.perf_counter()
             differences.append((picture - renderer.render(samples=few, seed=seed, target=False)).mean(axis=2))
             level += float(picture.mean())
             seconds = ((begun if exact else time.perf_counter()) - start) / seed
             signal, noise, sure = _signal(np.array(differences))
-            if exact or sure or time.perf_counter() - start > _PATIENCE:
+            if exact or sure or (other and seed >= _PROBES) or time.perf_counter() - start > _PATIENCE:
                 break
+    shares = np.array([d.mean() for d in differences]) / (level / len(differences) or 1.0)
+    share, error, missed = float(shares.mean()), 0.0, 0
     if not exact:
         noise *= few / sweep.samples
         seconds *= sweep.samples / few * (1.0 if sweep.paired else 0.5)
-    ratio = 1.0 / sweep.accuracy if exact else float(np.sqrt(signal / noise)) if noise > 0.0 else np.inf
+        missed = 0 if np.any(differences) else few * picture[..., 0].size * len(differences)
+    if not exact and not sure and other:
+        share, signal = _exactly(scene, sweep.resolution)
+    elif not exact and not sure:
+        error = float(shares.std(ddof=1) / np.sqrt(len(shares))) if len(shares) > 1 else abs(share)
+    told = exact or (other and not sure)
+    if exact:
+        ratio = 1.0 / sweep.accuracy if signal else 0.0
+    elif told and not signal:
+        ratio = 0.0
+    else:
+        ratio = float(np.sqrt(signal / noise)) if noise > 0.0 else math.nan
     return Probe(
         engine=sweep.engine,
-        share=float(np.sum([d.mean() for d in differences])) / level if level else 0.0,
+        share=share,
         signal_to_noise=ratio,
         seconds=seconds * pictures,
         bytes=_BYTES_PER_VALUE * 3.0 * sweep.resolution[0] * sweep.resolution[1] * pictures,
+        error=error,
+        missed=missed,
+        exact=told,
+        other=other,
     )
+
+
+def _exactly(scene: bpy.types.Scene, resolution: tuple[int, int]) -> tuple[float, float]:
+    """What the object changes by the engine `surfel`: mean, of the picture's, and mean square of the difference."""
+    longer = max(1.0, max(resolution) / _SMALL)
+    size = (max(1, round(resolution[0] / longer)), max(1, round(resolution[1] / longer)))
+    with engines.opened(scene, "surfel", resolution=size, accuracy=_ROUGH) as renderer:
+        picture = renderer.render(samples=0, seed=0).astype(np.float64).mean(axis=2)
+        difference = picture - renderer.render(samples=0, seed=0, target=False).mean(axis=2)
+    level = float(picture.mean())
+    return (float(difference.mean()) / level if level else 0.0), float((difference**2).mean())
 
 
 def _signal(pictures: Array) -> tuple[float, float, bool]:
@@ -433,6 +529,11 @@ def _signal(pictures: Array) -> tuple[float, float, bool]:
     left = noise / n
     signal = float((pictures.mean(axis=0) ** 2).mean()) - left
     return max(signal, 0.0), noise, signal > 6.0 * left * np.sqrt(2.0 / pictures[0].size)
+
+
+def _share(share: float) -> str:
+    """A share in per cent, with two digits that say something."""
+    return f"{share:.2%}" if abs(share) >= 1e-3 or share == 0.0 else f"{100.0 * share:.2g} %"
 
 
 def _clock(seconds: float) -> str:

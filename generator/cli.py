@@ -13,8 +13,9 @@ from dataclasses import fields
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from generator import budget, links, plans, spec
+from generator import audit, budget, console, links, plans, spec
 from generator.dataset import Dataset
+from generator.remaining import Remaining
 from generator.spec import NlosError, Sweep
 from generator.sweep import NO_BLENDER, clock
 
@@ -34,30 +35,52 @@ examples:
 
 
 def main(argv: list[str] | None = None) -> int:
-    """Run ``nlos-generate``; return the exit code: 0 well, 1 unfinished or faulty, 2 bad input, 130 interrupted."""
-    parser = _parser()
-    options = parser.parse_args(argv)
+    """Run ``nlos-generate``.
+
+    Returns
+    -------
+    int
+        The exit code: 0 well, 1 unfinished or faulty, 2 bad input, 130 interrupted, 141 nobody reads on.
+    """
+    return guarded(lambda: _run(argv))
+
+
+def _run(argv: list[str] | None) -> int:
+    options = _parser().parse_args(argv)
     with links.trusting(getattr(options, "trust_links", False)):
-        return guarded(lambda: int(options.run(options)))
+        return int(options.run(options))
 
 
 def guarded(work: Callable[[], int], interrupted: str = "interrupted; the same command goes on from here") -> int:
-    """Run a command; turn bad input, or no Blender, into one sentence and exit code 2, Ctrl-C into a word and 130."""
+    """Run a command and return its exit code.
+
+    Bad input, no Blender, or an output that cannot be written become one sentence and 2, Ctrl-C a word and 130. When
+    whoever reads the output has left, as ``head`` does, the command ends without a word and with 141, as one that the
+    system ends for it.
+    """
     try:
-        return work()
+        with console.told_apart():
+            return work()
+    except console.Unwritable as error:
+        if error.unread:
+            return 128 + 13  # SIGPIPE's number
+        return _refused(f"standard output cannot be written ({error})")
     except NlosError as error:
-        print(f"error: {error}", file=sys.stderr)
-        return 2
+        return _refused(error)
     except ImportError as error:
         if error.name != "bpy":
             raise
         missing = isinstance(error, ModuleNotFoundError)
         lacking = f"Blender's module bpy does not load, for a system library is missing: {error}"
-        print(f"error: {NO_BLENDER if missing else lacking}", file=sys.stderr)
-        return 2
+        return _refused(NO_BLENDER if missing else lacking)
     except KeyboardInterrupt:
-        print(f"\n{interrupted}", file=sys.stderr)
+        console.complain(f"\n{interrupted}")
         return 130
+
+
+def _refused(why: object) -> int:
+    console.complain(f"error: {why}")
+    return 2
 
 
 def _parser() -> argparse.ArgumentParser:
@@ -180,6 +203,8 @@ def _parser() -> argparse.ArgumentParser:
     bulk.add_argument("--part", type=int, metavar="N", help="pictures per file (default: about 64 MiB)")
     bulk.add_argument("--shard", default="0/1", metavar="i/n", help="make the i-th of n shares only (from 0)")
     bulk.add_argument("--workers", type=int, default=0, metavar="W", help="processes (default: one per core)")
+    _add_force_option(bulk)
+    _add_probe_option(bulk)
     _add_links_option(bulk)
     bulk.set_defaults(run=_bulk)
 
@@ -253,6 +278,7 @@ def _parser() -> argparse.ArgumentParser:
         help="leave out what would take longer, judged by the cheaper (default: 10min)",
     )
     trade.add_argument("--workers", type=int, default=0, metavar="W", help="processes (default: one per core)")
+    _add_force_option(trade)
     _add_links_option(trade)
     trade.set_defaults(run=_tradeoff)
 
@@ -327,7 +353,26 @@ def _add_sweep_options(parser: argparse.ArgumentParser, *, frames: bool = False)
     _add_engine_options(parser)
     _add_pose_options(parser, "of all poses and all noise", inside=not frames)
     parser.add_argument("--shard", default="0/1", metavar="i/n", help="render the i-th of n parts only (from 0)")
+    _add_force_option(parser)
+    _add_probe_option(parser)
     _add_links_option(parser)
+
+
+def _add_force_option(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument(
+        "--force",
+        action="store_true",
+        help="begin a new set in spite of errors that check finds in the scene; the set remembers them",
+    )
+
+
+def _add_probe_option(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument(
+        "--no-probe",
+        dest="probe",
+        action="store_false",
+        help="leave out the check at the start of a new set, which holds the engine against plain Cycles at one pose",
+    )
 
 
 def _add_links_option(parser: argparse.ArgumentParser) -> None:
@@ -358,7 +403,7 @@ def _add_engine_options(parser: argparse.ArgumentParser) -> None:
         help="path: Cycles from the spot lamp, any scene, very noisy; "
         "patch: the lit patch as an emitter, same picture, far less noise; "
         "surfel: the integral itself, plain diffuse scenes, no noise, far faster, ambient light to a few per cent; "
-        f"auto: the cheapest that the scene allows, and says why (default: {default.engine})",
+        "auto: the cheapest that the scene allows, and says why (default)",
     )
     parser.add_argument(
         "--samples", type=int, metavar="N", help=f"rays per pixel, of path and patch (default: {default.samples})"
@@ -438,7 +483,7 @@ def chosen_settings(options: argparse.Namespace, kind: type = Sweep, **needed: A
     checked = {**needed, **chosen}
     if "resolution" in checked:
         checked["resolution"] = spec.parse_resolution(checked["resolution"])
-    if checked.get("engine") == "auto":
+    if checked.get("engine") == spec.AUTO:
         del checked["engine"]
     spec.from_dict(kind, checked, "--")
     return chosen
@@ -471,16 +516,20 @@ class LineProgress:
     def __init__(self, what: str = "pictures", every: float = 10.0) -> None:
         self._what = what
         self._every = every
-        self._start = time.monotonic()
+        self._remaining = Remaining()
         self._last = -every
 
     def __call__(self, done: int, total: int) -> None:
-        now = time.monotonic()
+        now, left = time.monotonic(), self._remaining.told(done, total)
         if total == 0 or (now - self._last < self._every and done < total):
             return
         self._last = now
-        left = f", about {clock((now - self._start) / done * (total - done))} left" if done else ""
-        print(f"{done} of {total} {self._what}{left}", flush=True)
+        print(f"{done} of {total} {self._what}{left_words(left if done < total else None)}", flush=True)
+
+
+def left_words(left: float | None) -> str:
+    """Return the time that is left as the end of a line; nothing while it cannot be told."""
+    return "" if left is None else f", about {clock(left)} left"
 
 
 def print_table(title: str, headings: Sequence[str], rows: Sequence[Sequence[str]]) -> None:
@@ -509,12 +558,18 @@ def _progress() -> Iterator[Callable[[int, int], None]]:
         yield LineProgress()
         return
     from rich.console import Console
-    from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
+    from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn
 
-    columns = (TextColumn("rendering"), BarColumn(), MofNCompleteColumn(), TimeRemainingColumn(), TextColumn("left"))
+    remaining = Remaining()
+    columns = (TextColumn("rendering"), BarColumn(), MofNCompleteColumn(), TextColumn("{task.description}"))
     with Progress(*columns, console=Console(stderr=True)) as bar:
         task = bar.add_task("", total=None)
-        yield lambda done, total: bar.update(task, completed=done, total=total)
+
+        def show(done: int, total: int) -> None:
+            left = left_words(remaining.told(done, total)).removeprefix(", ")
+            bar.update(task, completed=done, total=total, description=left)
+
+        yield show
 
 
 def _scene(options: argparse.Namespace) -> int:
@@ -534,10 +589,15 @@ def _scene(options: argparse.Namespace) -> int:
         return 0
     if options.output.suffix != ".blend":
         raise NlosError(f"{options.output}: a scene file must end in .blend")
-    from generator import stage
+    from generator import misgivings, stage
 
-    stage.build(stage.new_file(), scene)
+    made = stage.new_file()
+    stage.build(made, scene)
+    if words := spec.unlike(scene, stage.read(made)):  # what the file says is what a sweep will go by
+        raise NlosError(f"{words}; take a figure that it can hold")
     stage.save_file(options.output)
+    for note in misgivings.look(made).notes:
+        print(note)
     print(
         f"{options.output}: {options.preset} with a {scene.target.kind}, voxels {scene.grid.labels[0]} to "
         f"{scene.grid.labels[-1]}, {scene.resolution[0]} x {scene.resolution[1]} pixels"
@@ -568,6 +628,7 @@ def _sweep(options: argparse.Namespace) -> int:
             accuracy=accuracy or 0.0,
             workers=options.workers,
             tell=functools.partial(print, flush=True),
+            force=options.force,
         )
         chosen, pace = choice.settings, choice.pace
     farm = _farm(options)
@@ -576,7 +637,15 @@ def _sweep(options: argparse.Namespace) -> int:
             outcome = _jobs(options, chosen, progress, paced=pace is not None)
         else:
             outcome = sweep.run(
-                options.scene, options.output, chosen, progress=progress, tell=print, pace=pace, **farm
+                options.scene,
+                options.output,
+                chosen,
+                progress=progress,
+                tell=print,
+                pace=pace,
+                force=options.force,
+                probe=options.probe,
+                **farm,
             )
     if planned:
         plans.keep(planned, options.output)
@@ -602,6 +671,8 @@ def _jobs(
         options=dict(map(_job_option, options.job)),
         progress=progress,
         tell=functools.partial(print, flush=True),
+        force=options.force,
+        probe=options.probe,
     )
 
 
@@ -619,7 +690,7 @@ def _tradeoff(options: argparse.Namespace) -> int:
         raise NlosError(f"--poses {options.poses}: must be from 1 to {Sweep.poses}")
     if options.output.exists() and not options.output.is_dir():
         raise NlosError(f"{options.output}: is a file; name a folder")
-    names = ("poses", "seed", "resolution", "most", "workers")
+    names = ("poses", "seed", "resolution", "most", "workers", "force")
     found = tradeoff.run(
         options.scene,
         options.output,
@@ -676,7 +747,14 @@ def _bulk(options: argparse.Namespace) -> int:
 
     chosen = chosen_settings(options, bulk.Settings, pictures=1)
     with _progress() as progress:
-        outcome = bulk.run(options.scene, options.output, chosen, progress=progress, tell=print, **_farm(options))
+        outcome = bulk.run(
+            *(options.scene, options.output, chosen),
+            progress=progress,
+            tell=print,
+            force=options.force,
+            probe=options.probe,
+            **_farm(options),
+        )
     return _report(outcome.bulk, outcome.rendered, outcome.remaining, outcome.failed)
 
 
@@ -723,7 +801,9 @@ def _farm(options: argparse.Namespace) -> dict[str, Any]:
 
 def _report(dataset: Dataset | Bulk, rendered: int, remaining: int, failed: list[str]) -> int:
     for failure in failed:
-        print(f"failed: {failure}", file=sys.stderr)
+        console.complain(f"failed: {failure}")
+    if isinstance(dataset, Dataset) and (words := audit.words(dataset)):
+        console.complain(words)
     print(summary(dataset, rendered=rendered, remaining=remaining))
     return 1 if failed else 0
 
@@ -742,16 +822,18 @@ def _verify(options: argparse.Namespace) -> int:
     from generator.bulk import Bulk
 
     if Bulk.exists(options.dataset):
-        bulk = Bulk.open(options.dataset)
+        bulk = Bulk.open(options.dataset, check=False)
         faults = bulk.verify()
         for fault in faults:
             print(fault)
         print(f"{options.dataset}: {bulk.planned} pictures in {bulk.parts} parts, {len(faults)} faults")
         return 1 if faults else 0
-    dataset = Dataset.open(options.dataset)
+    dataset = Dataset.open(options.dataset, check=False)
     faults = dataset.verify()
     for fault in faults:
         print(fault)
+    if words := audit.unchecked(dataset):
+        print(f"note: {words}")
     print(f"{options.dataset}: {dataset.planned} poses, {len(faults)} faults")
     return 1 if faults else 0
 

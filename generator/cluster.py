@@ -60,6 +60,8 @@ def run(
     options: Mapping[str, Any] | None = None,
     progress: sweep.Progress = lambda done, total: None,
     tell: Callable[[str], None] = lambda words: None,
+    force: bool = False,
+    probe: bool = True,
 ) -> sweep.Outcome:
     """Plan a data set here, let jobs render it, and wait for them.
 
@@ -76,6 +78,8 @@ def run(
     options : mapping
         Of submitit's executor: ``slurm_partition``, ``timeout_min``, ``cpus_per_task``, ...
     progress, tell : callable
+    force, probe : bool
+        As of `sweep.run`.
 
     Raises
     ------
@@ -86,7 +90,7 @@ def run(
         import submitit
     except ImportError:
         raise NlosError("--jobs: submitit is missing; install it with pip install 'nlos-lab[slurm]'") from None
-    outcome = sweep.begin(scene, path, chosen, tell=tell)
+    outcome = sweep.begin(scene, path, chosen, tell=tell, force=force, probe=probe)
     todo = outcome.remaining = len(sweep.pending_positions(outcome.dataset))
     if not todo:
         return outcome

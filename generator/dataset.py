@@ -10,6 +10,9 @@ A data set is a folder::
 
 Each picture carries its pose, its pixels' hash and the fingerprint of its sweep in its header, so workers need no
 common file: a picture that was put in place by rename is done, and the manifest is gathered from the pictures.
+
+``dataset.toml`` holds hashes of its own values, of the scene, and of what ``poses.csv`` planned (`generator.seal`),
+so a set that was changed after it was planned is refused when it is opened. `generator.audit` re-reads everything.
 """
 
 from __future__ import annotations
@@ -23,33 +26,44 @@ import math
 import os
 import re
 import socket
+import tomllib
 from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
-from typing import Any, Protocol
+from typing import Any, NamedTuple, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
-from generator import exr
+from generator import exr, seal
 from generator.spec import NlosError, Sweep, Vector, VoxelGrid, dump_toml, from_dict, read_toml
 
-FORMAT = 1
+FORMAT = 2
+"""1 had no seal."""
 MANIFEST = "dataset.toml"
 POSES = "poses.csv"
 SCENE = "scene.blend"
 BACKGROUND = "background.exr"
 BACKGROUND_AMBIENT = "background-ambient.exr"
+LOG = "log.txt"
+PLAN = "plan.toml"
+
+COLOUR_SPACE = "Rec.709"
+"""What the three channels mean where nothing else is said: linear, with these primaries."""
+_INTEROP = {"Rec.709": "lin_rec709_scene", "Rec.2020": "lin_rec2020_scene", "ACEScg": "lin_ap1_scene"}
+"""Names of the Color Interop Forum, which Blender 5 and others write into EXR files as ``colorInteropID``."""
 
 Picture = NDArray[np.float32]
 
 _OURS = "nlos:"
+_GREY = ("Y", "V")
+"""Channels of grey pictures: OpenEXR's own name, and Blender's."""
 
-_COLUMNS = [
-    *("index", "voxel", "label", "x", "y", "z", "rx", "ry", "rz", "seed"),
-    *("file", "pixel_hash", "seconds", "samples"),
-]
+_PLANNED = ["index", "voxel", "label", "x", "y", "z", "rx", "ry", "rz", "seed", "file"]
+_COLUMNS = [*_PLANNED, "pixel_hash", "seconds", "samples"]
+_NEWER = ("background", "colour_space")
+"""Attributes of pictures that sets without seal may lack."""
 
 
 @dataclass(frozen=True)
@@ -90,6 +104,11 @@ class PoseRecord:
     samples: int = 0
 
     @property
+    def plan(self) -> tuple[Any, ...]:
+        """What was planned, without what rendering added."""
+        return self.index, self.voxel, self.label, self.position, self.rotation, self.seed, self.file
+
+    @property
     def done(self) -> bool:
         """Whether the picture has been rendered."""
         return bool(self.pixel_hash)
@@ -103,15 +122,20 @@ class PoseRecord:
     @classmethod
     def from_row(cls, row: Mapping[str, str]) -> PoseRecord:
         """Return the record of a manifest's row; ValueError or KeyError if it is none."""
+        if set(row) - set(_COLUMNS):
+            raise ValueError("it has more columns than this software writes")
         file = row["file"]
         if Path(file).is_absolute() or ".." in Path(file).parts:
             raise ValueError(f"file {file!r} lies outside the data set")
+        x, y, z, rx, ry, rz = (float(row[name]) for name in ("x", "y", "z", "rx", "ry", "rz"))
+        if not all(map(math.isfinite, (x, y, z, rx, ry, rz))):
+            raise ValueError("its place or rotation is not finite")
         return cls(
             index=int(row["index"]),
             voxel=int(row["voxel"]),
             label=row["label"],
-            position=(float(row["x"]), float(row["y"]), float(row["z"])),
-            rotation=(float(row["rx"]), float(row["ry"]), float(row["rz"])),
+            position=(x, y, z),
+            rotation=(rx, ry, rz),
             seed=int(row["seed"]),
             file=file,
             pixel_hash=row["pixel_hash"],
@@ -141,6 +165,14 @@ def pixel_hash(pixels: Picture) -> str:
     """Return the SHA-256 of a picture's shape and little-endian float32 pixels."""
     data = np.ascontiguousarray(pixels, dtype="<f4")
     return hashlib.sha256(repr(data.shape).encode() + data.tobytes()).hexdigest()
+
+
+def plan_hash(poses: Iterable[PoseRecord]) -> str:
+    """Return the SHA-256 of what ``poses.csv`` says was planned: all its columns up to ``file``."""
+    digest = hashlib.sha256()
+    for pose in poses:
+        digest.update((",".join(pose.row()[: len(_PLANNED)]) + "\n").encode())
+    return digest.hexdigest()
 
 
 def fingerprint(settings: Mapping[str, Any]) -> str:
@@ -240,6 +272,8 @@ def write_picture(path: Path, pixels: Picture, header: Mapping[str, str]) -> str
         raise NlosError(f"{path}: the picture holds NaN or infinite pixels")
     digest = pixel_hash(pixels)
     attributes = {f"{_OURS}{key}": value for key, value in {**header, "pixel_hash": digest}.items()}
+    if header.get("colour_space", COLOUR_SPACE) != COLOUR_SPACE:
+        attributes[exr.SPACE] = _INTEROP.get(header["colour_space"], header["colour_space"])
     with atomic(path) as temporary:
         exr.write(temporary, {name: pixels[..., i] for i, name in enumerate("RGB")}, attributes)
     return digest
@@ -251,19 +285,20 @@ def read_picture(path: Path) -> tuple[Picture, dict[str, str]]:
     Parameters
     ----------
     path : Path
-        A picture with channels R, G, B (or one channel, which stands for all three).
+        A picture with channels R, G, B; or grey, as Y or V, which stands for all three.
 
     Returns
     -------
     pixels : ndarray of shape (height, width, 3), float32
         Scene-linear radiance, W/m^2/sr.
     header : dict of str to str
-        The attributes that `write_picture` stored.
+        The attributes that `write_picture` stored; ``colour_space`` too where the file says by other means that its
+        channels are not `COLOUR_SPACE`.
 
     Raises
     ------
     NlosError
-        The file is missing, truncated or no such picture.
+        The file is missing, truncated or no such picture, cropped, or holds other things than radiance.
     """
     path = Path(path)
     if not path.is_file():
@@ -275,11 +310,18 @@ def read_picture(path: Path) -> tuple[Picture, dict[str, str]]:
     except OSError as error:
         raise NlosError(f"{path}: cannot be read ({error.strerror})") from None
     header = {name.removeprefix(_OURS): value for name, value in attributes.items() if name.startswith(_OURS)}
-    if len(channels) == 1:
-        channels = dict.fromkeys("RGB", next(iter(channels.values())))
+    names = {interop: name for name, interop in _INTEROP.items()}
+    if (other := names.get(attributes.get(exr.SPACE, ""), attributes.get(exr.SPACE, COLOUR_SPACE))) != COLOUR_SPACE:
+        header.setdefault("colour_space", other)
     missing = [name for name in "RGB" if name not in channels]
+    grey = [name for name in _GREY if name in channels]
+    if len(missing) == 3 and len(grey) == 1 and not {"RY", "BY"} & set(channels):  # those make a colour of Y
+        return np.repeat(channels[grey[0]][..., None], 3, axis=2), header
     if missing:
-        raise NlosError(f"{path}: lacks the channels {', '.join(missing)}; it holds {', '.join(channels)}")
+        raise NlosError(
+            f"{path}: is no picture of radiance: it holds {', '.join(sorted(channels))}, and lacks "
+            f"{', '.join(missing)} (or Y alone, for grey)"
+        )
     return np.stack([channels[name] for name in "RGB"], axis=-1), header
 
 
@@ -311,6 +353,10 @@ class Readable(Protocol):
         """Radiance of the directly lit patch around w1, W/m^2/sr."""
 
     @property
+    def colour_space(self) -> str:
+        """The linear space that the three channels are of: Rec.709, Rec.2020 or ACEScg."""
+
+    @property
     def planned(self) -> int:
         """How many pictures it has when it is finished."""
 
@@ -326,6 +372,15 @@ class Readable(Protocol):
 
     def picture(self, record: PoseRecord) -> Picture:
         """Return a pose's picture, (height, width, 3), W/m^2/sr."""
+
+
+class Seen(NamedTuple):
+    """A picture on disk: its pixels' own hash, and in what it is not the expected one; none if it is not whole."""
+
+    pixels: Picture | None
+    header: dict[str, str]
+    digest: str
+    fault: str
 
 
 class Dataset:
@@ -351,13 +406,20 @@ class Dataset:
         return (path / MANIFEST).is_file()
 
     @classmethod
-    def open(cls, path: Path) -> Dataset:
+    def open(cls, path: Path, *, check: bool = True) -> Dataset:
         """Open a data set.
+
+        Parameters
+        ----------
+        path : Path
+        check : bool
+            Refuse one that was changed after it was planned (`audit.changed`). Pictures are looked at when they are
+            read.
 
         Raises
         ------
         NlosError
-            There is none, its format is newer than this software, or its manifest is broken.
+            There is none, its format is newer than this software, its manifest is broken, or it was changed.
         """
         path = Path(path)
         if not cls.exists(path):
@@ -376,6 +438,8 @@ class Dataset:
             dataset.sweep, dataset.grid  # noqa: B018 (refuse what cannot be one)
         except NlosError as error:
             raise NlosError(f"{path / MANIFEST}: {error}") from None
+        if check:
+            dataset.refuse_changed()
         return dataset
 
     @classmethod
@@ -396,10 +460,28 @@ class Dataset:
             The folder holds something else, or cannot be written.
         """
         check_free(path)
-        dataset = cls(path, {"format": FORMAT, "fingerprint": fingerprint(meta["sweep"]), **meta}, list(poses))
+        full = {"format": FORMAT, "fingerprint": fingerprint(meta["sweep"]), **meta}
+        plain = as_read(full)
+        hashes = {"poses": plan_hash(poses)}
+        if (path / SCENE).is_file():
+            hashes["scene"] = file_hash(path / SCENE)
+        dataset = cls(path, seal.sealed(plain, **hashes), list(poses))
         dataset.write_manifest()
         write_text(path / MANIFEST, dump_toml(dataset.meta))
         return dataset
+
+    @property
+    def seal(self) -> dict[str, str]:
+        """The hashes of what was planned; empty in sets of older versions."""
+        found: dict[str, str] = self.meta.get(seal.SEAL, {})
+        return found
+
+    def refuse_changed(self) -> None:
+        """Raise NlosError, naming the first fault, if the set was changed after it was planned (`audit.changed`)."""
+        from generator import audit  # which reads data sets
+
+        if fault := next(audit.changed(self), ""):
+            raise NlosError(fault)
 
     @cached_property
     def grid(self) -> VoxelGrid:
@@ -441,19 +523,37 @@ class Dataset:
         return [pose for pose in self.poses if pose.done]
 
     @property
+    def colour_space(self) -> str:
+        """The linear space that the three channels are of: Rec.709, Rec.2020 or ACEScg."""
+        return str(self.meta.get("colour_space", COLOUR_SPACE))
+
+    @property
     def planned(self) -> int:
         """How many poses the sweep has."""
         return len(self.poses)
 
     def background(self) -> Picture:
-        """Return the picture without the hidden object, (height, width, 3), ambient light included where it is on."""
-        return read_picture(self.path / self.background_names[-1])[0]
+        """Return the picture without the hidden object, (height, width, 3), ambient light included where it is on.
+
+        Raises
+        ------
+        NlosError
+            It is missing, broken, or another picture.
+        """
+        return self._background(self.background_names[-1])
 
     def ambient_background(self) -> Picture | None:
         """Return what ambient light alone adds to the background, (height, width, 3); None where it is off."""
-        names = self.background_names
-        pictures = [read_picture(self.path / name)[0] for name in names]
+        pictures = list(map(self._background, self.background_names))
         return pictures[1] - pictures[0] if len(pictures) > 1 else None
+
+    def _background(self, name: str) -> Picture:
+        seen = self.see_background(name)
+        if seen.pixels is None:
+            raise NlosError(seen.fault)
+        if seen.fault:
+            raise NlosError(f"{self.path / name}: {seen.fault}; {RENDER_AGAIN}")
+        return seen.pixels
 
     def picture(self, record: PoseRecord) -> Picture:
         """Return a pose's picture, (height, width, 3), W/m^2/sr.
@@ -461,36 +561,44 @@ class Dataset:
         Raises
         ------
         NlosError
-            It is truncated, or its pixels are not those that were rendered.
+            It is truncated, its pixels are not those that were rendered, or it is of another pose.
         """
-        pixels, _ = read_picture(self.path / record.file)
-        if pixel_hash(pixels) != record.pixel_hash:
+        seen = self.see(record)
+        if seen.pixels is None:
+            raise NlosError(seen.fault)
+        if seen.digest != record.pixel_hash:
             raise NlosError(f"{self.path / record.file}: its pixels differ from the hash in {POSES}")
-        return pixels
+        if seen.fault:
+            raise NlosError(f"{self.path / record.file}: {seen.fault}; {RENDER_AGAIN}")
+        return seen.pixels
 
     def write_pose(self, pose: PoseRecord, pixels: Picture, *, seconds: float, samples: int) -> PoseRecord:
         """Write a pose's picture and return its finished record; the manifest is left to `gather`."""
-        header = {
-            **self._identity(pose),
-            "position": " ".join(map(repr, pose.position)),
-            "rotation": " ".join(map(repr, pose.rotation)),
-            "seconds": f"{seconds:.3f}",
-            "samples": str(samples),
-        }
+        header = {**self._identity(pose), "seconds": f"{seconds:.3f}", "samples": str(samples)}
         digest = write_picture(self.path / pose.file, pixels, header)
         return replace(pose, pixel_hash=digest, seconds=round(seconds, 3), samples=samples)
 
     def write_background(self, name: str, pixels: Picture, *, seed: int, samples: int) -> None:
         """Write a background picture."""
-        write_picture(self.path / name, pixels, {**self._common(), "seed": str(seed), "samples": str(samples)})
+        header = {**self._common(), "background": name, "seed": str(seed), "samples": str(samples)}
+        write_picture(self.path / name, pixels, header)
 
     def has_background(self, name: str) -> bool:
-        """Whether a sound background picture of this sweep is there."""
-        try:
-            pixels, header = read_picture(self.path / name)
-        except NlosError:
-            return False
-        return header.get("sweep") == self.meta["fingerprint"] and header.get("pixel_hash") == pixel_hash(pixels)
+        """Whether a sound background picture of this sweep is there.
+
+        Raises
+        ------
+        NlosError
+            Another sound picture is there: somebody put it in place, and rendering would overwrite it.
+        """
+        seen = self.see_background(name)
+        if seen.pixels is not None and seen.fault:
+            raise NlosError(f"{self.path / name}: {seen.fault}; {RENDER_AGAIN}")
+        return seen.pixels is not None
+
+    def see_background(self, name: str) -> Seen:
+        """Look at a background picture on disk, and in what it is not that background."""
+        return self._see(self.path / name, {**self._common(), "background": name}, unlike="label")
 
     def _common(self) -> dict[str, str]:
         return {
@@ -498,27 +606,66 @@ class Dataset:
             "engine": str(self.settings["engine"]),
             "reflection_order": str(self.meta["scene"]["reflection_order"]),
             "units": "W/m^2/sr",
+            "colour_space": self.colour_space,
         }
 
     def _identity(self, pose: PoseRecord) -> dict[str, str]:
-        return {**self._common(), "label": pose.label, "index": str(pose.index), "seed": str(pose.seed)}
+        return {
+            **self._common(),
+            "label": pose.label,
+            "index": str(pose.index),
+            "seed": str(pose.seed),
+            "position": _words(pose.position),
+            "rotation": _words(pose.rotation),
+        }
+
+    def see(self, pose: PoseRecord) -> Seen:
+        """Look at a pose's picture on disk, and in what it is not that pose's."""
+        return self._see(self.path / pose.file, self._identity(pose), unlike="background")
+
+    def _see(self, path: Path, expected: Mapping[str, str], *, unlike: str) -> Seen:
+        """Look at a picture; ``unlike`` is an attribute that pictures of the other kind have."""
+        try:
+            pixels, header = read_picture(path)
+        except NlosError as error:
+            return Seen(None, {}, "", str(error))
+        digest = pixel_hash(pixels)
+        return Seen(pixels, header, digest, self._unexpected(pixels.shape, header, digest, expected, unlike))
+
+    def _unexpected(
+        self, shape: tuple[int, ...], header: Mapping[str, str], digest: str, expected: Mapping[str, str], unlike: str
+    ) -> str:
+        width, height = self.sweep.resolution
+        if "pixel_hash" not in header:
+            return "was not rendered by this sweep"
+        if digest != header["pixel_hash"]:
+            return "its pixels were changed after they were rendered"
+        if shape[:2] != (height, width):
+            return f"has {shape[1]} x {shape[0]} pixels, not {width} x {height}"
+        if unlike in header:
+            is_background = unlike == "background"
+            mine = f"the background {header[unlike]}" if is_background else f"a picture of voxel {header[unlike]}"
+            return f"is {mine}, not {'a picture of a pose' if is_background else 'the background'}"
+        for name, value in expected.items():
+            if header.get(name) != value and (name in header or self.seal or name not in _NEWER):
+                return f"is a picture of {name.replace('_', ' ')} {header.get(name)}, not {value}"
+        return ""
 
     def inspect(self, pose: PoseRecord) -> PoseRecord:
-        """Return the pose as its picture on disk tells it: finished if the picture is whole and this sweep's own."""
-        undone = replace(pose, pixel_hash="", seconds=0.0, samples=0)
-        try:
-            pixels, header = read_picture(self.path / pose.file)
-        except NlosError:
-            return undone
-        expected = {**self._identity(pose), "pixel_hash": pixel_hash(pixels)}
-        if any(header.get(key) != value for key, value in expected.items()):
-            return undone
-        return replace(
-            pose,
-            pixel_hash=expected["pixel_hash"],
-            seconds=float(header.get("seconds", "0")),
-            samples=int(header.get("samples", "0")),
-        )
+        """Return the pose as its picture on disk tells it: finished if the picture is whole.
+
+        Raises
+        ------
+        NlosError
+            A sound picture is there that is not this pose's: somebody put it in place, and rendering would overwrite
+            it.
+        """
+        seen = self.see(pose)
+        if seen.pixels is None:
+            return replace(pose, pixel_hash="", seconds=0.0, samples=0)
+        if seen.fault:
+            raise NlosError(f"{self.path / pose.file}: {seen.fault}; {RENDER_AGAIN}")
+        return rendered(pose, seen)
 
     def gather(self, some: Collection[int] | None = None) -> list[PoseRecord]:
         """Look at pictures on disk, bring the manifest up to date, and return the poses still to render.
@@ -529,7 +676,7 @@ class Dataset:
             Positions of poses whose pictures are looked at; of the others only those that the manifest does not know
             yet, so that of many shares that end together the last leaves it whole. Without it, all are.
         """
-        known = self.poses if some is None else _read_poses(self.path / POSES)
+        known = self.poses if some is None else self._read_again()
         look = range(len(known)) if some is None else set(some)
         self.poses = [
             self.inspect(pose) if position in look or not pose.done else pose for position, pose in enumerate(known)
@@ -549,37 +696,64 @@ class Dataset:
         """Write ``poses.csv`` by temporary name and rename."""
         write_text(self.path / POSES, csv_text(_COLUMNS, (pose.row() for pose in self.poses)))
 
-    def verify(self) -> list[str]:
-        """Re-read everything.
+    def _read_again(self) -> list[PoseRecord]:
+        """Read ``poses.csv``, to which other shares may have added what they rendered."""
+        found = _read_poses(self.path / POSES)
+        if [pose.plan for pose in found] != [pose.plan for pose in self.poses]:
+            raise NlosError(f"{self.path / POSES}: its poses are not those that were planned; put the file back")
+        return found
 
-        Returns
-        -------
-        list of str
-            One sentence per fault: a missing, truncated or altered picture, or one of another sweep. Empty when all
-            is well.
-        """
-        faults = [
-            f"{self.path / name}: the background is missing or broken; run the sweep again to render it"
-            for name in self.background_names
-            if not self.has_background(name)
-        ]
-        if not (self.path / SCENE).is_file():
-            faults.append(f"{self.path / SCENE}: the scene is missing")
-        for pose in self.poses:
-            found = self.inspect(pose)
-            file = self.path / pose.file
-            if not pose.done:
-                faults.append(f"{file}: not rendered yet" + (" according to the manifest" if found.done else ""))
-            elif not found.done:
-                faults.append(f"{file}: missing, broken or of another sweep; run the sweep again to render it")
-            elif found.pixel_hash != pose.pixel_hash:
-                faults.append(f"{file}: its pixels differ from the hash in {POSES}")
-        return faults
+    def verify(self) -> list[str]:
+        """Re-read everything; return a sentence per fault (`generator.audit`)."""
+        from generator import audit  # which reads data sets
+
+        return audit.faults(self)
+
+
+def check_colours(path: Path, own: str, wanted: str, what: str) -> None:
+    """Raise NlosError unless channels of one linear space mean the same as those of another.
+
+    Parameters
+    ----------
+    path : Path
+        Of the picture or the set whose channels are of the space ``own``.
+    own, wanted : str
+    what : str
+        Whose channels are of the space ``wanted``.
+    """
+    if own != wanted:
+        raise NlosError(
+            f"{path}: its three channels are linear {own}, and those of {what} linear {wanted}, so they mean other "
+            "light; render both with one working space (Blender's scene properties)"
+        )
+
+
+def as_read(meta: Mapping[str, Any]) -> dict[str, Any]:
+    """Return a manifest's values as they are read back: TOML knows no tuples."""
+    return tomllib.loads(dump_toml(meta))
+
+
+RENDER_AGAIN = "take it away and run the sweep again to render it"
+
+
+def rendered(pose: PoseRecord, seen: Seen) -> PoseRecord:
+    """Return a pose as its picture tells it."""
+    try:
+        seconds, samples = float(seen.header.get("seconds", "0")), int(seen.header.get("samples", "0"))
+    except ValueError:
+        seconds, samples = 0.0, 0
+    return replace(pose, pixel_hash=seen.digest, seconds=seconds, samples=samples)
+
+
+def _words(vector: Vector) -> str:
+    return " ".join(repr(float(value)) for value in vector)
 
 
 _TABLES = {"sweep": dict, "scene": dict, "reference_radiance": float, "fingerprint": str}
 _IN_SCENE = {"grid": (dict,), "target": (dict,), "ambient": (int, float), "reflection_order": (int,)}
-_OPTIONAL = {"software": dict, "links": dict, "engine_reasons": list, "extra_objects": list}
+_OPTIONAL = dict.fromkeys(("software", "links", "start_check"), dict) | dict.fromkeys(
+    ("engine_reasons", "extra_objects", "replaced", "forced"), list
+)
 
 
 def check_meta(meta: Mapping[str, Any], **needed: type) -> None:
@@ -594,6 +768,8 @@ def check_meta(meta: Mapping[str, Any], **needed: type) -> None:
     for name, some in _IN_SCENE.items():
         if name in scene and not isinstance(scene[name], some):
             raise NlosError(f"scene.{name}: {scene[name]!r} cannot be")
+    if "reflection_order" not in scene:
+        raise NlosError("lacks the field 'scene.reflection_order'")
     if not isinstance(meta["sweep"].get("engine"), str):
         raise NlosError("lacks the field 'sweep.engine'")
     if not 0.0 <= meta["reference_radiance"] < math.inf:

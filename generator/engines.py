@@ -18,14 +18,13 @@ import numpy as np
 from bpy_extras.object_utils import world_to_camera_view
 from mathutils import Matrix, Vector
 
-from generator import extract, stage
+from generator import extract, nodes, replaced, stage
 from generator.dataset import Picture, read_picture
 from generator.spec import Array, NlosError, Sweep
 from generator.transport import Transport, partial
 from generator.transport.world import LitPatch
 
 ENGINES = ("path", "patch", "surfel")
-AUTO = "auto"
 GPU_KINDS = ("OPTIX", "CUDA", "HIP", "METAL", "ONEAPI")
 """Cycles' names of what it can reach a GPU through, the quickest first."""
 
@@ -42,6 +41,7 @@ class Renderer:
     def __init__(self, scene: bpy.types.Scene, folder: Path) -> None:
         self._scene = scene
         self._file = folder / "render.exr"
+        self._samples = 0
 
     def render(self, *, samples: int, seed: int, target: bool = True, ambient: bool = True) -> Picture:
         """Render one picture.
@@ -72,19 +72,26 @@ class Renderer:
         with stage.Overrides() as overrides:
             overrides.set(scene.cycles, "samples", samples)
             overrides.set(scene.cycles, "seed", seed)
-            overrides.set(scene.render, "filepath", str(self._file))
+            overrides.set(scene.render, "filepath", stage.literal(self._file, rendered=True))
             if not target:
                 for part in target_parts:
                     overrides.set(part, "hide_render", True)
             else:
                 refuse_hidden(scene)
-            if not ambient:
-                overrides.set(scene, "world", None)
-            # With persistent data Cycles keeps the old samples and seed unless the scene is marked as changed.
+            dark = [] if ambient else _put_out_the_sky(scene, overrides)
+            if samples != self._samples:
+                # With persistent data the table that Cycles' random numbers come from stays as long as the most
+                # samples so far asked for, so that a picture would depend on those before it. This frees it.
+                scene.render.use_persistent_data = False
+                scene.render.use_persistent_data = True
+                self._samples = samples
+            # Cycles also keeps the old samples and seed unless the scene is marked as changed.
             scene.update_tag()
             self._file.unlink(missing_ok=True)
             with stage.quiet():
                 bpy.ops.render.render(write_still=True, scene=scene.name)
+        if dark:
+            bpy.data.batch_remove(dark)
         scene.update_tag()
         pixels, _ = read_picture(self._file)
         if not np.isfinite(pixels).all():
@@ -168,10 +175,8 @@ def opened(
     """
     if engine not in ENGINES:
         raise NlosError(f"engine {engine!r}: there is none; choose from {', '.join(ENGINES)}")
-    order = stage.reflection_order(scene)
-    camera = stage.find(scene, "camera")
     with tempfile.TemporaryDirectory(prefix="nlos-") as folder, stage.Overrides() as overrides:
-        overrides.set(scene, "camera", camera)
+        stage.hold_camera(scene, overrides)
         _linear_output(scene, overrides)
         _plain_cycles(scene, overrides)
         if device == "gpu" and engine != "surfel":
@@ -185,12 +190,14 @@ def opened(
         overrides.set(scene.render, "threads_mode", "FIXED" if threads else "AUTO")
         if threads:
             overrides.set(scene.render, "threads", threads)
-        if engine == "surfel":
-            whole = extract.surfel_world(scene, resolution=resolution)
-            world, shadows = partial.without(whole, leave_out)
+        found = extract.survey(scene, resolution=resolution, ambient=True)
+        found.check(engine)
+        order = stage.reflection_order(scene)  # as animation has it, now that a render has started once
+        if found.world is not None and engine == "surfel":
+            world, shadows = partial.without(found.world, leave_out)
             yield SurfelRenderer(scene, Transport(world, accuracy=accuracy, threads=threads), shadows=shadows)
             return
-        with _patch_lamp(scene, order, overrides) if engine == "patch" else contextlib.nullcontext():
+        with _patch_lamp(scene, found, order) if engine == "patch" else contextlib.nullcontext():
             yield Renderer(scene, Path(folder))
 
 
@@ -227,7 +234,7 @@ def use_gpu(overrides: stage.Overrides) -> list[str]:
         if kind == preferred and any(device.use for device in found):
             return [device.name for device in found if device.use]
         for device in preferences.devices:
-            device.use = device in found
+            overrides.set(device, "use", device in found)
         if found:
             return [device.name for device in found]
     raise NlosError("device gpu: Cycles finds no GPU on this machine; check its driver, or render with --device cpu")
@@ -240,8 +247,14 @@ def refuse_hidden(scene: bpy.types.Scene) -> None:
         raise NlosError(f"{bpy.data.filepath or 'scene'}: the target {target.name!r} {why}; show it")
 
 
-def choose(scene: bpy.types.Scene) -> tuple[str, list[str]]:
+def choose(scene: bpy.types.Scene, found: extract.Survey | None = None) -> tuple[str, list[str]]:
     """Return the cheapest engine that is valid for a scene, and why no cheaper one is.
+
+    Parameters
+    ----------
+    scene : bpy.types.Scene
+    found : extract.Survey, optional
+        Of the scene; it is surveyed if not given.
 
     Returns
     -------
@@ -252,116 +265,98 @@ def choose(scene: bpy.types.Scene) -> tuple[str, list[str]]:
     Raises
     ------
     NlosError
-        A role is missing or played twice.
+        A role is missing or played twice, or no engine can sweep the scene.
     """
-    found, reasons = extract.world(scene)
-    if found is not None:
-        return "surfel", []
-    try:
-        extract.lit_patch(scene)
-    except NlosError:  # its reasons are among those of `surfel`, which needs the lit patch too
-        return "path", reasons
-    return "patch", reasons
+    found = found or extract.survey(scene)
+    found.check("path")
+    return next((engine, reasons) for engine, reasons in _by_cost(found))
+
+
+def _by_cost(found: extract.Survey) -> Iterator[tuple[str, list[str]]]:
+    """Engines that can honour a scene, the cheapest first, each with what the one before it cannot."""
+    cheaper: list[str] = []
+    for engine in reversed(ENGINES):
+        if not (reasons := found.reasons(engine)):
+            yield engine, cheaper
+        cheaper = reasons
 
 
 def _linear_output(scene: bpy.types.Scene, overrides: stage.Overrides) -> None:
-    """Float32 radiance straight from the renderer: no view transform, crop, compositor, dither or denoiser.
-
-    Nor Freestyle, whose style modules are Python that runs though a file's scripts are off.
-    """
-    render = scene.render
-    image = render.image_settings
-    if hasattr(image, "media_type"):  # Blender 5
-        overrides.set(image, "media_type", "IMAGE")
-    for owner, name, value in (
-        (image, "file_format", "OPEN_EXR"),
-        (image, "color_mode", "RGB"),
-        (image, "color_depth", "32"),
-        (image, "exr_codec", "NONE"),
-        (render, "engine", "CYCLES"),
-        (render, "resolution_percentage", 100),
-        (render, "pixel_aspect_x", 1.0),
-        (render, "pixel_aspect_y", 1.0),
-        (render, "use_border", False),
-        (render, "use_compositing", False),
-        (render, "use_sequencer", False),
-        (render, "use_freestyle", False),
-        (render, "use_motion_blur", False),
-        (render, "use_simplify", False),
-        (render, "use_file_extension", False),
-        (render, "use_overwrite", True),
-        (render, "use_multiview", False),
-        (render, "film_transparent", False),
-        (render, "use_persistent_data", True),
-    ):
-        overrides.set(owner, name, value)
+    """Let the renderer's own float32 radiance be what is written."""
+    # Another format has other depths, codecs and colour spaces: assigning it changes them.
+    overrides.keep(scene.render.image_settings, "media_type", "file_format", "color_mode", "color_depth")
+    _replace(scene, overrides, replaced.OUTPUT)
 
 
 def _plain_cycles(scene: bpy.types.Scene, overrides: stage.Overrides) -> None:
-    """Unbiased Cycles: a fixed number of samples, nothing clamped, filtered, denoised, guessed or cut short."""
-    for name, value in {
-        "device": "CPU",
-        "use_adaptive_sampling": False,
-        "use_denoising": False,
-        "time_limit": 0.0,
-        "sample_clamp_direct": 0.0,
-        "sample_clamp_indirect": 0.0,
-        "blur_glossy": 0.0,
-        "caustics_reflective": True,
-        "caustics_refractive": True,
-        "light_sampling_threshold": 0.0,
-        "pixel_filter_type": "BOX",
-        "film_exposure": 1.0,
-        "use_fast_gi": False,
-        "use_animated_seed": False,
-        "use_guiding": False,
-        "sampling_pattern": "TABULATED_SOBOL",
-        "use_sample_subset": False,
-        "sample_offset": 0,
-    }.items():
-        if name in scene.cycles.bl_rna.properties or hasattr(scene.cycles, name):
-            overrides.set(scene.cycles, name, value)
-    for layer in scene.view_layers:
-        overrides.set(layer, "samples", 0)
+    """Let Cycles be unbiased, and its noise follow from seed and samples alone."""
+    _replace(scene, overrides, replaced.SAMPLING)
+
+
+def _replace(scene: bpy.types.Scene, overrides: stage.Overrides, settings: Sequence[replaced.Setting]) -> None:
+    for setting in settings:
+        for owner, name in replaced.places(scene, setting):
+            overrides.set(owner, name, setting.value)
 
 
 @contextlib.contextmanager
-def _patch_lamp(scene: bpy.types.Scene, order: int, overrides: stage.Overrides) -> Iterator[None]:
+def _patch_lamp(scene: bpy.types.Scene, found: extract.Survey, order: int) -> Iterator[None]:
     """Put an area lamp in the place of the lit patch, which stands for the first reflection.
 
     The spot itself stays for the light of order 1, which Cycles finds without noise, if the camera sees the patch.
     What comes from the patch lamp has one reflection behind it already, so it may make one bounce less than the
     scene allows.
     """
-    patch = extract.lit_patch(scene)
-    spot = stage.find(scene, "spot")
-    overrides.set(spot.data.cycles, "max_bounces", 0)
-    seen = _in_view(scene, patch)
-    if not seen:
-        overrides.set(spot, "hide_render", True)
-    if order < 2:
-        yield
-        return
-    if not seen and not _other_light(scene, spot):
-        # With one lamp there is nothing to choose among, and after its last bounce nothing left to find.
-        overrides.set(scene.cycles, "use_light_tree", False)
-        overrides.set(scene.cycles, "max_bounces", order - 2)
+    patch, spot = found.patch, stage.find(scene, "spot")
+    assert patch is not None
     light = bpy.data.lights.new("NLOS lit patch", "AREA")
     lamp = bpy.data.objects.new("NLOS lit patch", light)
+    own = spot.data.copy()  # other lamps may share it, and keep theirs
     try:
-        _shape_lamp(lamp, patch)
-        light.cycles.max_bounces = order - 2
-        # A ray that meets the lamp by chance is not held to the limit above, so only direct sampling may find it.
-        light.cycles.use_multiple_importance_sampling = False
-        lamp.visible_camera = False
-        scene.collection.objects.link(lamp)
-        yield
+        with stage.Overrides() as overrides:
+            overrides.set(spot, "data", own)
+            own.cycles.max_bounces = 0
+            seen = _in_view(scene, patch)
+            if not seen:
+                overrides.set(spot, "hide_render", True)
+            if order < 2:
+                yield
+                return
+            if found.alone:
+                # Only the wall sees the spot itself, and it is flat: that the patch lamp might shine around what is
+                # round in the shading only would be light that no reflection brings.
+                for obj in bpy.data.objects:
+                    overrides.set(*extract.softener(obj), 0.0)
+                # After the patch lamp's last bounce there is nothing left to find.
+                overrides.set(scene.cycles, "max_bounces", order - 2)
+            if found.alone and not seen:  # with one lamp there is nothing to choose among
+                overrides.set(scene.cycles, "use_light_tree", False)
+            _shape_lamp(lamp, patch)
+            light.cycles.max_bounces = order - 2
+            # A mirror shows the lamp only to rays that meet it by chance. They are not held to the limit above,
+            # but to that of the scene, which is as low if there is no other light.
+            light.cycles.use_multiple_importance_sampling = found.alone and found.mirrors
+            lamp.visible_camera = False
+            scene.collection.objects.link(lamp)
+            yield
     finally:
         bpy.data.lights.remove(light)  # takes the object with it
+        bpy.data.lights.remove(own)
+
+
+def _put_out_the_sky(scene: bpy.types.Scene, overrides: stage.Overrides) -> list[bpy.types.World]:
+    """Put worlds without light in the place of those of a scene, and return them."""
+    dark = []
+    for owner, name in stage.worlds_of(scene):
+        dark.append(nodes.darkened(getattr(owner, name)))
+        overrides.set(owner, name, dark[-1])
+    return dark
 
 
 def _in_view(scene: bpy.types.Scene, patch: LitPatch) -> bool:
     """Whether the camera may see some of the patch, judged by the rectangle around it: a no is sure."""
+    if scene.camera.data.dof.use_dof:  # a lens sees past what a pinhole does not
+        return True
     turns = np.linspace(0.0, 2.0 * math.pi, 64, endpoint=False)
     rim = [patch.centre + 1.05 * (math.cos(t) * patch.major + math.sin(t) * patch.minor) for t in turns]
     seen = np.array([world_to_camera_view(scene, scene.camera, Vector(p)) for p in rim], dtype=np.float64)
@@ -370,14 +365,6 @@ def _in_view(scene: bpy.types.Scene, patch: LitPatch) -> bool:
         return True
     low, high = seen.min(axis=0), seen.max(axis=0)
     return bool(not behind.all() and low[0] < 1.0 and high[0] > 0.0 and low[1] < 1.0 and high[1] > 0.0)
-
-
-def _other_light(scene: bpy.types.Scene, spot: bpy.types.Object) -> bool:
-    """Whether anything but the spot may give light: a lamp, the world, a material."""
-    if stage.ambient(scene) > 0.0 or any(o.type == "LIGHT" and o != spot for o in scene.objects):
-        return True
-    materials = {slot.material for o in scene.objects for slot in o.material_slots if slot.material}
-    return any(stage.may_glow(m) for m in materials)
 
 
 def _shape_lamp(lamp: bpy.types.Object, patch: LitPatch) -> None:

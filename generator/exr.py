@@ -12,7 +12,7 @@ from __future__ import annotations
 
 import struct
 import zlib
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -22,6 +22,16 @@ from numpy.typing import NDArray
 from generator.bombs import excessive
 
 Planes = dict[str, NDArray[np.float32]]
+
+SPACE = "colorInteropID"
+"""Attribute that names the linear space of the channels, as the Color Interop Forum does."""
+_PRIMARIES = {
+    "lin_rec709_scene": (0.64, 0.33, 0.30, 0.60, 0.15, 0.06, 0.3127, 0.3290),
+    "lin_rec2020_scene": (0.708, 0.292, 0.170, 0.797, 0.131, 0.046, 0.3127, 0.3290),
+    "lin_ap1_scene": (0.713, 0.293, 0.165, 0.830, 0.128, 0.044, 0.32168, 0.33767),
+}
+"""The same as the attribute ``chromaticities`` says it: x and y of red, green, blue and white."""
+_SAME = 2e-3
 
 MAX_PIXELS = 2**28
 _MAGIC = b"\x76\x2f\x31\x01"
@@ -92,18 +102,20 @@ def read(path: Path) -> tuple[Planes, dict[str, str]]:
     -------
     planes : dict of str to ndarray of shape (height, width), float32
     attributes : dict of str to str
-        The header's string attributes.
+        The header's string attributes; `SPACE` among them where the file gives its primaries as numbers.
 
     Raises
     ------
     ExrError
-        The file is truncated, broken, or larger than 2^28 pixels.
+        The file is truncated, broken, larger than 2^28 pixels, cropped, or holds whole numbers.
     """
     data = path.read_bytes()
     if data[:4] != _MAGIC:
         raise ExrError("it does not start like an EXR file")
     try:
         return _read(data)
+    except ExrError:
+        raise
     except (struct.error, zlib.error, ValueError, IndexError, KeyError, UnicodeDecodeError) as error:
         raise ExrError(f"it is truncated or broken: {error}") from None
     except _ForeignError as kind:
@@ -116,10 +128,12 @@ def _read(data: bytes) -> tuple[Planes, dict[str, str]]:
         raise ExrError("it is deep: many values a pixel, which is no picture")
     header, position = _read_header(data)
     width, height, y0 = _claim(header, len(data))
+    _refuse_cropped(header)
     if flags & _MULTIPART:
         while data[position]:
             other, position = _read_header(data, position)
             _claim(other, len(data))
+            _refuse_cropped(other)
         raise _ForeignError("multi-part")
     if flags & _TILED:
         raise _ForeignError("tiled")
@@ -128,6 +142,8 @@ def _read(data: bytes) -> tuple[Planes, dict[str, str]]:
         raise _ForeignError(f"compression {compression}")
     lines = _LINES[compression]
     kinds = _read_channels(header["channels"][1])
+    if counts := [name for name, kind in kinds if kind.kind == "u"]:
+        raise ExrError(f"its channel {counts[0]} holds whole numbers, which are no radiance")
     layout = np.dtype([(name, kind, (width,)) for name, kind in kinds])
     n_chunks = -(-height // lines)
     offsets = struct.unpack_from(f"<{n_chunks}Q", data, position)
@@ -152,7 +168,25 @@ def _read(data: bytes) -> tuple[Planes, dict[str, str]]:
         raise ValueError("lines are missing")
     names = layout.names or ()
     strings = {name: value.decode() for name, (kind, value) in header.items() if kind == "string"}
+    if "chromaticities" in header:
+        strings.setdefault(SPACE, _space(struct.unpack("<8f", header["chromaticities"][1])))
     return {name: rows[name].astype(np.float32) for name in names}, strings
+
+
+def _space(primaries: Sequence[float]) -> str:
+    """Return the name of a linear space by its primaries and white; or those, where it has none here."""
+    for name, known in _PRIMARIES.items():
+        if max(abs(a - b) for a, b in zip(primaries, known, strict=True)) < _SAME:
+            return name
+    return "primaries " + " ".join(f"{value:.4g}" for value in primaries)
+
+
+def _refuse_cropped(header: Mapping[str, tuple[str, bytes]]) -> None:
+    """Raise ExrError where the pixels that are there are not all of the picture, or more."""
+    data, display = (struct.unpack("<4i", header[name][1]) for name in ("dataWindow", "displayWindow"))
+    if data != display:
+        told = ("x {0} to {2}, y {1} to {3}".format(*window) for window in (data, display))
+        raise ExrError("it is cropped: its pixels are those of {}, and the picture is {}".format(*told))
 
 
 def _claim(header: Mapping[str, tuple[str, bytes]], size: int) -> tuple[int, int, int]:
@@ -206,11 +240,15 @@ def _read_foreign(path: Path, kind: str) -> tuple[Planes, dict[str, str]]:
         raise ExrError(f"it is {kind}; reading that needs: python -m pip install OpenEXR") from None
     try:
         with OpenEXR.File(str(path), separate_channels=True) as file:
-            planes = {name: np.array(c.pixels, dtype=np.float32) for name, c in file.channels().items()}
+            planes = {name: np.array(c.pixels) for name, c in file.channels().items()}
             header = {name: value for name, value in file.header().items() if isinstance(value, str)}
+            if (primaries := file.header().get("chromaticities")) is not None:
+                header.setdefault(SPACE, _space(np.ravel(primaries).tolist()))
     except (RuntimeError, ValueError, TypeError) as error:
         raise ExrError(str(error).splitlines()[0] if str(error) else "it is unreadable") from None
-    return planes, header
+    if counts := [name for name, plane in planes.items() if plane.dtype.kind not in "f"]:
+        raise ExrError(f"its channel {counts[0]} holds whole numbers, which are no radiance")
+    return {name: plane.astype(np.float32) for name, plane in planes.items()}, header
 
 
 def _attribute(name: str, kind: str, value: bytes) -> bytes:

@@ -2,16 +2,15 @@
 
 from __future__ import annotations
 
-import contextlib
 import math
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
-from typing import Any, NoReturn, TypeVar
+from typing import Any
 
 import bpy
 import numpy as np
 
-from generator import spec, stage
+from generator import coincident, nodes, spec, stage
 from generator.spec import Array, NlosError, rotation_matrix
 from generator.transport.world import AmbientLight, LitPatch, Mesh, Sphere, Watched, World
 
@@ -28,6 +27,10 @@ _FLAT = 1e-5
 """A surface is plane if it leaves its plane by less, in units of its own size."""
 _SMOOTH = 1e-3
 """Normals that lean by more than this many radians from their face's show in the shading."""
+_SHADE = 1e-6
+"""Colours that differ by no more are the same."""
+_COARSE = 0.1
+"""Radians, likewise, from which it shows in the shadow as well: of an icosphere of 320 faces and less."""
 _SPHERE_FACES = 80
 _SPHERE_ROUND = 1e-3
 _NOT_MESH = {
@@ -38,46 +41,67 @@ _NOT_MESH = {
     "GREASEPENCIL": "grease pencil",
 }
 
-Result = TypeVar("Result")
 
-_SLOT = "NLOS look"
-"""Of the render result: what reading a scene leaves there is no picture."""
+@dataclass(frozen=True)
+class Survey:
+    """What a scene holds for each engine, and what each cannot honour: a phrase each that names the object.
 
-
-def lit_patch(scene: bpy.types.Scene) -> LitPatch:
-    """Return the lit patch of a scene, or say why it has none in closed form.
-
-    Raises
-    ------
-    NlosError
-        The lamp or the wall is not one whose reflection is known in closed form, or something stands between them;
-        the message names what, and says that `path` can render it.
+    Attributes
+    ----------
+    scene : str
+        Its file.
+    never : list of str
+        Why it cannot be swept by any engine.
+    patch : LitPatch or None
+        None if `patch` cannot honour something.
+    patch_reasons : list of str
+        What `patch` cannot, besides.
+    world : World or None
+        What `surfel` needs of it; None if it cannot honour something.
+    surfel_reasons : list of str
+        What `surfel` cannot, besides; all of `patch_reasons` among it.
+    lights : list of Light
+        All that give light; the spot too.
+    kinds : frozenset of str
+        How the materials of all that is rendered send light on (`nodes.kinds`).
     """
-    patch, reasons = _lit_patch(scene, _read(scene))
-    if patch is None:
-        _refuse("patch", reasons, instead="path")
-    return patch
+
+    scene: str
+    never: list[str]
+    patch: LitPatch | None
+    patch_reasons: list[str]
+    world: World | None
+    surfel_reasons: list[str]
+    lights: list[Light]
+    kinds: frozenset[str]
+
+    @property
+    def alone(self) -> bool:
+        """Whether nothing but the spot gives light."""
+        return not other_lights(self.lights)
+
+    @property
+    def mirrors(self) -> bool:
+        """Whether anything but a diffuse surface reflects, so that rays must be able to meet a lamp by chance."""
+        return bool(self.kinds - {nodes.DIFFUSE, nodes.TRANSPARENT})
+
+    def reasons(self, engine: str) -> list[str]:
+        """Return what an engine cannot honour."""
+        more = {"path": [], "patch": self.patch_reasons, "surfel": self.surfel_reasons}
+        return list(dict.fromkeys([*self.never, *more[engine]]))
+
+    def check(self, engine: str) -> None:
+        """Raise NlosError, naming everything and the engine that can, if an engine cannot honour the scene."""
+        if self.never:
+            raise NlosError(f"{self.scene}: cannot be swept: {'; '.join(self.never)}")
+        if reasons := self.reasons(engine):
+            instead = "path" if self.patch_reasons else "patch"
+            what = ", nor that ".join(reasons)
+            raise NlosError(f"{self.scene}: the engine {engine!r} cannot honour that {what}; use --engine {instead}")
 
 
-def surfel_world(scene: bpy.types.Scene, *, resolution: tuple[int, int] | None = None) -> World:
-    """Return what the engine `surfel` needs of a scene (see `world`), or say why it cannot render it.
-
-    Raises
-    ------
-    NlosError
-        The message names everything that `surfel` cannot honour, and the engine that can.
-    """
-    found, reasons = world(scene, resolution=resolution, ambient=True)
-    if found is None:
-        patch, _ = _lit_patch(scene, _read(scene))
-        _refuse("surfel", reasons, instead="path" if patch is None else "patch")
-    return found
-
-
-def world(
-    scene: bpy.types.Scene, *, resolution: tuple[int, int] | None = None, ambient: bool = False
-) -> tuple[World | None, list[str]]:
-    """Return what the engine `surfel` needs of a scene, and what it cannot honour.
+def survey(scene: bpy.types.Scene, *, resolution: tuple[int, int] | None = None, ambient: bool = False) -> Survey:
+    """Read a scene as a render sees it, for all engines.
 
     Parameters
     ----------
@@ -86,34 +110,28 @@ def world(
     resolution : (int, int), optional
         Of the pictures, width and height; the scene's own if not given.
     ambient : bool
-        Whether uniform ambient light may be followed, which is right to a few per cent only; else it is a reason.
-
-    Returns
-    -------
-    world : World or None
-        None if there is any reason.
-    reasons : list of str
-        Everything that `surfel` cannot honour, a phrase each that names the object.
+        Whether `surfel` may follow uniform ambient light, which is right to a few per cent only; else it is a reason.
 
     Raises
     ------
     NlosError
-        A role is missing or played twice.
+        A role is missing or played twice, or the scene cannot be read.
     """
     spot, camera, target = (stage.find(scene, role) for role in ("spot", "camera", "target"))
     with stage.Overrides() as overrides:
-        size = _shape_pictures(scene, resolution, overrides)
+        size = stage.shape_pictures(scene, resolution, overrides)
         with stage.put_back(scene):
-            reading, reasons = _at_rest(scene, target)
+            reading, never = _at_rest(scene, target)
         patch, patch_reasons = _lit_patch(scene, reading)
         watched, view_reasons = _watched(scene, reading, size)
-    reasons = [*patch_reasons, *view_reasons, *reasons]
+    reasons = [*patch_reasons, *view_reasons, *reading.reasons]
     sky = None
     if reading.sky is not None and ambient:
         walls = [s for s in reading.surfaces if s.role == "relay_wall"]
         sky = AmbientLight(reading.sky, _mesh(walls)) if walls else None
     elif reading.sky is not None:
-        reasons.append(f"the world {scene.world.name!r} gives ambient light")
+        [name] = [light.name for light in reading.lights if light.kind == "WORLD"]
+        reasons.append(f"the world {name!r} gives ambient light")
     if patch is not None and watched is not None and patch.normal @ watched.normal < 0:
         reasons.append(f"the camera {camera.name!r} and the spot {spot.name!r} stand on opposite sides of the wall")
     order = stage.reflection_order(scene)
@@ -130,13 +148,90 @@ def world(
     bent = [s for s in reading.surfaces if s.smooth and s.role != "target"]
     bent += [part for sphere, part in zip(spheres, parts, strict=True) if part.smooth and sphere is None]
     reasons += [f"{s.label} is shaded smooth, so that it reflects as if it were curved" for s in bent]
+    reasons += _coincident(reading, patch)
     if why := stage.unseen(scene, target):
         reasons.append(f"the target {target.name!r} {why}")
     elif not bodies:
         reasons.append(f"the target {target.name!r} has no surface to reflect light")
-    if reasons or patch is None or watched is None:
-        return None, list(dict.fromkeys(reasons))
-    return World(patch=patch, watched=watched, target=tuple(bodies), room=tuple(room), order=order, ambient=sky), []
+    whole = None
+    if not (never or reasons) and patch is not None and watched is not None:
+        whole = World(patch=patch, watched=watched, target=tuple(bodies), room=tuple(room), order=order, ambient=sky)
+    return Survey(
+        scene=bpy.data.filepath or "scene",
+        never=list(dict.fromkeys(never)),
+        patch=None if patch_reasons else patch,
+        patch_reasons=list(dict.fromkeys(patch_reasons)),
+        world=whole,
+        surfel_reasons=list(dict.fromkeys(reasons)),
+        lights=reading.lights,
+        kinds=frozenset().union(*reading.kinds.values()),
+    )
+
+
+def _coincident(reading: _Reading, patch: LitPatch | None) -> list[str]:
+    """Name surfaces that lie on one another, of which Cycles sees one and a sum over surfaces both."""
+    reasons = []
+    moving = [s for s in reading.surfaces if s.role == "target"]
+    still = [s for s in reading.surfaces if s.role != "target"]
+    for together in (moving, still):
+        if not together:
+            continue
+        triangles = np.concatenate([s.triangles for s in together])
+        owner = np.repeat(np.arange(len(together)), [len(s.triangles) for s in together])
+        pairs = coincident.overlapping(triangles)
+        if together is still and patch is not None:
+            sealed = np.concatenate([_sealed(s, patch.centre) for s in still])
+            pairs = pairs[~sealed[pairs].any(axis=1)]
+        for a, b in np.unique(owner[pairs], axis=0):
+            one, other = together[a], together[b]
+            what = f"parts of {one.label} lie" if a == b else f"{one.label} and {other.label} lie"
+            reasons.append(f"{what} on one another, so that their light would count twice")
+    return list(dict.fromkeys(reasons))
+
+
+def _sealed(surface: _Surface, source: Array) -> Array:
+    """Which triangles (n,) of a closed surface face away from a point (3,): a cupboard's foot, say."""
+    a, b, c = (surface.triangles[:, i] - source for i in range(3))
+    volumes = (np.cross(a, b) * c).sum(axis=1)
+    # Six times the signed volume: negative ones are inside out. Those of single faces say on which side the point is.
+    faces_away = volumes * np.sign(volumes.sum()) > 0.0
+    return faces_away if surface.closed else np.zeros(len(a), dtype=bool)
+
+
+def lit_patch(scene: bpy.types.Scene) -> LitPatch:
+    """Return the lit patch of a scene, or say why it has none in closed form.
+
+    Raises
+    ------
+    NlosError
+        `Survey.check` of the engine `patch`.
+    """
+    found = survey(scene)
+    found.check("patch")
+    assert found.patch is not None
+    return found.patch
+
+
+def surfel_world(scene: bpy.types.Scene, *, resolution: tuple[int, int] | None = None) -> World:
+    """Return what the engine `surfel` needs of a scene, ambient light too, or say why it cannot render it.
+
+    Raises
+    ------
+    NlosError
+        `Survey.check` of the engine `surfel`.
+    """
+    found = survey(scene, resolution=resolution, ambient=True)
+    found.check("surfel")
+    assert found.world is not None
+    return found.world
+
+
+def world(
+    scene: bpy.types.Scene, *, resolution: tuple[int, int] | None = None, ambient: bool = False
+) -> tuple[World | None, list[str]]:
+    """Return what the engine `surfel` needs of a scene, or None, and what it cannot honour; see `survey`."""
+    found = survey(scene, resolution=resolution, ambient=ambient)
+    return found.world, found.reasons("surfel")
 
 
 def room_names(scene: bpy.types.Scene) -> list[str]:
@@ -147,13 +242,6 @@ def room_names(scene: bpy.types.Scene) -> list[str]:
 
 def _room(reading: Any) -> list[str]:
     return list(dict.fromkeys(s.name for s in reading.surfaces if s.role == "room"))
-
-
-def _refuse(engine: str, reasons: Sequence[str], *, instead: str) -> NoReturn:
-    what = ", nor that ".join(reasons)
-    raise NlosError(
-        f"{bpy.data.filepath or 'scene'}: the engine {engine!r} cannot honour that {what}; use --engine {instead}"
-    )
 
 
 # --------------------------------------------------------------------------------------------------------------------
@@ -175,81 +263,91 @@ class _Surface:
     faces: int
     seen: bool
     flaws: tuple[str, ...]
+    kinds: frozenset[str] = frozenset()
+    unseen_by: frozenset[str] = frozenset()
+    """Kinds of rays that pass it by."""
+    softened: bool = False
+    """Whether Cycles lets lamps shine around its corners, which are round in the shading only."""
+
+
+@dataclass(frozen=True)
+class Light:
+    """Something that gives light in a render.
+
+    Attributes
+    ----------
+    name : str
+        Of the object, or of the world.
+    kind : {"POINT", "SUN", "SPOT", "AREA", "SURFACE", "VOLUME", "WORLD"}
+    role : str
+        "spot" or "target" of a surface that moves with it, "relay_wall", or "room".
+    instance : bool
+        One more of an object that an instancer repeats: collection, geometry nodes, particles.
+    matrix : ndarray of shape (4, 4)
+        Where it stands, metres; a lamp shines along its -z.
+    power : float
+        Of a lamp, watts (a sun's is W/m^2); NaN of the rest.
+    corners : ndarray of shape (n, 3, 3)
+        Triangles of a surface that glows, in the world, metres; empty of the rest.
+    """
+
+    name: str
+    kind: str
+    role: str
+    instance: bool
+    matrix: Array
+    power: float = math.nan
+    corners: Array = field(default_factory=lambda: np.zeros((0, 3, 3)))
+
+    @property
+    def is_spot(self) -> bool:
+        """Whether it is the spot of the scene itself, and no copy."""
+        return self.role == "spot" and not self.instance
 
 
 @dataclass
 class _Reading:
-    """All rendered surfaces, where the objects with a role stand (4 x 4 matrices), what else there is, and the
-    radiance (3,) of a world that shines alike from everywhere, if it does."""
+    """The scene as a render sees it.
+
+    Attributes
+    ----------
+    surfaces : list of _Surface
+        All that are rendered.
+    places : dict of str to ndarray of shape (4, 4)
+        Where the objects with a role stand.
+    reasons : list of str
+        What else there is that `surfel` cannot honour.
+    layers : list of str
+        What the view layers do to a picture that only plain Cycles does.
+    sky : ndarray of shape (3,) or None
+        Radiance of a world that shines alike from everywhere, if it does.
+    lights : list of Light
+        All that give light.
+    volumes : list of str
+        What is filled with a volume, a phrase each.
+    kinds : dict of str to frozenset of str
+        Of each object that is rendered, how its materials send light on (`nodes.kinds`).
+    """
 
     surfaces: list[_Surface] = field(default_factory=list)
     places: dict[str, Array] = field(default_factory=dict)
     reasons: list[str] = field(default_factory=list)
+    layers: list[str] = field(default_factory=list)
     sky: Array | None = None
+    lights: list[Light] = field(default_factory=list)
+    volumes: list[str] = field(default_factory=list)
+    kinds: dict[str, frozenset[str]] = field(default_factory=dict)
 
 
-def _as_rendered(scene: bpy.types.Scene, look: Callable[[Any], Result]) -> Result:
-    """Let a function look at the scene as a render would: Blender shows that to render engines only.
+def lights(scene: bpy.types.Scene) -> list[Light]:
+    """Return everything that gives light in a render of a scene: lamps, surfaces that glow, the world; the spot too.
 
-    The viewport's view, which scripts get elsewhere, has other subdivision levels and lacks what is hidden there.
+    Raises
+    ------
+    NlosError
+        A role is missing or played twice.
     """
-    results: list[Result] = []
-    errors: list[BaseException] = []
-
-    class Look(bpy.types.RenderEngine):  # type: ignore[misc]
-        bl_idname = "NLOS_LOOK"
-        bl_label = "NLOS look"
-
-        def render(self, depsgraph: Any) -> None:
-            try:
-                results.append(look(depsgraph))
-            except BaseException as error:  # Blender would print it and go on
-                errors.append(error)
-
-    bpy.utils.register_class(Look)
-    try:
-        with stage.Overrides() as overrides, stage.quiet(), _in_a_slot():
-            overrides.set(scene, "camera", stage.find(scene, "camera"))
-            for name, value in (
-                ("engine", Look.bl_idname),
-                ("use_compositing", False),
-                ("use_sequencer", False),
-                ("use_freestyle", False),  # its style modules are Python, and run though scripts are off
-                ("use_multiview", False),
-                ("use_simplify", False),
-                ("use_persistent_data", False),
-            ):
-                overrides.set(scene.render, name, value)
-            bpy.ops.render.render(scene=scene.name)
-    except RuntimeError as error:
-        raise NlosError(f"{bpy.data.filepath or 'scene'}: cannot be read ({' '.join(str(error).split())})") from None
-    finally:
-        bpy.utils.unregister_class(Look)
-    if errors:
-        raise errors[0]
-    if not results:
-        raise NlosError(f"{bpy.data.filepath or 'scene'}: cannot be read, for none of its view layers is rendered")
-    return results[0]
-
-
-@contextlib.contextmanager
-def _in_a_slot() -> Iterator[None]:
-    """Let a render fill a slot of its own, so that the picture that the user rendered last stays."""
-    result = next((image for image in bpy.data.images if image.type == "RENDER_RESULT"), None)
-    if result is None:
-        yield
-        return
-    slots = result.render_slots
-    before = slots.active_index
-    names = [slot.name for slot in slots]
-    if _SLOT not in names:
-        slots.new(name=_SLOT)
-        names.append(_SLOT)
-    slots.active_index = names.index(_SLOT)
-    try:
-        yield
-    finally:
-        slots.active_index = before
+    return _read(scene).lights
 
 
 def _read(scene: bpy.types.Scene) -> _Reading:
@@ -258,16 +356,16 @@ def _read(scene: bpy.types.Scene) -> _Reading:
     roles |= dict.fromkeys(parts, "target")
 
     def look(depsgraph: Any) -> _Reading:
-        reading = _Reading(reasons=_layer_reasons(scene, depsgraph))
-        reading.sky, more = _sky(depsgraph.scene.world)
-        reading.reasons += more
+        layers = _layer_reasons(scene)
+        reading = _Reading(reasons=list(layers), layers=layers)
         layer = scene.view_layers[depsgraph.view_layer.name]
-        known: dict[int, _Shape] = {}
+        _read_world(getattr(layer, "world_override", None) or depsgraph.scene.world, reading)
+        known: dict[tuple[int, ...], _Shape] = {}
         for instance in depsgraph.object_instances:
             _read_instance(instance, roles, parts[0], layer, reading, known)
         return reading
 
-    return _as_rendered(scene, look)
+    return stage.as_rendered(scene, look)
 
 
 def _read_instance(
@@ -276,33 +374,35 @@ def _read_instance(
     target: bpy.types.Object,
     layer: bpy.types.ViewLayer,
     reading: _Reading,
-    known: dict[int, _Shape],
+    known: dict[tuple[int, ...], _Shape],
 ) -> None:
     obj = instance.object
     owner = (instance.parent if instance.is_instance else obj).original
     role = roles.get(owner, "room")
     matrix = stage.numbers(instance.matrix_world)
     if not instance.is_instance and obj.original in roles:
-        key = role if role != "target" or obj.original == target else obj.name
-        reading.places[key] = matrix
+        reading.places[role if role != "target" or obj.original == target else obj.name] = matrix
     if obj.type == "LIGHT":
-        if (instance.is_instance or role != "spot") and obj.data.energy != 0.0:
-            reading.reasons.append(f"the lamp {obj.name!r} shines too")
+        _read_lamp(instance, roles.get(obj.original, "room"), matrix, reading)
         return
     hair = [s for s in obj.particle_systems if s.settings.type == "HAIR" and s.settings.render_type == "PATH"]
     if hair and instance.show_particles:
         reading.reasons.append(f"{obj.name!r} carries hair")
+        _read_substance(instance, role, matrix, reading)
     if not instance.show_self:
         return
     if obj.type in _NOT_MESH:
         reading.reasons.append(f"{obj.name!r} is {_NOT_MESH[obj.type]}, and surfel knows only faces")
+        _read_substance(instance, role, matrix, reading)
         return
     if not isinstance(obj.data, bpy.types.Mesh):
         return  # a curve or text comes a second time, as the mesh made of it
-    pointer = obj.data.as_pointer()
-    if pointer not in known:
-        known[pointer] = _shape(obj)
-    shape = known[pointer]
+    # Objects that share a mesh may differ in their materials.
+    made_of = [slot.material.as_pointer() if slot.material else 0 for slot in obj.material_slots]
+    key = (obj.data.as_pointer(), *made_of)
+    if key not in known:
+        known[key] = _shape(obj)
+    shape = known[key]
     if not len(shape.corners):
         return
     label = f"{obj.name!r}"
@@ -323,12 +423,64 @@ def _read_instance(
             triangles=triangles,
             albedo=shape.albedo,
             closed=shape.closed,
-            smooth=shape.smooth,
+            smooth=shape.lean > _SMOOTH,
             faces=shape.faces,
             seen=obj.visible_camera,
             flaws=tuple(f"{label} {flaw}" for flaw in flaws),
+            kinds=shape.kinds,
+            unseen_by=frozenset(_unseen_by(instance)),
+            softened=shape.lean > _COARSE and softening(obj.original) > 0.0,
         )
     )
+    reading.kinds[obj.name] = reading.kinds.get(obj.name, frozenset()) | shape.kinds
+    if nodes.VOLUME in shape.kinds:
+        reading.volumes.append(f"{obj.name!r} is filled with a volume")
+    if shape.glowing.any() or shape.fire:
+        kind = "SURFACE" if shape.glowing.any() else "VOLUME"
+        shining = triangles[shape.glowing] if shape.glowing.any() else triangles
+        reading.lights.append(Light(obj.name, kind, role, instance.is_instance, matrix, corners=shining))
+
+
+def _read_lamp(instance: Any, role: str, matrix: Array, reading: _Reading) -> None:
+    """Take down a lamp, if it shines."""
+    obj, lamp = instance.object, instance.object.data
+    portal = lamp.type == "AREA" and lamp.cycles.is_portal
+    power = stage.lamp_power(lamp)
+    if portal or power == 0.0 or not nodes.shines(lamp):
+        return
+    factor = nodes.radiance(lamp)
+    power *= 1.0 if factor is None else sum(factor) / 3.0
+    reading.lights.append(Light(obj.name, lamp.type, role, instance.is_instance, matrix, power))
+    if role == "spot" and instance.is_instance:
+        reading.reasons.append(f"the lamp {obj.name!r} shines once more, as an instance")
+    elif role != "spot":
+        reading.reasons.append(f"the lamp {obj.name!r} shines too")
+
+
+def _read_world(world: Any, reading: _Reading) -> None:
+    """Take down the world."""
+    reading.sky, more = _sky(world)
+    reading.reasons += more
+    if world is None:
+        return
+    if nodes.glows(world):
+        reading.lights.append(Light(world.name, "WORLD", "room", False, np.eye(4)))
+    if nodes.read(world).volume:
+        reading.volumes.append(f"the world {world.name!r} is filled with a volume")
+
+
+def _read_substance(instance: Any, role: str, matrix: Array, reading: _Reading) -> None:
+    """Take down hair, points and volumes, whose shape only Cycles knows."""
+    obj = instance.object
+    materials = [slot.material for slot in obj.material_slots] or [None]
+    kinds = frozenset().union(*map(nodes.kinds, materials))
+    if obj.type == "VOLUME" or nodes.VOLUME in kinds:
+        kinds = frozenset({nodes.VOLUME})
+        reading.volumes.append(f"{obj.name!r} is filled with a volume")
+    reading.kinds[obj.name] = reading.kinds.get(obj.name, frozenset()) | kinds
+    if any(map(nodes.glows, materials)):
+        kind = "VOLUME" if obj.type == "VOLUME" else "SURFACE"
+        reading.lights.append(Light(obj.name, kind, role, instance.is_instance, matrix))
 
 
 @dataclass(frozen=True)
@@ -338,9 +490,14 @@ class _Shape:
     corners: Array
     albedo: Array
     closed: bool
-    smooth: bool
+    lean: float
     faces: int
     flaws: tuple[str, ...]
+    kinds: frozenset[str]
+    glowing: Any
+    """Which of the triangles give light, (n,), bool."""
+    fire: bool
+    """Whether a volume inside gives light."""
 
 
 def _shape(obj: Any) -> _Shape:
@@ -356,13 +513,17 @@ def _shape(obj: Any) -> _Shape:
         solid = sides.any(axis=1)  # what has no area neither reflects nor hides anything
         edges = np.bincount(_values(mesh.loops, "edge_index", 1, np.int32)[:, 0])
         colours, flaws = _colours(obj, slot[solid])
+        kinds, glowing, fire = _makings(obj, slot[solid])
         return _Shape(
             corners=corners[solid],
             albedo=colours,
             closed=bool((edges[edges > 0] == 2).all()),
-            smooth=is_smooth(mesh),
+            lean=_lean(mesh),
             faces=len(mesh.polygons),
             flaws=flaws,
+            kinds=kinds,
+            glowing=glowing,
+            fire=fire,
         )
     finally:
         obj.to_mesh_clear()
@@ -376,30 +537,46 @@ def _values(collection: Any, name: str, width: int, kind: type) -> Any:
 
 def is_smooth(mesh: Any) -> bool:
     """Whether any corner's normal leans from its face's: shading that is set smooth may well be flat all the same."""
+    return _lean(mesh) > _SMOOTH
+
+
+def _lean(mesh: Any) -> float:
+    """By how much corners' normals lean from those of their faces, radians, at most; of a right angle no more."""
     if not len(mesh.polygons):
-        return False
+        return 0.0
     shading = _values(mesh.corner_normals, "vector", 3, np.float32)
-    faces = np.repeat(
-        _values(mesh.polygons, "normal", 3, np.float32),
-        _values(mesh.polygons, "loop_total", 1, np.int32)[:, 0],
-        axis=0,
-    )
-    lean = np.linalg.norm(np.cross(shading, faces), axis=1)
-    area = np.repeat(
-        _values(mesh.polygons, "area", 1, np.float32)[:, 0], _values(mesh.polygons, "loop_total", 1, np.int32)[:, 0]
-    )
-    return bool((((lean > _SMOOTH) | ((shading * faces).sum(axis=1) < 0)) & (area > 0)).any())
+    loops = _values(mesh.polygons, "loop_total", 1, np.int32)[:, 0]
+    faces = np.repeat(_values(mesh.polygons, "normal", 3, np.float32), loops, axis=0)
+    area = np.repeat(_values(mesh.polygons, "area", 1, np.float32)[:, 0], loops)
+    sine = np.linalg.norm(np.cross(shading, faces), axis=1)
+    lean = np.where((shading * faces).sum(axis=1) < 0, math.pi / 2.0, np.arcsin(np.minimum(sine, 1.0)))
+    return float(lean[area > 0].max(initial=0.0))
+
+
+def _slots(obj: Any, slots: Any) -> tuple[list[Any], Any]:
+    """Return an object's materials, and which of them each face has, as Cycles takes it."""
+    materials = [slot.material for slot in obj.material_slots] or [None]
+    return materials, np.clip(slots, 0, len(materials) - 1)
+
+
+def _makings(obj: Any, slots: Any) -> tuple[frozenset[str], Any, bool]:
+    """Return the kinds of reflection of faces with those material slots, which of them glow, and if a volume does."""
+    materials, slots = _slots(obj, slots)
+    used = np.unique(slots)
+    kinds: frozenset[str] = frozenset().union(*(nodes.kinds(materials[i]) for i in used))
+    glowing = [i for i in used if materials[i] is not None and nodes.shines(materials[i])]
+    fire = any(nodes.glows(materials[i]) and i not in glowing for i in used if materials[i] is not None)
+    return kinds, np.isin(slots, glowing), fire
 
 
 def _colours(obj: Any, slots: Any) -> tuple[Array, tuple[str, ...]]:
     """Return the albedo (n, 3) of faces with those material slots, and what is amiss with their materials."""
-    materials = [slot.material for slot in obj.material_slots] or [None]
-    slots = np.clip(slots, 0, len(materials) - 1)  # as Cycles does
+    materials, slots = _slots(obj, slots)
     table = np.zeros((len(materials), 3))
     flaws = []
     for index in np.unique(slots):
         material = materials[index]
-        colour = None if material is None else stage.material_colour(material)
+        colour = None if material is None else nodes.diffuse(material)
         if colour is None:
             flaws.append(_material_flaw(material))
         elif min(colour) < 0.0 or max(colour) > 1.0:
@@ -413,22 +590,29 @@ def _colours(obj: Any, slots: Any) -> tuple[Array, tuple[str, ...]]:
 def _material_flaw(material: Any) -> str:
     if material is None:
         return "has no material, so that Cycles takes one of its own, which is glossy"
-    output = stage.material_output(material)
-    if output is not None and output.inputs["Volume"].is_linked:
+    shader = nodes.read(material)
+    if shader.volume:
         return "has a material that fills it with a volume"
-    if output is not None and output.inputs["Displacement"].is_linked:
+    if shader.displaced:
         return "has a material that displaces it"
-    if stage.may_glow(material):
+    if nodes.glows(material):
         return "has a material that may give light of its own"
     return "has a material that is not one constant diffuse colour"
 
 
+_RAYS = ("camera", "diffuse", "glossy", "transmission", "shadow")
+
+
+def _unseen_by(instance: Any) -> list[str]:
+    """Kinds of rays that pass a surface by."""
+    objects = [instance.object] + ([instance.parent] if instance.is_instance else [])
+    return [word for word in _RAYS if not all(getattr(o, f"visible_{word}") for o in objects)]
+
+
 def _visibility_flaws(instance: Any, role: str, layer: bpy.types.ViewLayer) -> list[str]:
     objects = [instance.object] + ([instance.parent] if instance.is_instance else [])
-    rays = {"visible_diffuse": "diffuse", "visible_shadow": "shadow"}
-    if role == "relay_wall":
-        rays["visible_camera"] = "camera"
-    flaws = [f"is not visible to {word} rays" for n, word in rays.items() if not all(getattr(o, n) for o in objects)]
+    seeing = _RAYS if role == "relay_wall" else ("diffuse", "shadow")
+    flaws = [f"is not visible to {word} rays" for word in _unseen_by(instance) if word in seeing]
     originals = [o.original for o in objects]
     if any(o.is_holdout or o.holdout_get(view_layer=layer) for o in originals):
         flaws.append("is a holdout")
@@ -436,11 +620,31 @@ def _visibility_flaws(instance: Any, role: str, layer: bpy.types.ViewLayer) -> l
         flaws.append("is in a collection that is seen indirectly only")
     if any(o.is_shadow_catcher for o in originals):
         flaws.append("is a shadow catcher")
+    if any(_terminator(o) for o in originals):
+        flaws.append("has a shadow terminator offset, which darkens it where light grazes")
     return flaws
 
 
-def _layer_reasons(scene: bpy.types.Scene, depsgraph: Any) -> list[str]:
-    """What the world and the view layers do to a picture that `surfel` does not."""
+def _terminator(obj: bpy.types.Object) -> bool:
+    """Whether an object's shading is made smoother where light grazes it; that acts on flat faces too."""
+    if hasattr(obj, "shadow_terminator_shading_offset"):  # Blender 5; what Cycles' own panel had is left unused there
+        return bool(obj.shadow_terminator_shading_offset)
+    return bool(obj.cycles.shadow_terminator_offset)
+
+
+def softening(obj: bpy.types.Object) -> float:
+    """Return by how much Cycles moves the start of shadow rays where shading is smooth (geometry offset)."""
+    return float(getattr(*softener(obj)))
+
+
+def softener(obj: bpy.types.Object) -> tuple[Any, str]:
+    """Return who holds `softening`, and in which attribute."""
+    name = "shadow_terminator_geometry_offset"
+    return (obj, name) if hasattr(obj, name) else (obj.cycles, name)
+
+
+def _layer_reasons(scene: bpy.types.Scene) -> list[str]:
+    """What the view layers do to a picture that only plain Cycles does."""
     reasons = []
     rendered = [layer for layer in scene.view_layers if layer.use]
     if len(rendered) > 1:
@@ -452,6 +656,8 @@ def _layer_reasons(scene: bpy.types.Scene, depsgraph: Any) -> list[str]:
             reasons.append(f"the view layer {layer.name!r} leaves out solid faces")
         if getattr(layer, "world_override", None) is not None:
             reasons.append(f"the view layer {layer.name!r} has a world of its own")
+        if not layer.use_sky and stage.ambient(scene) > 0.0:
+            reasons.append(f"the view layer {layer.name!r} leaves out the world's light")
     return reasons
 
 
@@ -459,26 +665,19 @@ def _sky(world: Any) -> tuple[Array | None, list[str]]:
     """Radiance (3,), W/m^2/sr, of a world that shines alike from everywhere, if it shines; what else is amiss."""
     if world is None:
         return None, []
-    tree, reasons = world.node_tree, []
-    if bpy.app.version < (5, 0) and not world.use_nodes:
-        tree = None
-    if tree is None:
-        return _lit(world.color), []
-    output = next((n for n in tree.nodes if n.type == "OUTPUT_WORLD" and n.is_active_output), None)
-    if output is None:
-        return None, []
-    if output.inputs["Volume"].is_linked:
+    reasons = []
+    if nodes.read(world).volume:
         reasons.append(f"the world {world.name!r} is filled with a volume")
-    if not output.inputs["Surface"].is_linked:
+    if not nodes.shines(world):
         return None, reasons
-    shader = output.inputs["Surface"].links[0].from_node
-    if shader.type == "BACKGROUND":
-        colour, strength = shader.inputs["Color"], shader.inputs["Strength"]
-        if not strength.is_linked and (strength.default_value == 0.0 or not colour.is_linked):
-            return _lit(strength.default_value * np.array(colour.default_value[:3])), reasons
-        if not colour.is_linked and not any(colour.default_value[:3]):
-            return None, reasons
-    return None, [*reasons, f"the world {world.name!r} gives ambient light that is not one constant radiance"]
+    if not world.cycles_visibility.diffuse:
+        reasons.append(f"the world {world.name!r} is not visible to diffuse rays")
+    if world.cycles.max_bounces < MAX_ORDER - 1:
+        reasons.append(f"the world {world.name!r} has a limit of bounces of its own ({world.cycles.max_bounces})")
+    radiance = nodes.radiance(world)
+    if radiance is None:
+        return None, [*reasons, f"the world {world.name!r} gives ambient light that is not one constant radiance"]
+    return _lit(radiance), reasons
 
 
 def _lit(radiance: Any) -> Array | None:
@@ -522,87 +721,90 @@ def _sphere(surface: _Surface, origin: Array) -> Sphere | None:
 
 
 def _at_rest(scene: bpy.types.Scene, target: bpy.types.Object) -> tuple[_Reading, list[str]]:
-    """Read the scene with the target unrotated where it is; find out what else changes when it moves."""
-    place = np.array(target.matrix_world.translation, dtype=np.float64)
+    """Read the scene with the target unrotated where it is; find out what else changes when it moves.
+
+    The second is why no engine can sweep the scene: a data set's poses would not be those of its pictures, or its
+    background not the one that they have.
+    """
     if stage.unseen(scene, target):  # where it goes cannot be seen
         reading = _read(scene)
         reading.places.setdefault("target", stage.numbers(target.matrix_world))
-        return reading, reading.reasons
-    corner, turn = np.zeros((0, 3)), (40.0, 25.0, 70.0)
+        return reading, []
     try:
+        place = stage.snapshot(scene).matrices["target"][:3, 3]
         stage.move_target(scene, _vector(place), (0.0, 0.0, 0.0))
         reading = _read(scene)
         parts = [s for s in reading.surfaces if s.role == "target"]
-        corner = np.concatenate([corner, *(s.triangles.reshape(-1, 3) for s in parts)])
+        corner = np.concatenate([np.zeros((0, 3)), *(s.triangles.reshape(-1, 3) for s in parts)])
         size = float(np.ptp(corner, axis=0).max()) if len(corner) else 1.0
         moved_to = place + size * np.array([0.31, 0.17, 0.23])
+        turn = (40.0, 25.0, 70.0)
         stage.move_target(scene, _vector(moved_to), turn)
         moved = _read(scene)
-        stays = False
-    except NlosError:
-        reading, stays = _read(scene), True
+    except NlosError as error:
+        reading = _read(scene)
+        reading.places.setdefault("target", stage.numbers(target.matrix_world))
+        return reading, [str(error).removeprefix(f"{bpy.data.filepath or 'scene'}: ")]
     before = reading.places.setdefault("target", stage.numbers(target.matrix_world))
-    if not stays:
-        after = moved.places.get("target", stage.numbers(target.matrix_world))
-        slack = 1e-4 * size + 1e-6 * float(np.abs(moved_to).max())
-        # An animation has its say only when a render starts: where the target was put is not where it is.
-        stays = bool(np.abs([before[:3, 3] - place, after[:3, 3] - moved_to]).max() > slack)
-    if stays:
-        why = f"the target {target.name!r} does not go where it is put (a constraint, a driver, an animation)"
-        return reading, [*reading.reasons, why]
+    after = moved.places.get("target", stage.numbers(target.matrix_world))
+    slack = 1e-4 * size + 1e-6 * float(np.abs(moved_to).max())
     matrix = rotation_matrix(turn)
+    # An animation has its say only when a render starts: where the target was put is not where it is.
+    stays = np.abs([before[:3, 3] - place, after[:3, 3] - moved_to]).max() > slack
+    turned = after[:3, :3] - matrix @ before[:3, :3]
+    if stays or np.abs(turned).max() > 1e-4 * np.abs(before[:3, :3]).max():
+        return reading, [stage.held(target)]
     carried = [replace(s, triangles=(s.triangles - before[:3, 3]) @ matrix.T + after[:3, 3]) for s in parts]
-    reasons = [
-        f"{label} changes its shape with where it stands"
+    reading.reasons += [
+        f"{label} changes its shape or colour with where it stands"
         for label in _changed(carried, [s for s in moved.surfaces if s.role == "target"], slack)
     ]
     others, still = ([s for s in r.surfaces if s.role != "target"] for r in (reading, moved))
-    reasons += [
+    never = [
         f"{label} changes when the target moves, and is not one of its children"
         for label in _changed(others, still, 1e-6 * size)
     ]
     for role in ("camera", "spot"):
-        if role in moved.places and np.abs(reading.places[role] - moved.places[role]).max() > 1e-6:
-            reasons.append(f"the {role} {stage.find(scene, role).name!r} moves when the target does")
-    return reading, [*reading.reasons, *reasons]
+        if role in moved.places and not _alike(reading.places[role], moved.places[role], 1e-6):
+            never.append(f"the {role} {stage.find(scene, role).name!r} moves when the target does")
+    return reading, [*never, *_changed_lights(reading.lights, moved.lights)]
+
+
+def _changed_lights(before: Sequence[Light], after: Sequence[Light]) -> list[str]:
+    """Return what lights, those that the target carries left out, do when it moves."""
+    one, other = ([light for light in some if light.role != "target"] for some in (before, after))
+    if len(one) != len(other):
+        return ["there are other lights when the target moves"]
+    labels = []
+    for light, now in zip(one, other, strict=True):
+        if not np.array_equal(light.power, now.power, equal_nan=True):
+            labels.append(f"the light {light.name!r} changes its power when the target moves")
+        elif light.role != "spot" and not _alike(light.matrix, now.matrix, 1e-6):
+            labels.append(f"the light {light.name!r} moves when the target does")
+    return labels
 
 
 def _changed(before: Sequence[_Surface], after: Sequence[_Surface], slack: float) -> list[str]:
-    """Return the labels of surfaces that are not, corner by corner, what they were."""
+    """Return the labels of surfaces that are not, corner by corner, what they were, in shape and colour."""
     left: dict[str, list[_Surface]] = {}
     for surface in after:
         left.setdefault(surface.name, []).append(surface)
     labels = []
     for surface in before:
-        now = left[surface.name].pop(0).triangles if left.get(surface.name) else np.empty((0, 3, 3))
-        if now.shape != surface.triangles.shape or np.abs(now - surface.triangles).max(initial=0.0) > slack:
+        now = left[surface.name].pop(0) if left.get(surface.name) else None
+        if now is None or not (
+            _alike(now.triangles, surface.triangles, slack) and _alike(now.albedo, surface.albedo, _SHADE)
+        ):
             labels.append(surface.label)
     return [*labels, *(surface.label for rest in left.values() for surface in rest)]
 
 
+def _alike(one: Array, other: Array, slack: float) -> bool:
+    return one.shape == other.shape and float(np.abs(one - other).max(initial=0.0)) <= slack
+
+
 def _vector(values: Array) -> spec.Vector:
     return (float(values[0]), float(values[1]), float(values[2]))
-
-
-def _shape_pictures(
-    scene: bpy.types.Scene, resolution: tuple[int, int] | None, overrides: stage.Overrides
-) -> tuple[int, int]:
-    """Give the scene the pictures' resolution, on which the camera's view depends, and square pixels."""
-    render = scene.render
-    share = render.resolution_percentage
-    width, height = resolution or (
-        max(1, render.resolution_x * share // 100),
-        max(1, render.resolution_y * share // 100),
-    )
-    for name, value in (
-        ("resolution_x", width),
-        ("resolution_y", height),
-        ("resolution_percentage", 100),
-        ("pixel_aspect_x", 1.0),
-        ("pixel_aspect_y", 1.0),
-    ):
-        overrides.set(render, name, value)
-    return width, height
 
 
 # --------------------------------------------------------------------------------------------------------------------
@@ -618,10 +820,9 @@ def _lit_patch(scene: bpy.types.Scene, reading: _Reading) -> tuple[LitPatch | No
     reasons = _lamp_reasons(lamp, stage.reflection_order(scene))
     if "spot" not in reading.places:
         reasons.append(f"the spot {lamp.name!r} is hidden from renders")
-    colour = stage.diffuse_colour(wall)
-    if colour is None:
-        reasons.append(f"the relay wall {wall.name!r} has a material that is not one constant diffuse colour")
+    reasons += _reflection_reasons(scene, reading)
     surfaces = [s for s in reading.surfaces if s.role != "target"]
+    walls = [s for s in surfaces if s.role == "relay_wall"]
     matrix = stage.numbers(lamp.matrix_world)
     origin, axis = matrix[:3, 3], -matrix[:3, 2] / np.linalg.norm(matrix[:3, 2])
     half = light.spot_size / 2.0
@@ -650,8 +851,9 @@ def _lit_patch(scene: bpy.types.Scene, reading: _Reading) -> tuple[LitPatch | No
         axis=axis,
         height=height,
         intensity=stage.numbers(light.color)
+        * np.array(nodes.radiance(light) or (0.0, 0.0, 0.0))
         * (light.energy * 2.0 ** getattr(light, "exposure", 0.0) / (4.0 * math.pi)),
-        albedo=np.asarray(colour or (0.0, 0.0, 0.0)),
+        albedo=np.zeros(3),
         cos_outer=math.cos(half),
         cos_width=(1.0 - math.cos(half)) * blend,
     )
@@ -660,6 +862,11 @@ def _lit_patch(scene: bpy.types.Scene, reading: _Reading) -> tuple[LitPatch | No
     apex = np.append(origin, 1.0)
     sides = _pyramid(rim, apex)
     before = [*sides, _Plane(normal, float(normal @ point) + 1e-4 * height)]
+    colour = _colour_within(walls, [*sides, *_near(normal, point, 1e-4 * height)])
+    if colour is None:
+        reasons.append(f"the relay wall {wall.name!r} has more than one colour where {lamp.name!r} lights it")
+    else:
+        patch = replace(patch, albedo=colour)
     blocking = [s for s in surfaces if _areas(s.triangles, before).sum() > _NOTHING * major * minor]
     reasons += [_blocked(lamp, wall, s) for s in blocking]
     if not blocking and not _covered(surfaces, sides, point, normal, rim, 1e-4 * height):
@@ -673,10 +880,9 @@ def _lamp_reasons(lamp: bpy.types.Object, order: int) -> list[str]:
     reasons = []
     if light.shadow_soft_size > 0:
         reasons.append(f"{name} has a radius of {light.shadow_soft_size:g} m, not 0")
-    # From Blender 5.2 on every lamp has nodes, and to ask whether they are used is deprecated.
-    used = bpy.app.version >= (5, 2) or light.use_nodes
-    if used and light.node_tree and _has_own_nodes(light.node_tree):
-        reasons.append(f"{name} has shader nodes of its own")
+    factor = nodes.radiance(light)
+    if factor is None or min(factor) < 0.0 or nodes.read(light).volume:
+        reasons.append(f"{name} has shader nodes of its own that are not one constant emission")
     if getattr(light, "use_temperature", False):
         reasons.append(f"{name} takes its colour from a temperature")
     if not getattr(light, "normalize", True):
@@ -702,18 +908,116 @@ def _blocked(lamp: bpy.types.Object, wall: bpy.types.Object, hit: _Surface | Non
     return f"{hit.name!r} stands in the cone of the spot {lamp.name!r}, before the relay wall"
 
 
-def _has_own_nodes(tree: bpy.types.NodeTree) -> bool:
-    """Whether a lamp's node tree is other than the one every lamp starts with: white emission of strength 1."""
-    if {n.type for n in tree.nodes} - {"EMISSION", "OUTPUT_LIGHT"}:
-        return True
-    for node in tree.nodes:
-        if node.type == "EMISSION":
-            colour, strength = node.inputs["Color"], node.inputs["Strength"]
-            if colour.is_linked or strength.is_linked or strength.default_value != 1.0:
-                return True
-            if any(c != 1.0 for c in colour.default_value):
-                return True
-    return False
+def _reflection_reasons(scene: bpy.types.Scene, reading: _Reading) -> list[str]:
+    """Why the first reflection, in closed form and sent out by a lamp, would not be what Cycles finds."""
+    reasons = [*reading.layers, *reading.volumes]
+    copies = [light for light in reading.lights if light.role == "spot" and light.instance]
+    reasons += [f"the lamp {light.name!r} shines once more, as an instance" for light in copies]
+    for wall in (s for s in reading.surfaces if s.role == "relay_wall"):
+        reasons += wall.flaws
+        if wall.smooth:
+            reasons.append(f"{wall.label} is shaded smooth, so that it reflects as if it were curved")
+    reasons += _passed_by(reading)
+    reasons += _bounce_reasons(scene, reading)
+    reasons += _transparent_reasons(scene, reading)
+    if others := other_lights(reading.lights):
+        reasons += [
+            f"{s.label} is shaded smooth over coarse faces, around which lamps shine (shadow terminator geometry "
+            f"offset), while {others[0].name!r} shines too"
+            for s in reading.surfaces
+            if s.softened
+        ]
+    return list(dict.fromkeys(reasons))
+
+
+def _passed_by(reading: _Reading) -> list[str]:
+    """What some rays meet and others pass by.
+
+    The way from the object to the lit patch is that of a reflected ray in Cycles, and that of a shadow ray where a
+    lamp stands for the patch.
+    """
+    kinds = frozenset().union(*reading.kinds.values())
+    reflected = {"diffuse", *({nodes.GLOSSY, nodes.TRANSMISSION} & kinds)}
+    reasons = []
+    for surface in reading.surfaces:
+        unseen = surface.unseen_by & {"shadow", *reflected}
+        if unseen and unseen != {"shadow", *reflected}:
+            words = " and ".join(word for word in _RAYS if word in unseen)
+            reasons.append(f"{surface.label} is not visible to {words} rays, and is to others")
+    return reasons
+
+
+def _bounce_reasons(scene: bpy.types.Scene, reading: _Reading) -> list[str]:
+    """Which materials need a limit of bounces that one number cannot say, or a lamp that rays meet by chance."""
+    cycles = scene.cycles
+    others = other_lights(reading.lights)
+    reasons = []
+    for name, kinds in reading.kinds.items():
+        ways = [kind for kind in (nodes.GLOSSY, nodes.TRANSMISSION) if kind in kinds]
+        if nodes.UNKNOWN in kinds:
+            reasons.append(f"{name!r} has a material that sends light where only Cycles knows")
+        if not ways:
+            continue
+        limits = {kind: getattr(cycles, f"{kind}_bounces") for kind in ("diffuse", *ways)}
+        low = min(limits, key=lambda kind: limits[kind])
+        if limits[low] < cycles.max_bounces:
+            reasons.append(
+                f"{name!r} has a {ways[0]} material, and the limit of {low} bounces ({limits[low]}) is below that of "
+                f"all ({cycles.max_bounces})"
+            )
+        if nodes.MIRROR in kinds and others:
+            reasons.append(f"{name!r} may reflect like a mirror while {others[0].name!r} shines too")
+    return reasons
+
+
+def _transparent_reasons(scene: bpy.types.Scene, reading: _Reading) -> list[str]:
+    """Why the limit of transparent bounces may tell: to a shadow ray it is one more than to a path."""
+    limit, legs = scene.cycles.transparent_max_bounces, stage.reflection_order(scene)
+    clear = [s for s in reading.surfaces if nodes.TRANSPARENT in s.kinds]
+    known = {s.name for s in clear}
+    unknown = [name for name, kinds in reading.kinds.items() if nodes.TRANSPARENT in kinds and name not in known]
+    crossed = legs * sum(_planes(s.triangles) for s in clear)
+    if not unknown and crossed < limit:
+        return []
+    names = [*unknown, *(s.name for s in clear)]
+    return [
+        f"{names[0]!r} is transparent, and light may cross more such faces than the limit of transparent bounces "
+        f"({limit}) surely allows"
+        for _ in names[:1]
+    ]
+
+
+def _planes(triangles: Array) -> int:
+    """Return in how many planes triangles (n, 3, 3) lie: a straight line crosses no more of them."""
+    sides = np.cross(triangles[:, 1] - triangles[:, 0], triangles[:, 2] - triangles[:, 0])
+    normals = sides / np.linalg.norm(sides, axis=1, keepdims=True)
+    main = normals[np.arange(len(normals)), np.abs(normals).argmax(axis=1)]
+    normals = normals * np.sign(main)[:, None]  # both sides of a plane are one
+    size = np.ptp(triangles.reshape(-1, 3), axis=0).max()
+    offsets = (normals * (triangles[:, 0] - triangles[0, 0])).sum(axis=1) / size
+    return len(np.unique(np.round(np.column_stack([normals, offsets]), 4), axis=0))
+
+
+def other_lights(found: Sequence[Light]) -> list[Light]:
+    """Return those of the lights that are not the spot itself."""
+    return [light for light in found if not light.is_spot]
+
+
+def _near(normal: Array, point: Array, slack: float) -> list[_Plane]:
+    """The slab around a plane."""
+    at = float(normal @ point)
+    return [_Plane(normal, at - slack), _Plane(-normal, -at - slack)]
+
+
+def _colour_within(walls: Sequence[_Surface], planes: Sequence[_Plane]) -> Array | None:
+    """Return the albedo (3,) of walls inside all of the planes; None if it is not everywhere the same."""
+    if not walls:
+        return np.zeros(3)
+    areas = np.concatenate([_areas(s.triangles, planes) for s in walls])
+    albedo = np.concatenate([s.albedo for s in walls])[areas > _NOTHING * areas.sum()]
+    if not len(albedo):
+        return np.zeros(3)
+    return None if np.ptp(albedo, axis=0).any() else albedo[0]
 
 
 def _perpendicular(normal: Array) -> Array:
@@ -786,7 +1090,7 @@ def _watched(
         to_wall=to_wall,
         eye=seen_from,
         normal=normal,
-        albedo=np.asarray(stage.diffuse_colour(wall) or (0.0, 0.0, 0.0)),
+        albedo=np.zeros(3),
         resolution=resolution,
     )
     reach = (watched.points(_CORNERS) - eye) @ forward
@@ -795,6 +1099,11 @@ def _watched(
     outline = watched.points(_EDGE + (1.0 - 2.0 * _EDGE) * _CORNERS)
     sides = _pyramid(outline, seen_from)
     slack = 1e-4 * float(reach.min())
+    colour = _colour_within([s for s in surfaces if s.role == "relay_wall"], [*sides, *_near(normal, point, slack)])
+    if colour is None:
+        reasons.append(f"the relay wall {wall.name!r} has more than one colour where {name} sees it")
+    else:
+        watched = replace(watched, albedo=colour)
     between = [
         *sides,
         _Plane(normal, float(normal @ point) + slack),

@@ -17,10 +17,10 @@ from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Any
 
-from generator.dataset import Dataset, is_alive, write_text
+from generator import remaining
+from generator.dataset import LOG, Dataset, is_alive, write_text
 from generator.spec import NlosError
 
-LOG = "log.txt"
 RUNS = ".runs"
 RUNNING, ENDED = "running", "ended"
 EVERY = 2.0
@@ -53,6 +53,8 @@ class State:
         Pictures of this run.
     seconds : float
         Since it began.
+    first, first_seconds : int, float
+        Pictures that were done when any were, and when that was.
     failed : list of str
         Poses that could not be rendered, each with its reason.
     workers : list of dict
@@ -67,6 +69,8 @@ class State:
     done: int = 0
     total: int = 0
     seconds: float = 0.0
+    first: int = 0
+    first_seconds: float = 0.0
     failed: list[str] = field(default_factory=list)
     workers: list[dict[str, Any]] = field(default_factory=list)
 
@@ -75,7 +79,7 @@ class State:
         """Return the state that a run has written; ValueError, TypeError or KeyError if it is none."""
         state = cls(**json.loads(text))
         texts = [state.host, state.shard, state.state, *state.failed, *(worker["doing"] for worker in state.workers)]
-        counts = [state.pid, state.done, state.total, state.seconds]
+        counts = [state.pid, state.done, state.total, state.seconds, state.first, state.first_seconds]
         counts += [worker[name] for worker in state.workers for name in ("pid", "seconds", "done", "memory")]
         if not all(isinstance(text, str) for text in texts) or not all(0 <= count < 1e15 for count in counts):
             raise ValueError("is no run's state")
@@ -83,8 +87,10 @@ class State:
 
     @property
     def rate(self) -> float:
-        """Pictures a second."""
-        return self.done / self.seconds if self.seconds > 0.0 else 0.0
+        """Pictures a second; 0 while that cannot be told."""
+        if self.state != RUNNING:
+            return self.done / self.seconds if self.seconds > 0.0 else 0.0
+        return remaining.rate(self.done, self.seconds, self.first, self.first_seconds)
 
 
 class Journal:
@@ -125,6 +131,8 @@ class Journal:
     def told(self, done: int, total: int) -> None:
         """Take note of how far the run is."""
         self.state.done, self.state.total = done, total
+        if done and not self.state.first:
+            self.state.first, self.state.first_seconds = done, round(time.monotonic() - self._begun, 3)
 
     def _keep(self) -> None:
         while not self._over.wait(EVERY):
@@ -211,7 +219,7 @@ def read(path: Path) -> dict[str, Any]:
     NlosError
         There is no data set.
     """
-    dataset = Dataset.open(path)
+    dataset = Dataset.open(path, check=False)  # is asked again and again of a set that is being made
     done = sum((path / pose.file).is_file() for pose in dataset.poses)
     runs = []
     for file in sorted((path / RUNS).glob("*.json")):

@@ -1,4 +1,4 @@
-"""Mesh files from elsewhere, before Blender's importers see them: these believe what is claimed, and follow links."""
+"""Mesh files from elsewhere, before Blender's importers see them."""
 
 from __future__ import annotations
 
@@ -11,6 +11,8 @@ from generator.spec import NlosError
 
 _HEAD = 2**16
 """Bytes within which a PLY's header ends."""
+_PER_BYTE = 1.0
+"""Elements that a PLY may claim to hold for each of its bytes."""
 
 
 @contextlib.contextmanager
@@ -20,7 +22,7 @@ def importable(path: Path) -> Iterator[Path]:
     Raises
     ------
     NlosError
-        It is a PLY that claims more than it can hold, for which the importer would make room.
+        It is a PLY that claims more than it can hold. Blender 5.0.1 crashed at one.
     """
     suffix = path.suffix.lower()
     if suffix == ".ply":
@@ -28,7 +30,7 @@ def importable(path: Path) -> Iterator[Path]:
     if suffix != ".obj":
         yield path
         return
-    # An OBJ's material libraries may lie anywhere, and name textures anywhere; a target has a material of its own.
+    # A target has a material of its own, so an OBJ's material libraries, which may lie anywhere, are not read.
     with tempfile.TemporaryDirectory(prefix="nlos-") as folder:
         copy = Path(folder) / path.name
         with path.open("rb") as lines, copy.open("wb") as kept:
@@ -42,5 +44,5 @@ def _check_ply(path: Path) -> None:
         head = file.read(_HEAD).partition(b"end_header")[0]
     for line in head.splitlines():
         words = line.split()
-        if words[:1] == [b"element"] and words[-1].isdigit() and int(words[-1][:20]) > size:
+        if words[:1] == [b"element"] and words[-1].isdigit() and int(words[-1][:20]) > _PER_BYTE * size:
             raise NlosError(f"target.mesh: {path} claims {words[-1][:20].decode()} elements in {size} bytes")

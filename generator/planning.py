@@ -252,7 +252,7 @@ def _predicted(
             took[name] = took["seconds"]  # it is the same sweep
             continue
         tell(f"rehearsing {'the plan' if name == 'seconds' else 'the whole'}")
-        known = budget.rehearsed(source, settings, workers)
+        known = budget.rehearsed(source, settings, workers, force=True)
         if known.engine == "surfel":
             work = 1.0 / plan.settings["accuracy"]
         else:

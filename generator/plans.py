@@ -10,12 +10,12 @@ from typing import Any
 
 import numpy as np
 
-from generator.dataset import csv_text, scene_hash, write_text
+from generator.dataset import PLAN, csv_text, scene_hash, write_text
 from generator.spec import NlosError, dump_toml, read_toml
 from generator.sweep import clock
 
 FORMAT = 1
-FILE = "plan.toml"
+FILE = PLAN
 POSES = 10
 """Per voxel, that `surfel` looks at for a plan; five missed what shows at few poses, in 1 of 24 random rooms."""
 SETTINGS = ("engine", "accuracy", "samples", "leave_out")

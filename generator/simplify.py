@@ -9,7 +9,7 @@ from typing import Any
 import bpy
 import numpy as np
 
-from generator import extract, stage
+from generator import extract, nodes, stage
 from generator.spec import NlosError
 from generator.transport.partial import PARTS
 
@@ -76,8 +76,8 @@ def _pieces(scene: bpy.types.Scene) -> dict[str, Callable[[], None]]:
     pieces: dict[str, Callable[[], None]] = {}
     if stage.reflection_order(scene) > extract.MAX_ORDER:
         pieces[BEYOND] = functools.partial(stage.limit_reflections, scene, extract.MAX_ORDER)
-    if scene.world is not None and stage.ambient(scene) > 0.0:
-        pieces[AMBIENT] = functools.partial(setattr, scene, "world", None)
+    if stage.ambient(scene) > 0.0:
+        pieces[AMBIENT] = functools.partial(_put_out_the_sky, scene)
     roles = {stage.find(scene, role): role for role in stage.SINGLE_ROLES}
     shown = [o for o in scene.objects if not stage.unseen(scene, o) and not _keeps(o, roles)]
     for obj in shown:
@@ -90,7 +90,7 @@ def _pieces(scene: bpy.types.Scene) -> dict[str, Callable[[], None]]:
             pieces[obj.name] = functools.partial(setattr, obj, "hide_render", True)
     materials = {slot.material for obj in shown if obj.type != "LIGHT" for slot in obj.material_slots}
     for material in sorted(materials - {None}, key=lambda m: m.name):
-        if stage.material_colour(material) is None:
+        if nodes.diffuse(material) is None:
             pieces[f"the material {material.name!r}"] = functools.partial(_make_plain, material)
     return pieces
 
@@ -117,6 +117,12 @@ def _add_mesh(pieces: dict[str, Callable[[], None]], obj: bpy.types.Object, *, t
         pieces[f"the curved shading of {obj.name!r}"] = functools.partial(_flatten, obj)
     if faces >= _MANY:
         pieces[f"{FINE}{obj.name!r}"] = functools.partial(_coarsen, obj, _COARSE / faces)
+
+
+def _put_out_the_sky(scene: bpy.types.Scene) -> None:
+    """Take the world's light and leave its fog."""
+    for owner, name in stage.worlds_of(scene):
+        setattr(owner, name, nodes.darkened(getattr(owner, name)))
 
 
 def _shave(obj: bpy.types.Object) -> None:
@@ -153,7 +159,7 @@ def _paint(obj: bpy.types.Object) -> None:
 def _make_plain(material: bpy.types.Material) -> None:
     """Make a material a Lambertian reflector of about its own colour."""
     colour = _colour(material)
-    if material.node_tree is None or (bpy.app.version < (5, 0) and not material.use_nodes):
+    if not nodes.uses_nodes(material):
         material.use_nodes = True
     tree = material.node_tree
     tree.nodes.clear()
@@ -165,30 +171,22 @@ def _make_plain(material: bpy.types.Material) -> None:
 
 def _colour(material: bpy.types.Material) -> tuple[float, ...]:
     """What part of the light a material reflects, as far as its nodes tell; that of a lamp is black."""
-    output = stage.material_output(material)
-    if output is None:
-        return (_GREY,) * 3
-    if not output.inputs["Surface"].is_linked:
-        return (0.0, 0.0, 0.0)
-    todo, colours = [output.inputs["Surface"].links[0].from_node], []
-    while todo:
-        node = todo.pop()
-        socket = node.inputs.get("Base Color") or node.inputs.get("Color")
-        if node.type in ("EMISSION", "HOLDOUT"):
-            colours.append(np.zeros(3))
-        elif node.type.startswith(("BSDF", "SUBSURFACE", "EEVEE")) and socket is not None:
-            colours.append(_value(socket))
-        else:
-            todo += [link.from_node for socket in node.inputs if socket.type == "SHADER" for link in socket.links]
-    mean = np.clip(np.mean(colours, axis=0) if colours else np.full(3, _GREY), 0.0, 1.0)
+    found = []
+    for part in nodes.read(material).surface:
+        name = next((n for n in ("Base Color", "Color") if n in part.inputs), "")
+        if part.kind in ("EMISSION", "HOLDOUT"):
+            found.append(np.zeros(3))
+        elif name:
+            found.append(_value(part, name))
+    mean = np.clip(np.mean(found, axis=0) if found else np.full(3, _GREY), 0.0, 1.0)
     return tuple(float(c) for c in mean)
 
 
-def _value(socket: Any) -> Any:
-    """The mean colour that a socket is given."""
-    if not socket.is_linked:
-        return np.array(socket.default_value[:3])
-    image = getattr(socket.links[0].from_node, "image", None)
+def _value(part: nodes.Part, name: str) -> Any:
+    """The mean colour that an input of a shader is given."""
+    colour, image = part.colour(name), part.images.get(name)
+    if colour is not None:
+        return np.array(colour)
     if image is None or (not image.has_data and not image.size[0]):
         return np.full(3, _GREY)
     pixels = np.empty(len(image.pixels), dtype=np.float32)

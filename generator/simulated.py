@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from functools import cached_property
+from functools import cached_property, partial
 from pathlib import Path
 from typing import Any
 
@@ -22,22 +22,26 @@ class Simulated:
     bulk : Bulk
     count : int
         How many; 0 is all of them.
+    check : bool
+        Look whether their parts are as they were rendered (`Bulk.refuse_changed_parts`).
 
     Raises
     ------
     NlosError
-        The set is not finished, or has fewer.
+        The set is not finished, has fewer, or was changed.
     """
 
-    def __init__(self, bulk: Bulk, count: int = 0) -> None:
+    def __init__(self, bulk: Bulk, count: int = 0, *, check: bool = True) -> None:
         bulk.refuse_unfinished()
         if not 0 <= count <= bulk.planned:
             raise NlosError(f"{bulk.path}: holds {bulk.planned} pictures, so {count} cannot be taken")
         self._bulk = bulk
         self._count = count or bulk.planned
+        if check:
+            bulk.refuse_changed_parts(self._count)
 
     def __reduce__(self) -> tuple[Any, ...]:
-        return Simulated, (self._bulk, self._count)
+        return partial(Simulated, check=False), (self._bulk, self._count)
 
     @property
     def path(self) -> Path:
@@ -68,6 +72,11 @@ class Simulated:
     def reference_radiance(self) -> float:
         """Radiance of the directly lit patch around w1, W/m^2/sr."""
         return self._bulk.reference_radiance
+
+    @property
+    def colour_space(self) -> str:
+        """The linear space that the three channels are of: Rec.709, Rec.2020 or ACEScg."""
+        return self._bulk.colour_space
 
     @property
     def planned(self) -> int:

@@ -12,6 +12,7 @@ import re
 import tomllib
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass, field, fields, is_dataclass, replace
+from functools import cached_property
 from pathlib import Path
 from types import UnionType
 from typing import Any, Literal, Union, get_args, get_origin, get_type_hints
@@ -24,6 +25,8 @@ Range = tuple[float, float]
 Array = NDArray[np.float64]
 
 ROOM_SURFACES = ("floor", "ceiling", "back", "left", "right")
+FACES = {"floor": ("z", 0), "ceiling": ("z", 1), "back": ("y", 1), "left": ("x", 0), "right": ("x", 1)}
+"""Across which axis a surface of the room lies, and at which of its ends."""
 TARGET_KINDS = ("sheet", "sphere", "mesh")
 
 
@@ -187,7 +190,7 @@ class VoxelGrid:
         x, y, z = ((b - a) / n for a, b, n in zip(self.lo, self.hi, self.shape, strict=True))
         return (x, y, z)
 
-    @property
+    @cached_property
     def labels(self) -> list[str]:
         """A, B, ... Z, AA, AB, ... in voxel order, like the columns of a spreadsheet."""
         return [voxel_label(i) for i in range(self.n_voxels)]
@@ -301,13 +304,22 @@ class Scene:
             for axis in "xyz":
                 extent = getattr(getattr(self, part), axis, None)
                 if isinstance(extent, tuple):
-                    _check(extent[0] < extent[1], f"{part}.{axis}: {extent} must run from low to high")
+                    # Surfaces may be all in one plane, as a floor alone is; what is built of them is another matter.
+                    flat = part in ("room", "partition") and extent[0] == extent[1]
+                    _check(extent[0] < extent[1] or flat, f"{part}.{axis}: {extent} must run from low to high")
         _check(self.spot.power >= 0, f"spot.power: {self.spot.power} must not be negative")
         _check(
             0 < self.spot.half_angle < 90,
             f"spot.half_angle: {self.spot.half_angle} must lie between 0 and 90 degrees",
         )
-        _check(self.spot.location != self.spot.aim, "spot.aim: must differ from spot.location")
+        _check(
+            self.spot.location[1] > max(0.0, self.spot.aim[1]),
+            f"spot.location: {self.spot.location} must lie before the relay wall, farther from it than spot.aim",
+        )
+        _check(
+            self.camera.location[1] > 0.0,
+            f"camera.location: {self.camera.location} must lie before the relay wall, with y above 0",
+        )
         _check(self.ambient >= 0, f"ambient: {self.ambient} must not be negative")
         _check(self.target.size >= 0, f"target.size: {self.target.size} must not be negative")
         _check(self.target.size > 0 or self.target.kind == "mesh", "target.size: must be above 0")
@@ -325,6 +337,17 @@ class Scene:
                 not unknown,
                 f"room.surfaces: {sorted(unknown)} unknown; choose from {', '.join(ROOM_SURFACES)}",
             )
+            twice = len(set(self.room.surfaces)) < len(self.room.surfaces)
+            _check(not twice, f"room.surfaces: {list(self.room.surfaces)} names a surface twice")
+
+    def check_buildable(self) -> None:
+        """Raise NlosError if a surface to be built would have no area; one that is read from a file may lie flat."""
+        parts = [("partition", "y"), ("partition", "z")] if self.partition else []
+        for surface in self.room.surfaces if self.room else ():
+            parts += [("room", axis) for axis in "xyz" if axis != FACES[surface][0]]
+        for part, axis in parts:
+            low, high = getattr(getattr(self, part), axis)
+            _check(low < high, f"{part}.{axis}: {(low, high)} must run from low to high")
 
     @property
     def reference_radiance(self) -> float:
@@ -338,6 +361,10 @@ class Scene:
         if radiance > 0 and room and set(ROOM_SURFACES) <= set(room.surfaces):
             room = replace(room, surfaces=tuple(s for s in room.surfaces if s != "ceiling"))
         return replace(self, ambient=radiance, room=room)
+
+
+AUTO = "auto"
+"""The cheapest engine that a scene allows: what a sweep takes where its user names none."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -377,6 +404,7 @@ class Sweep:
     """
 
     engine: Literal["path", "patch", "surfel"] = "patch"
+    """Of a sweep that is made; where its user names none, it is the cheapest that the scene allows (`AUTO`)."""
     samples: int = 512
     device: Literal["cpu", "gpu"] = "cpu"
     denoise: bool = False
@@ -482,6 +510,32 @@ def preset(name: str, target: str = "sheet") -> Scene:
             target=Target.named(target, 1.2),
         )
     raise NlosError(f"preset {name!r}: there is none; choose from room, tabletop, corridor")
+
+
+_LENGTHS = ("wall", "room", "partition", "spot.location", "camera", "grid")
+_NOT_READ = ("preset", "target.mesh", "spot.aim", "camera.projection", "room.surfaces")
+"""What a file does not say, or says in other words."""
+
+
+def unlike(wanted: Scene, got: Scene) -> str:
+    """Return the first figure that Blender could not take as it was wanted, in words; empty if there is none.
+
+    Its numbers have 24 bits and an end, and some of its settings narrower ones: a spot's cone has 1 degree at least.
+    """
+    found: dict[str, list[Any]] = {}
+    for name, value in _leaves(got):
+        found.setdefault(name, []).append(value)
+    flat = [f"room.{axis}" for axis in "xyz" if len(set(found.get(f"room.{axis}", ()))) == 1]  # as of a floor alone
+    near = 1e-6 * max(abs(v) for name in ("wall.x", "wall.z", "camera.location") for v in found[name])
+    for name, value in _leaves(wanted):
+        if name in _NOT_READ or name not in found:
+            continue
+        other = found[name].pop(0)
+        if not isinstance(value, float) or name in flat or (name == "target.size" and not value):
+            continue
+        if not math.isclose(other, value, rel_tol=2e-3, abs_tol=near if name.startswith(_LENGTHS) else 0.0):
+            return f"{name}: {value:g} becomes {other:g} in Blender"
+    return ""
 
 
 def _leaves(value: Any, prefix: str = "") -> list[tuple[str, Any]]:
@@ -606,7 +660,7 @@ def merge(base: dict[str, Any], over: Mapping[str, Any]) -> dict[str, Any]:
 
 
 _DEEP = re.compile(r"""(?<![\w-])(?:(?:[\w-]++|"[^"\n]*+"|'[^'\n]*+')[ \t]*+\.[ \t]*+){50}""")
-"""A key of more parts than any of ours: what tomllib remembers of one grows with their square, to gigabytes."""
+"""A key of more parts than any of ours: tomllib of Python 3.11 took gigabytes for some."""
 
 
 def read_toml(path: Path) -> dict[str, Any]:

@@ -8,12 +8,14 @@ of them can be read and edited in Blender without any add-on.
 from __future__ import annotations
 
 import contextlib
+import functools
 import math
 import os
 import sys
-from collections.abc import Collection, Iterator
+from collections.abc import Callable, Collection, Iterator, Sequence
+from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
 import bpy
 
@@ -22,7 +24,7 @@ import bmesh  # exists only once bpy is imported
 import numpy as np
 from mathutils import Euler, Matrix, Quaternion, Vector
 
-from generator import meshes, references, spec
+from generator import meshes, nodes, references, spec
 from generator.spec import Array, NlosError
 
 ROLE = "nlos_role"
@@ -37,28 +39,30 @@ COLLECTION = "NLOS"
 # Roles that exactly one object plays; "room" and "partition" are played by any number.
 SINGLE_ROLES = ("relay_wall", "spot", "camera", "target")
 
-_NO_SURFACE = ("LIGHT", "LIGHT_PROBE", "CAMERA", "SPEAKER", "ARMATURE", "LATTICE")
+_NO_SURFACE = ("LIGHT_PROBE", "CAMERA", "SPEAKER", "ARMATURE", "LATTICE")
 
-_FACES = {
-    "floor": ("z", 0),
-    "ceiling": ("z", 1),
-    "back": ("y", 1),
-    "left": ("x", 0),
-    "right": ("x", 1),
-}
+_SLOT = "NLOS look"
+"""Of the render result: what reading a scene leaves there is no picture."""
+
+_THROUGH = {nodes.TRANSPARENT, nodes.TRANSMISSION, nodes.SUBSURFACE, nodes.VOLUME, nodes.UNKNOWN}
+"""Ways in which light comes through a surface."""
+_SHEAR = 1e-5
+"""A frame is sheared if it differs by more from one that is not, in units of its scale."""
+
+Result = TypeVar("Result")
 
 
 @contextlib.contextmanager
 def quiet() -> Iterator[None]:
     """Silence what Blender prints about its own doings (file descriptor 1, since C prints it)."""
+    if sys.stdout is not None:
+        sys.stdout.flush()
     try:
         saved = os.dup(1)
     except OSError:  # a windowed Blender may have no standard output at all
         yield
         return
     nowhere = os.open(os.devnull, os.O_WRONLY)
-    if sys.stdout is not None:
-        sys.stdout.flush()
     try:
         os.dup2(nowhere, 1)
         yield
@@ -69,24 +73,143 @@ def quiet() -> Iterator[None]:
 
 
 class Overrides:
-    """Set attributes of Blender's data and set them back on leaving, last first."""
+    """Set attributes of Blender's data and set them back on leaving, last first.
+
+    Animation and drivers have their say when a render starts, and would overrule what is set; so those of just these
+    attributes are muted for as long.
+    """
 
     def __init__(self) -> None:
-        self._old: list[tuple[Any, str, Any]] = []
+        self._undo: list[Callable[[], None]] = []
 
     def __enter__(self) -> Overrides:
         return self
 
     def set(self, owner: Any, name: str, value: Any) -> None:
-        """Set an attribute until the block is left."""
-        self._old.append((owner, name, getattr(owner, name)))
+        """Set an attribute until the block is left.
+
+        Raises
+        ------
+        NlosError
+            It is animated by an action that animates something else as well, which muting it would change.
+        """
+        for curve in animating(owner, name):
+            self._undo.append(functools.partial(setattr, curve, "mute", False))
+            curve.mute = True
+        self._undo.append(functools.partial(setattr, owner, name, getattr(owner, name)))
         setattr(owner, name, value)
 
+    def keep(self, owner: Any, *first: str) -> None:
+        """Set back whatever will have changed of an owner's settings, where setting one changes others.
+
+        Parameters
+        ----------
+        owner : bpy.types.bpy_struct
+            With the settings that it owns, theirs too.
+        *first : str
+            Names of those that decide what others may be, in the order in which they do.
+        """
+        with quiet():  # Blender complains of colour spaces that are not set
+            every = list(_plain(owner))
+        before = sorted(every, key=lambda one: first.index(one[1]) if one[1] in first else len(first))
+        self._undo.append(functools.partial(_set_back, owner, before))
+
     def __exit__(self, *_: object) -> None:
-        for owner, name, value in reversed(self._old):
-            # A codec or depth that only the old file format has comes back with that format, set after it.
-            with contextlib.suppress(TypeError):
+        for undo in reversed(self._undo):
+            with contextlib.suppress(TypeError):  # what only another Blender or add-on knows, such as its engine
+                undo()
+
+
+def _plain(owner: Any, way: tuple[str, ...] = ()) -> Iterator[tuple[tuple[str, ...], str, Any]]:
+    """Every value that can be set of an owner, and of what it owns: the way to whose it is, its name, and which."""
+    for about in owner.bl_rna.properties:
+        if about.type == "COLLECTION" or about.identifier == "rna_type":
+            continue
+        value = getattr(owner, about.identifier)
+        if about.type == "POINTER":
+            if value is not None and not isinstance(value, bpy.types.ID):
+                yield from _plain(value, (*way, about.identifier))
+        elif not about.is_readonly:
+            yield way, about.identifier, tuple(value) if getattr(about, "is_array", False) else value
+
+
+@quiet()
+def _set_back(root: Any, before: list[tuple[tuple[str, ...], str, Any]]) -> None:
+    for way, name, value in before:
+        # Looked up anew: a change of colour management frees the curves of the old one.
+        owner = functools.reduce(lambda holder, step: getattr(holder, step, None), way, root)
+        if owner is None:
+            continue
+        now = getattr(owner, name)
+        if (tuple(now) if isinstance(value, tuple) else now) != value:
+            with contextlib.suppress(TypeError):  # likewise
                 setattr(owner, name, value)
+
+
+def animating(owner: Any, name: str) -> list[Any]:
+    """Return the F-curves, among them drivers, that set an attribute when a render starts.
+
+    Parameters
+    ----------
+    owner : bpy.types.bpy_struct
+    name : str
+
+    Raises
+    ------
+    NlosError
+        One is in an action that animates something else as well.
+    """
+    block: Any = getattr(owner, "id_data", None)
+    animation = getattr(block, "animation_data", None)
+    if animation is None:
+        return []
+    found = [curve for curve in animation.drivers if _sets(curve, owner, name)]
+    for action, slot in _actions(animation):
+        curves = [curve for curve in _curves(action, slot) if _sets(curve, owner, name)]
+        # Another scene's settings are not rendered.
+        if curves and not isinstance(block, bpy.types.Scene) and _shared(action, slot):
+            raise NlosError(
+                f"{_file()}: {block.name!r} shares the action {action.name!r}, which animates its {name!r}, with "
+                "something else; give it an action of its own"
+            )
+        found += curves
+    return found
+
+
+def _sets(curve: Any, owner: Any, name: str) -> bool:
+    """Whether an F-curve that counts sets that attribute."""
+    path = curve.data_path
+    if curve.mute or not path.endswith((name, f'"{name}"]')):
+        return False
+    head = path.removesuffix(f'["{name}"]').removesuffix(name).removesuffix(".")
+    if head in ("cycles", '["cycles"]'):  # Cycles' settings were custom properties until Blender 5
+        return bool(owner == getattr(owner.id_data, "cycles", None))
+    try:
+        return bool((owner.id_data.path_resolve(head) if head else owner.id_data) == owner)
+    except ValueError:  # it leads nowhere
+        return False
+
+
+def _actions(animation: Any) -> list[tuple[Any, Any]]:
+    """Actions that animate a data-block, by itself or as strips, each with the handle of its slot, if any."""
+    users, strips = [animation], [strip for track in animation.nla_tracks for strip in track.strips]
+    while strips:
+        strip = strips.pop()
+        users.append(strip)
+        strips += strip.strips  # of a meta-strip
+    return [(user.action, getattr(user, "action_slot_handle", None)) for user in users if user.action is not None]
+
+
+def _curves(action: Any, slot: Any) -> list[Any]:
+    if not hasattr(action, "layers"):  # until Blender 4.3
+        return list(action.fcurves)
+    bags = [bag for layer in action.layers for strip in layer.strips for bag in strip.channelbags]
+    return [curve for bag in bags if bag.slot_handle == slot for curve in bag.fcurves]
+
+
+def _shared(action: Any, slot: Any) -> bool:
+    slots = [s for s in getattr(action, "slots", ()) if s.handle == slot]
+    return len(slots[0].users()) > 1 if slots else action.users - action.use_fake_user > 1
 
 
 def open_file(path: Path, known: Collection[Path] = ()) -> bpy.types.Scene:
@@ -101,17 +224,33 @@ def open_file(path: Path, known: Collection[Path] = ()) -> bpy.types.Scene:
     Raises
     ------
     NlosError
-        There is no such file, Blender cannot read it, or it refers to files elsewhere (`references.refuse`).
+        There is no such file, Blender cannot read it, it refers to files elsewhere (`references.refuse`), or its
+        pictures are made from files that are not there (`references.require`).
     """
     if not path.is_file():
         raise NlosError(f"{path}: no such scene file")
     references.refuse(path, known)
     try:
         with quiet():
-            bpy.ops.wm.open_mainfile(filepath=str(path), load_ui=False, use_scripts=False)
+            bpy.ops.wm.open_mainfile(filepath=literal(path), load_ui=False, use_scripts=False)
     except RuntimeError:
         raise NlosError(f"{path}: is not a scene Blender {bpy.app.version_string} can open") from None
+    references.require(bpy.context.scene, path)
     return bpy.context.scene
+
+
+def literal(path: Path, *, rendered: bool = False) -> str:
+    """Return a path as Blender has to be given it.
+
+    Two slashes at its start would be the open file's folder, and braces in a path that is rendered to would be
+    variables, from Blender 5 on.
+    """
+    text = str(path)
+    if text.startswith("//"):
+        text = text[1:]
+    if rendered and bpy.app.version >= (5, 0):
+        text = text.replace("{", "{{").replace("}", "}}")
+    return text
 
 
 def save_file(path: Path) -> None:
@@ -121,7 +260,7 @@ def save_file(path: Path) -> None:
     with atomic(path) as temporary, quiet():
         try:
             bpy.ops.wm.save_as_mainfile(
-                filepath=str(temporary), copy=True, compress=True, check_existing=False, relative_remap=True
+                filepath=literal(temporary), copy=True, compress=True, check_existing=False, relative_remap=True
             )
         except RuntimeError as error:
             raise NlosError(f"{path}: cannot be written ({' '.join(str(error).split())})") from None
@@ -145,7 +284,7 @@ def build(scene: bpy.types.Scene, wanted: spec.Scene) -> None:
     Raises
     ------
     NlosError
-        The mesh file cannot be read, or the watched rectangle does not fit the resolution.
+        The mesh file cannot be read, the watched rectangle does not fit the resolution, or a surface has no area.
     """
     width, height = wanted.resolution
     x, z = wanted.camera.x, wanted.camera.z
@@ -156,6 +295,7 @@ def build(scene: bpy.types.Scene, wanted: spec.Scene) -> None:
             f"{x[1] - x[0]:g} x {z[1] - z[0]:g} m; pixels must be square"
         )
     # What can go wrong goes wrong first, and leaves the scene as it was.
+    wanted.check_buildable()
     _cycles(scene)
     for obj in scene.objects:
         if ROLE in obj and obj.library is not None:
@@ -173,7 +313,7 @@ def build(scene: bpy.types.Scene, wanted: spec.Scene) -> None:
     if wanted.room:
         extent = {axis: getattr(wanted.room, axis) for axis in "xyz"}
         for surface in wanted.room.surfaces:
-            axis, end = _FACES[surface]
+            axis, end = spec.FACES[surface]
             across = {a: r for a, r in extent.items() if a != axis}
             quad = _quad(
                 surface.capitalize(), axis, extent[axis][end], across, wanted.room.albedo, inward=1 - 2 * end
@@ -292,8 +432,14 @@ def show(scene: bpy.types.Scene, obj: bpy.types.Object) -> None:
         open_up(layer.layer_collection)
 
 
-def read(scene: bpy.types.Scene) -> spec.Scene:
-    """Read the spec back out of a scene, as edited.
+def read(scene: bpy.types.Scene, resolution: tuple[int, int] | None = None) -> spec.Scene:
+    """Read the spec back out of a scene, as edited, and as a render sees it.
+
+    Parameters
+    ----------
+    scene : bpy.types.Scene
+    resolution : (int, int), optional
+        Of the pictures, width and height, on which depends what the camera sees; the scene's own if not given.
 
     Raises
     ------
@@ -301,11 +447,17 @@ def read(scene: bpy.types.Scene) -> spec.Scene:
         A role is missing or played twice, the voxel grid is missing, the relay wall is not in the plane y = 0, or the
         spot lamp does not point at it.
     """
+    with Overrides() as overrides:
+        return _read(scene, shape_pictures(scene, resolution, overrides))
+
+
+def _read(scene: bpy.types.Scene, size: tuple[int, int]) -> spec.Scene:
     wall, lamp, camera, target = (find(scene, role) for role in SINGLE_ROLES)
-    low, high = _box([wall])
-    if not in_frame(wall):
+    seen = snapshot(scene)
+    low, high = _box(scene, [wall], seen)
+    if not in_frame(wall, seen):
         raise NlosError(f"{_file()}: the relay wall {wall.name!r} must lie in the plane y = 0")
-    if target.matrix_world.determinant() < 0.0:
+    if np.linalg.det(seen.matrices["target"]) < 0.0:
         raise NlosError(
             f"{_file()}: the target {target.name!r} is mirrored by a negative scale; apply the scale first"
         )
@@ -314,22 +466,19 @@ def read(scene: bpy.types.Scene) -> spec.Scene:
     return spec.Scene(
         preset=str(scene.get(PRESET, "custom")),
         wall=spec.Wall(x=_range(low, high, 0), z=_range(low, high, 2), albedo=albedo(wall)),
-        room=_read_room(room) if room else None,
-        partition=_read_partition(screens) if screens else None,
-        spot=_read_spot(lamp),
-        camera=_read_camera(scene, camera),
+        room=_read_room(scene, room, seen) if room else None,
+        partition=_read_partition(scene, screens, seen) if screens else None,
+        spot=_read_spot(lamp, seen.matrices["spot"]),
+        camera=_read_camera(scene, camera, seen.matrices["camera"]),
         grid=read_grid(scene),
         target=spec.Target(
             kind=kind if kind in ("sheet", "sphere") else "mesh",
-            size=short(max(np.ptp(hull(scene), axis=0))),
+            size=short(max(np.ptp(hull(scene, seen), axis=0))),
             albedo=albedo(target),
         ),
         ambient=ambient(scene),
         reflection_order=reflection_order(scene),
-        resolution=(
-            max(1, scene.render.resolution_x * scene.render.resolution_percentage // 100),
-            max(1, scene.render.resolution_y * scene.render.resolution_percentage // 100),
-        ),
+        resolution=size,
     )
 
 
@@ -357,29 +506,257 @@ def target_parts(scene: bpy.types.Scene) -> list[bpy.types.Object]:
     return [target, *(o for o in children if o.type not in _NO_SURFACE)]
 
 
-def hull(scene: bpy.types.Scene) -> Array:
-    """Return the vertices of the target and its children after modifiers, (n, 3), metres.
+def hold_camera(scene: bpy.types.Scene, overrides: Overrides) -> None:
+    """Let the camera by its role be the scene's, whatever cameras are bound to markers of the timeline."""
+    overrides.set(scene, "camera", find(scene, "camera"))
+    for marker in scene.timeline_markers:  # after it, for a marker that gets its camera back puts it into the scene
+        if marker.camera is not None:
+            overrides.set(marker, "camera", None)
 
-    They are relative to the target's origin, unrotated but scaled.
+
+def as_rendered(scene: bpy.types.Scene, look: Callable[[Any], Result]) -> Result:
+    """Let a function look at the scene as a render would: Blender shows that to render engines only.
+
+    The viewport's view, which scripts get elsewhere, has other subdivision levels and lacks what is hidden there.
+    """
+    results: list[Result] = []
+    errors: list[BaseException] = []
+
+    class Look(bpy.types.RenderEngine):  # type: ignore[misc]
+        bl_idname = "NLOS_LOOK"
+        bl_label = "NLOS look"
+
+        def render(self, depsgraph: Any) -> None:
+            try:
+                results.append(look(depsgraph))
+            except BaseException as error:  # Blender would print it and go on
+                errors.append(error)
+
+    bpy.utils.register_class(Look)
+    try:
+        with Overrides() as overrides, quiet(), _in_a_slot():
+            hold_camera(scene, overrides)
+            for name, value in (
+                ("engine", Look.bl_idname),
+                ("use_compositing", False),
+                ("use_sequencer", False),
+                ("use_freestyle", False),
+                ("use_multiview", False),
+                ("use_simplify", False),
+                ("use_persistent_data", False),
+            ):
+                overrides.set(scene.render, name, value)
+            bpy.ops.render.render(scene=scene.name)
+    except RuntimeError as error:
+        raise NlosError(f"{bpy.data.filepath or 'scene'}: cannot be read ({' '.join(str(error).split())})") from None
+    finally:
+        bpy.utils.unregister_class(Look)
+    if errors:
+        raise errors[0]
+    if not results:
+        raise NlosError(f"{bpy.data.filepath or 'scene'}: cannot be read, for none of its view layers is rendered")
+    return results[0]
+
+
+@contextlib.contextmanager
+def _in_a_slot() -> Iterator[None]:
+    """Let a render fill a slot of its own, so that the picture that the user rendered last stays."""
+    result = next((image for image in bpy.data.images if image.type == "RENDER_RESULT"), None)
+    if result is None:
+        yield
+        return
+    slots = result.render_slots
+    before = slots.active_index
+    names = [slot.name for slot in slots]
+    if _SLOT not in names:
+        slots.new(name=_SLOT)
+        names.append(_SLOT)
+    slots.active_index = names.index(_SLOT)
+    try:
+        yield
+    finally:
+        slots.active_index = before
+
+
+def shape_pictures(
+    scene: bpy.types.Scene, resolution: tuple[int, int] | None, overrides: Overrides
+) -> tuple[int, int]:
+    """Give the scene the pictures' resolution, on which the camera's view depends, and square pixels.
+
+    Parameters
+    ----------
+    scene : bpy.types.Scene
+    resolution : (int, int) or None
+        Width and height; the scene's own if None.
+    overrides : Overrides
+
+    Returns
+    -------
+    (int, int)
+        The resolution.
+    """
+    render = scene.render
+    share = render.resolution_percentage
+    width, height = resolution or (
+        max(1, render.resolution_x * share // 100),
+        max(1, render.resolution_y * share // 100),
+    )
+    for name, value in (
+        ("resolution_x", width),
+        ("resolution_y", height),
+        ("resolution_percentage", 100),
+        ("pixel_aspect_x", 1.0),
+        ("pixel_aspect_y", 1.0),
+    ):
+        overrides.set(render, name, value)
+    return width, height
+
+
+@dataclass(frozen=True)
+class Shape:
+    """A surface as a render sees it.
+
+    Attributes
+    ----------
+    owner : bpy.types.Object
+        The object that it belongs to; of an instance, the one that instances it.
+    name : str
+        Of the object whose mesh it is.
+    instance : bool
+    matrix : ndarray of shape (4, 4)
+        Its place in the world.
+    vertices : ndarray of shape (n, 3)
+        In its own frame, after modifiers.
+    triangles : ndarray of shape (m, 3), int
+    air : bool
+        Whether it is no surface at all, but the bounds of a volume.
+    opaque : bool
+        Whether no light comes through.
+    """
+
+    owner: bpy.types.Object
+    name: str
+    instance: bool
+    matrix: Array
+    vertices: Array
+    triangles: Any
+    air: bool = False
+    opaque: bool = True
+
+    @property
+    def placed(self) -> Array:
+        """Its vertices in the world, (n, 3), metres."""
+        points: Array = self.vertices @ self.matrix[:3, :3].T + self.matrix[:3, 3]
+        return points
+
+
+@dataclass
+class Snapshot:
+    """What stands where when a render starts: every surface, and the objects with a single role (4 x 4, by role)."""
+
+    shapes: list[Shape] = field(default_factory=list)
+    matrices: dict[str, Array] = field(default_factory=dict)
+
+    def of(self, owners: Collection[bpy.types.Object]) -> list[Shape]:
+        """Return the surfaces of some objects."""
+        return [shape for shape in self.shapes if shape.owner in owners]
+
+
+def snapshot(scene: bpy.types.Scene) -> Snapshot:
+    """Return what stands where when a render of the scene starts.
+
+    The viewport's view will not do: modifiers, levels of detail and visibility are set for each on their own, and an
+    animation has its say when a render starts.
+
+    Raises
+    ------
+    NlosError
+        Nothing of the scene is rendered.
+    """
+    singles = {role: found[0] for role in SINGLE_ROLES if (found := players(scene, role))}
+
+    def look(depsgraph: Any) -> Snapshot:
+        seen = Snapshot()
+        # Of what is not rendered at all only the viewport knows where it stands.
+        for role, obj in singles.items():
+            seen.matrices[role] = numbers(obj.matrix_world)
+        for instance in depsgraph.object_instances:
+            obj = instance.object
+            if not instance.is_instance:
+                for role in [r for r, single in singles.items() if single == obj.original]:
+                    seen.matrices[role] = numbers(instance.matrix_world)
+            if not instance.show_self or not isinstance(obj.data, bpy.types.Mesh):
+                continue  # a curve or text comes a second time, as the mesh made of it
+            vertices, triangles = _mesh_of(obj)
+            if len(vertices):
+                owner = (instance.parent if instance.is_instance else obj).original
+                matrix = numbers(instance.matrix_world)
+                kinds = {kind for slot in obj.material_slots for kind in nodes.kinds(slot.material)}
+                air, opaque = kinds == {nodes.VOLUME}, not kinds & _THROUGH
+                one = Shape(owner, obj.name, instance.is_instance, matrix, vertices, triangles, air, opaque)
+                seen.shapes.append(one)
+        return seen
+
+    return as_rendered(scene, look)
+
+
+def _mesh_of(evaluated: bpy.types.Object) -> tuple[Array, Any]:
+    """Vertices (n, 3) and triangles (m, 3) of an evaluated object, in its own frame."""
+    mesh = evaluated.to_mesh()
+    mesh.calc_loop_triangles()
+    vertices = np.empty(3 * len(mesh.vertices), dtype=np.float32)
+    mesh.vertices.foreach_get("co", vertices)
+    triangles = np.empty(3 * len(mesh.loop_triangles), dtype=np.int32)
+    mesh.loop_triangles.foreach_get("vertices", triangles)
+    evaluated.to_mesh_clear()
+    return vertices.reshape(-1, 3).astype(np.float64), triangles.reshape(-1, 3)
+
+
+def target_shape(scene: bpy.types.Scene, seen: Snapshot | None = None) -> tuple[Array, Any]:
+    """Return what the target and its children are made of.
+
+    Parameters
+    ----------
+    scene : bpy.types.Scene
+    seen : Snapshot, optional
+        Of the scene; it is looked at if not given.
+
+    Returns
+    -------
+    vertices : ndarray of shape (n, 3)
+        Metres, relative to the target's origin, unrotated but scaled.
+    triangles : ndarray of shape (m, 3), int
 
     Raises
     ------
     NlosError
         There is not exactly one target, or it has no surface.
     """
-    target, *children = target_parts(scene)
-    place, turn, scale = target.matrix_world.decompose()
-    points = [evaluated_vertices(target) * np.asarray(scale, dtype=np.float64)]
+    parts = target_parts(scene)
+    target = parts[0]
+    seen = seen or snapshot(scene)
+    whole = Matrix(seen.matrices["target"].tolist())
+    place, turn, scale = whole.decompose()
     back = Matrix.LocRotScale(place, turn, None).inverted()
-    for instance in bpy.context.evaluated_depsgraph_get().object_instances:
-        owner = (instance.parent if instance.is_instance else instance.object).original
-        if owner in children or (owner == target and instance.is_instance):
-            matrix = numbers(back @ instance.matrix_world)
-            points.append(_vertices(instance.object) @ matrix[:3, :3].T + matrix[:3, 3])
-    every: Array = np.concatenate(points)
-    if not len(every):
-        raise NlosError(f"{_file()}: the target {target.name!r} has no surface to reflect light")
-    return every
+    points, faces, count = [], [], 0
+    for shape in seen.of(parts):
+        if shape.owner == target and not shape.instance:
+            points.append(shape.vertices * np.asarray(scale, dtype=np.float64))
+        else:
+            matrix = numbers(back @ Matrix(shape.matrix.tolist()))
+            points.append(shape.vertices @ matrix[:3, :3].T + matrix[:3, 3])
+        faces.append(shape.triangles + count)
+        count += len(shape.vertices)
+    if not count:
+        why = unseen(scene, target)
+        what = f"{why}; show it" if why else "has no surface to reflect light"
+        raise NlosError(f"{_file()}: the target {target.name!r} {what}")
+    return np.concatenate(points), np.concatenate(faces)
+
+
+def hull(scene: bpy.types.Scene, seen: Snapshot | None = None) -> Array:
+    """Return the vertices of the target and its children; see `target_shape`."""
+    return target_shape(scene, seen)[0]
 
 
 def numbers(value: Any) -> Array:
@@ -402,9 +779,9 @@ def placed_vertices(obj: bpy.types.Object) -> Array:
     return placed
 
 
-def in_frame(wall: bpy.types.Object) -> bool:
+def in_frame(wall: bpy.types.Object, seen: Snapshot | None = None) -> bool:
     """Whether a relay wall, as far as it has a surface, lies in the plane y = 0."""
-    points = placed_vertices(wall)
+    points = _points(seen.of([wall])) if seen else placed_vertices(wall)
     return not len(points) or bool(np.abs(points[:, 1]).max() <= 1e-5 * np.ptp(points, axis=0).max())
 
 
@@ -438,23 +815,53 @@ def move_target(scene: bpy.types.Scene, position: spec.Vector, rotation: spec.Ve
     """
     target = find(scene, "target")
     if target.parent is not None:
-        placed = target.matrix_world.copy()
-        target.parent = None
-        target.matrix_world = placed
+        _cut_loose(scene, target)
     # Never through the matrix: its scale, read back and set again, would drift by a rounding with every pose, and
     # the pixels would depend on the poses before.
     turn = Euler([math.radians(a) for a in rotation], "XYZ")
     target.rotation_mode = "XYZ"
+    target.delta_location, target.delta_rotation_euler = (0.0, 0.0, 0.0), (0.0, 0.0, 0.0)
     target.location, target.rotation_euler = position, turn
     bpy.context.view_layer.update()
-    wanted = Matrix.LocRotScale(Vector(position), turn, target.scale)
+    if not target.visible_get():
+        return  # the viewport does not know of it; what is rendered is looked at before a sweep (`extract.survey`)
+    wanted = Matrix.LocRotScale(Vector(position), turn, Vector(target.scale) * Vector(target.delta_scale))
     got = target.evaluated_get(bpy.context.evaluated_depsgraph_get()).matrix_world
     tolerance = 1e-5 * (1.0 + max(map(abs, position)))
     if any(abs(a - b) > tolerance for r, s in zip(wanted, got, strict=True) for a, b in zip(r, s, strict=True)):
+        raise NlosError(f"{_file()}: {held(target)}")
+
+
+def held(target: bpy.types.Object) -> str:
+    """Return that a target does not go where it is put, why, and what would mend it."""
+    moves, name = target.animation_data, f"the target {target.name!r}"
+    holders = [f"the constraint {c.name!r}" for c in target.constraints if c.enabled and not c.mute]
+    if moves and moves.action:
+        holders.append(f"the animation {moves.action.name!r}")
+    if moves and any(track.strips and not track.mute for track in moves.nla_tracks):
+        holders.append("its NLA strips")
+    if moves and moves.drivers:
+        holders.append("its drivers")
+    if target.rigid_body:
+        holders.append("its rigid body simulation")
+    if not holders:
+        return f"{name} does not go where it is put: something holds it"
+    several = len(holders) > 1 or holders[0].endswith("s")
+    return f"{name} does not go where it is put, because {' and '.join(holders)} {'hold' if several else 'holds'} it"
+
+
+def _cut_loose(scene: bpy.types.Scene, target: bpy.types.Object) -> None:
+    """Take the target from its parents and leave it the size that they give it."""
+    matrix = Matrix(snapshot(scene).matrices["target"].tolist())
+    scale = matrix.to_scale()
+    plain = Matrix.LocRotScale(*matrix.decompose())
+    if np.abs(numbers(plain) - numbers(matrix))[:3, :3].max() > _SHEAR * max(map(abs, scale)):
         raise NlosError(
-            f"{_file()}: the target {target.name!r} does not go where it is put; remove its constraints, drivers "
-            "and animation"
+            f"{_file()}: the target {target.name!r} is sheared by its parents' scale, which no pose can hold; "
+            "apply that scale (Object > Apply > Scale), or make it visual geometry"
         )
+    target.parent = None
+    target.scale = [s / d for s, d in zip(scale, target.delta_scale, strict=True)]
 
 
 @contextlib.contextmanager
@@ -465,6 +872,7 @@ def put_back(scene: bpy.types.Scene) -> Iterator[None]:
     names = [
         *("parent", "parent_type", "parent_bone", "matrix_parent_inverse", "rotation_mode", "location"),
         *("rotation_euler", "rotation_quaternion", "rotation_axis_angle", "scale"),
+        *("delta_location", "delta_rotation_euler"),
     ]
     before = {name: getattr(target, name) for name in names}
     for name, value in before.items():
@@ -511,79 +919,23 @@ def diffuse_colour(obj: bpy.types.Object) -> tuple[float, float, float] | None:
     materials = {slot.material for slot in obj.material_slots}
     if len(materials) != 1 or None in materials:
         return None
-    return material_colour(next(iter(materials)))
-
-
-def material_colour(material: bpy.types.Material) -> tuple[float, float, float] | None:
-    """Return the RGB albedo of a material that is a constant Lambertian reflector and nothing else, else None."""
-    if bpy.app.version < (5, 0) and not material.use_nodes:
-        colour = material.diffuse_color  # what Cycles takes then; Blender 5 always uses the nodes
-        return (float(colour[0]), float(colour[1]), float(colour[2]))
-    output = material_output(material)
-    if output is None or not output.inputs["Surface"].is_linked:
-        return None
-    if output.inputs["Displacement"].is_linked or output.inputs["Volume"].is_linked:
-        return None
-    shader = output.inputs["Surface"].links[0].from_node
-    inputs = shader.inputs
-    if shader.mute or any(i.is_linked for i in inputs):
-        return None
-    if shader.type == "BSDF_DIFFUSE" and inputs["Roughness"].default_value == 0.0:
-        colour = inputs["Color"].default_value
-    elif shader.type == "BSDF_PRINCIPLED" and _only_diffuse(inputs):
-        colour = inputs["Base Color"].default_value
-    else:
-        return None
-    return (float(colour[0]), float(colour[1]), float(colour[2]))
-
-
-def material_output(material: bpy.types.Material) -> Any:
-    """Return the node whose inputs are what a material renders as, or None."""
-    tree = material.node_tree
-    active = (n for n in tree.nodes if n.type == "OUTPUT_MATERIAL" and n.is_active_output) if tree else iter(())
-    return next(active, None)
-
-
-def _only_diffuse(inputs: Any) -> bool:
-    weights = ("Metallic", "Specular IOR Level", "Transmission Weight", "Subsurface Weight", "Coat Weight")
-    zero = (*weights, "Sheen Weight", "Emission Strength", "Diffuse Roughness", "Thin Film Thickness")
-    return inputs["Alpha"].default_value == 1.0 and all(
-        inputs[name].default_value == 0.0 for name in zero if name in inputs
-    )
-
-
-def may_glow(material: bpy.types.Material) -> bool:
-    """Whether a material may give light of its own: a no is sure."""
-    return bool(material.node_tree) and any(_may_glow(node) for node in material.node_tree.nodes)
-
-
-def _may_glow(node: bpy.types.Node) -> bool:
-    strength = node.inputs.get("Emission Strength")
-    glows = strength is not None and (strength.is_linked or strength.default_value != 0.0)
-    return glows or node.type in ("EMISSION", "GROUP", "SCRIPT")
+    return nodes.diffuse(next(iter(materials)))
 
 
 def ambient(scene: bpy.types.Scene) -> float:
-    """Return the world's mean radiance, W/m^2/sr; for a world with a texture, its strength."""
-    node = _background_node(scene)
-    if node is None:
-        return 0.0 if scene.world is None or _world_tree(scene) else float(sum(scene.world.color) / 3.0)
-    strength = short(node.inputs["Strength"].default_value)
-    colour = node.inputs["Color"]
-    return strength if colour.is_linked else strength * float(sum(colour.default_value[:3])) / 3.0
+    """Return the mean radiance of the world that is rendered, W/m^2/sr; of one with a texture, its strength.
+
+    It is 0 only if the world gives no light.
+    """
+    return max((short(nodes.level(getattr(*held))) for held in worlds_of(scene)), default=0.0)
 
 
-def _world_tree(scene: bpy.types.Scene) -> Any:
-    """The world's nodes, if they are what is rendered."""
-    world = scene.world
-    if world is None or (bpy.app.version < (5, 0, 0) and not world.use_nodes):
-        return None
-    return world.node_tree
-
-
-def _background_node(scene: bpy.types.Scene) -> Any:
-    tree = _world_tree(scene)
-    return next((n for n in tree.nodes if n.type == "BACKGROUND"), None) if tree else None
+def worlds_of(scene: bpy.types.Scene) -> list[tuple[Any, str]]:
+    """Return who holds a world that may be rendered, and in which attribute: the scene, or a view layer instead."""
+    layers = [layer for layer in scene.view_layers if layer.use]
+    own = [layer for layer in layers if getattr(layer, "world_override", None) is not None]
+    owners: list[tuple[Any, str]] = [(layer, "world_override") for layer in own]
+    return owners if len(own) == len(layers) or scene.world is None else [*owners, (scene, "world")]
 
 
 def _file() -> str:
@@ -615,10 +967,10 @@ def _material(name: str, reflectance: float | None) -> bpy.types.Material:
     material = bpy.data.materials.new(f"NLOS {name}")
     if material.node_tree is None:  # Blender 5 makes the tree itself and warns of the old switch
         material.use_nodes = True
-    nodes = material.node_tree.nodes
-    nodes.clear()
+    made = material.node_tree.nodes
+    made.clear()
     value = 0.0 if reflectance is None else reflectance
-    shader, output = nodes.new("ShaderNodeBsdfDiffuse"), nodes.new("ShaderNodeOutputMaterial")
+    shader, output = made.new("ShaderNodeBsdfDiffuse"), made.new("ShaderNodeOutputMaterial")
     shader.inputs["Color"].default_value = (value, value, value, 1.0)
     shader.inputs["Roughness"].default_value = 0.0
     output.location.x = 250.0
@@ -664,7 +1016,8 @@ def _spot(lamp: spec.Spot) -> bpy.types.Object:
     light.shadow_soft_size = 0.0
     obj = bpy.data.objects.new("Spot", light)
     obj.location = lamp.location
-    obj.rotation_euler = Vector(np.subtract(lamp.aim, lamp.location)).to_track_quat("-Z", "Y").to_euler()
+    way = np.subtract(lamp.aim, lamp.location)  # in units of its own: Blender takes a short one for none
+    obj.rotation_euler = Vector(way / np.linalg.norm(way)).to_track_quat("-Z", "Y").to_euler()
     return obj
 
 
@@ -727,7 +1080,7 @@ def _import_mesh(wanted: spec.Target) -> bpy.types.Object:
     before = set(bpy.data.objects)
     try:
         with meshes.importable(path) as sound:
-            importers[path.suffix.lower()](filepath=str(sound.absolute()))
+            importers[path.suffix.lower()](filepath=literal(sound.absolute()))
     except (OSError, RuntimeError, KeyError):
         raise NlosError(f"target.mesh: {path} is not a mesh file Blender can read (.obj, .ply, .stl)") from None
     shape = bmesh.new()
@@ -744,7 +1097,13 @@ def _import_mesh(wanted: spec.Target) -> bpy.types.Object:
         raise NlosError(f"target.mesh: {path} holds no faces")
     corners = np.array([v.co for v in shape.verts], dtype=np.float64)
     low, high = corners.min(axis=0), corners.max(axis=0)
-    factor = wanted.size / max(high - low) if wanted.size else 1.0
+    extent, area = max(high - low), sum(face.calc_area() for face in shape.faces)
+    if not (0.0 < extent < math.inf and 0.0 < area < math.inf):
+        shape.free()
+        raise NlosError(
+            f"target.mesh: {path} has no extent, or corners that are no places; its faces must have an area"
+        )
+    factor = wanted.size / extent if wanted.size else 1.0
     bmesh.ops.translate(shape, vec=-(low + high) / 2.0, verts=shape.verts)
     bmesh.ops.scale(shape, vec=[factor] * 3, verts=shape.verts)
     mesh = bpy.data.meshes.new("Target")
@@ -773,11 +1132,17 @@ def _world(scene: bpy.types.Scene, radiance: float) -> None:
     tree.links.new(background.outputs["Background"], output.inputs["Surface"])
 
 
-def _box(objects: list[bpy.types.Object]) -> tuple[Array, Array]:
-    """Bounding box of objects after modifiers, in the world, two arrays of shape (3,)."""
-    every = np.concatenate([placed_vertices(obj) for obj in objects])
+def _points(shapes: Sequence[Shape]) -> Array:
+    """Vertices of surfaces in the world, (n, 3)."""
+    points: Array = np.concatenate([np.empty((0, 3)), *(shape.placed for shape in shapes)])
+    return points
+
+
+def _box(scene: bpy.types.Scene, objects: list[bpy.types.Object], seen: Snapshot) -> tuple[Array, Array]:
+    """Bounding box of rendered objects in the world, two arrays of shape (3,)."""
+    every = _points(seen.of(objects))
     if not len(every):
-        raise NlosError(f"{_file()}: {objects[0].name!r} has no surface")
+        raise NlosError(f"{_file()}: {objects[0].name!r} {unseen(scene, objects[0]) or 'has no surface'}")
     return every.min(axis=0), every.max(axis=0)
 
 
@@ -790,8 +1155,8 @@ def _range(low: Array, high: Array, axis: int) -> spec.Range:
     return (short(low[axis]), short(high[axis]))
 
 
-def _read_room(surfaces: list[bpy.types.Object]) -> spec.Room:
-    low, high = _box(surfaces)
+def _read_room(scene: bpy.types.Scene, surfaces: list[bpy.types.Object], seen: Snapshot) -> spec.Room:
+    low, high = _box(scene, surfaces, seen)
     names = {str(o.get(SURFACE)) for o in surfaces}
     return spec.Room(
         x=_range(low, high, 0),
@@ -802,8 +1167,8 @@ def _read_room(surfaces: list[bpy.types.Object]) -> spec.Room:
     )
 
 
-def _read_partition(screens: list[bpy.types.Object]) -> spec.Partition:
-    low, high = _box(screens)
+def _read_partition(scene: bpy.types.Scene, screens: list[bpy.types.Object], seen: Snapshot) -> spec.Partition:
+    low, high = _box(scene, screens, seen)
     x = _range(low, high, 0)
     return spec.Partition(
         x=x[0],
@@ -820,10 +1185,10 @@ def lamp_power(light: Any) -> float:
     return float(light.energy * 2.0 ** getattr(light, "exposure", 0.0) * mean)
 
 
-def _read_spot(lamp: bpy.types.Object) -> spec.Spot:
+def _read_spot(lamp: bpy.types.Object, place: Array) -> spec.Spot:
     if lamp.type != "LIGHT" or lamp.data.type != "SPOT":
         raise NlosError(f"{_file()}: the spot {lamp.name!r} must be a spot lamp")
-    matrix = lamp.matrix_world
+    matrix = Matrix(place.tolist())
     origin, axis = matrix.translation, -matrix.to_3x3().col[2].normalized()
     if axis.y >= -1e-9 or origin.y <= 0.0:
         raise NlosError(f"{_file()}: the spot {lamp.name!r} does not point at the relay wall (the plane y = 0)")
@@ -841,8 +1206,16 @@ def vector(values: Any) -> spec.Vector:
     return (short(values[0]), short(values[1]), short(values[2]))
 
 
-def view(scene: bpy.types.Scene, camera: bpy.types.Object) -> tuple[Array, Array]:
+def view(scene: bpy.types.Scene, camera: bpy.types.Object, place: Array | None = None) -> tuple[Array, Array]:
     """Return where the rays through a picture's corners start and where they meet the wall, (4, 3) each.
+
+    Parameters
+    ----------
+    scene : bpy.types.Scene
+        Its resolution is the pictures'.
+    camera : bpy.types.Object
+    place : ndarray of shape (4, 4), optional
+        Where the camera stands; as the viewport has it if not given.
 
     Raises
     ------
@@ -851,7 +1224,9 @@ def view(scene: bpy.types.Scene, camera: bpy.types.Object) -> tuple[Array, Array
     """
     if camera.type != "CAMERA" or camera.data.type not in ("PERSP", "ORTHO"):
         raise NlosError(f"{_file()}: the camera {camera.name!r} must be a perspective or orthographic camera")
-    matrix = camera.matrix_world
+    matrix = camera.matrix_world if place is None else Matrix(place.tolist())
+    # Cameras have no scale: Blender drops it.
+    matrix = Matrix.LocRotScale(*matrix.decompose()[:2], Vector(map(_sign, matrix.to_scale())))
     starts, corners = [], []
     for corner in camera.data.view_frame(scene=scene):
         parallel = camera.data.type == "ORTHO"
@@ -866,11 +1241,15 @@ def view(scene: bpy.types.Scene, camera: bpy.types.Object) -> tuple[Array, Array
     return np.array(starts), np.array(corners)
 
 
-def _read_camera(scene: bpy.types.Scene, camera: bpy.types.Object) -> spec.Camera:
-    _, points = view(scene, camera)
+def _sign(value: float) -> float:
+    return math.copysign(1.0, value)
+
+
+def _read_camera(scene: bpy.types.Scene, camera: bpy.types.Object, place: Array) -> spec.Camera:
+    _, points = view(scene, camera, place)
     low, high = points.min(axis=0), points.max(axis=0)
     return spec.Camera(
-        location=vector(camera.matrix_world.translation),
+        location=vector(place[:3, 3]),
         x=_range(low, high, 0),
         z=_range(low, high, 2),
         projection="orthographic" if camera.data.type == "ORTHO" else "perspective",

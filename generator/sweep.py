@@ -25,8 +25,14 @@ from generator import journal as journals
 from generator import links, spec
 from generator.dataset import SCENE, Dataset, check_free, scene_hash
 from generator.spec import NlosError, Sweep
+from generator.transport import caching
 
 ANSWER = "nlos "
+NO_PROBE = "no-probe"
+"""Tells a worker that plans to leave out the check at the start."""
+
+FORCE = "force"
+"""Last argument of a worker that plans in spite of errors that the check finds."""
 
 NO_BLENDER = "this needs Blender's module bpy, which is not installed; install it with: pip install 'nlos-lab[bpy]'"
 
@@ -109,6 +115,8 @@ def run(
     launch: Launch = python,
     stop: threading.Event | None = None,
     pace: Pace | None = None,
+    force: bool = False,
+    probe: bool = True,
 ) -> Outcome:
     """Render a data set, or what is missing of it.
 
@@ -127,7 +135,8 @@ def run(
         ``(i, n)``: render the i-th of n parts only, i from 0.
     progress : callable
     tell : callable
-        Is told which engine ``auto`` took, and why; and that an engine is being compiled.
+        Is told which engine ``auto`` took, and why; that an engine is being compiled; what the check at the start of
+        a new set found, and how long it took.
     launch : callable
         How workers are started.
     stop : threading.Event, optional
@@ -135,13 +144,18 @@ def run(
     pace : callable, optional
         Says with how many samples each picture is rendered; without it all take the data set's. Voxels then take
         turns, lest the noise tell them apart.
+    force : bool
+        Begin a new set in spite of errors that the check finds in the scene.
+    probe : bool
+        Whether a new set begins with the check of its engine against plain Cycles (`generator.startcheck`).
 
     Raises
     ------
     NlosError
-        The input is bad, or the data set at that path was made with other settings.
+        The input is bad, the check finds an error, or the data set at that path was made with other settings.
     """
-    dataset = begin(scene, path, chosen, shard=shard, tell=tell, launch=launch, stop=stop).dataset
+    options: dict[str, Any] = {"launch": launch, "stop": stop, "force": force, "probe": probe}
+    dataset = begin(scene, path, chosen, shard=shard, tell=tell, **options).dataset
     outcome = Outcome(dataset)
     pending = pending_positions(dataset, shard)
     if pace:
@@ -168,14 +182,19 @@ def begin(
     tell: Callable[[str], None] = lambda words: None,
     launch: Launch = python,
     stop: threading.Event | None = None,
+    force: bool = False,
+    probe: bool = True,
 ) -> Outcome:
     """Plan a data set and render its background, as far as that is not done; parameters as of `run`."""
-    known = Dataset.open(path).settings["engine"] if Dataset.exists(path) else chosen.get("engine")
+    new = not Dataset.exists(path)
+    known = chosen.get("engine", spec.AUTO) if new else Dataset.open(path).settings["engine"]
     if words := compiling_words(known):
         tell(words)
-    dataset = prepare(scene, path, chosen, launch)
-    if chosen.get("engine") == "auto":
-        tell(engine_words(dataset))
+    dataset = prepare(scene, path, chosen, launch, force=force, probe=probe, tell=tell)
+    if chosen.get("engine", spec.AUTO) == spec.AUTO:
+        tell(engine_words(dataset, chosen))
+    if new and (words := start_words(dataset)):
+        tell(words)
     if not all(dataset.has_background(name) for name in dataset.background_names):
         with _crew(dataset, shard, lambda done, total: None, launch=launch, stop=stop) as crew:
             crew.work([], first="the background")
@@ -219,26 +238,47 @@ def compiling_words(engine: str | None) -> str:
     """Return what to say before an engine's first run, which compiles it; nothing if there is nothing to wait for."""
     folder = Path(__file__).resolve().parent / "transport"
     newest = max(source.stat().st_mtime for source in folder.glob("*.py"))
-    compiled = any(index.stat().st_mtime > newest for index in folder.glob("__pycache__/numba-*/*/*.nbi"))
+    kept = caching.folder()
+    compiled = kept is not None and any(index.stat().st_mtime > newest for index in kept.glob("*/*.nbi"))
     if compiled or engine not in ("surfel", "auto"):
         return ""
     when = "engine surfel" if engine == "surfel" else "engine auto: surfel, if the scene allows it,"
-    return f"{when} is compiled for this machine first, once; that takes a minute or so"
+    again = "once" if kept else "by every process, for nothing that it makes can be kept (set NUMBA_CACHE_DIR)"
+    return f"{when} is compiled for this machine first, {again}; that takes a minute or so"
 
 
-def engine_words(dataset: Dataset) -> str:
-    """Return which engine renders a data set, and what in its scene asked for one so dear."""
-    reasons = dataset.meta.get("engine_reasons", [])
-    return f"engine: {dataset.settings['engine']}" + (f", because {'; '.join(reasons)}" if reasons else "")
+def engine_words(dataset: Dataset, chosen: Mapping[str, Any]) -> str:
+    """Return which engine renders a data set, what in its scene asked for one so dear, and what is nothing to it."""
+    engine, reasons = dataset.settings["engine"], dataset.meta.get("engine_reasons", [])
+    words = f"engine: {engine}" + (f", because {'; '.join(reasons)}" if reasons else "")
+    idle = [f"--{name}" for name in Sweep.idle(engine) if name in chosen]
+    return words + (f"; {' and '.join(idle)} {'mean' if len(idle) > 1 else 'means'} nothing to it" if idle else "")
 
 
-def prepare(scene: Path, path: Path, chosen: Mapping[str, Any], launch: Launch = python) -> Dataset:
+def start_words(dataset: _Made) -> str:
+    """Return what the check at the start found, and how long it took; empty if there was none."""
+    return str(dataset.meta.get("start_check", {}).get("words", ""))
+
+
+def prepare(
+    scene: Path,
+    path: Path,
+    chosen: Mapping[str, Any],
+    launch: Launch = python,
+    *,
+    force: bool = False,
+    probe: bool = True,
+    tell: Callable[[str], None] = lambda words: None,
+) -> Dataset:
     """Return the data set at a path, planned now if there is none, after comparing the settings if there is one."""
     if not Dataset.exists(path):
         if not scene.is_file():
             raise NlosError(f"{scene}: no such scene file")
         check_free(path)
-        _run_plan(scene, path, chosen, launch)
+        arguments = ["generator.worker", "plan", str(scene), str(path), json.dumps(dict(chosen))]
+        arguments += [] if probe else [NO_PROBE]
+        for words in planned_notes(scene, arguments, launch, force=force):
+            tell(words)
         return Dataset.open(path)
     dataset = Dataset.open(path)
     check_same(dataset, scene, chosen)
@@ -266,9 +306,9 @@ def check_same(dataset: _Made, scene: Path, chosen: Mapping[str, Any]) -> None:
     for name, value in chosen.items():
         if name == "resolution" and isinstance(value, str):
             value = list(spec.parse_resolution(value, width / height))
-        if name == "engine" and value == "auto":
+        if name == "engine" and value == spec.AUTO:
             continue
-        if name in Sweep.idle(own["engine"]) and chosen.get("engine") != "auto":
+        if name in Sweep.idle(own["engine"]) and chosen.get("engine", spec.AUTO) != spec.AUTO:
             differences.append(f"{name} means nothing to its engine {own['engine']!r}")
         if name in own and own[name] != value:
             differences.append(f"{name} is {own[name]} there and {value} here")
@@ -316,11 +356,14 @@ def in_batches(units: Sequence[int], size: int) -> list[Sequence[int]]:
     return [units[at : at + size] for at in range(0, len(units), size)]
 
 
-def _run_plan(scene: Path, path: Path, chosen: Mapping[str, Any], launch: Launch) -> None:
-    arguments = ["generator.worker", "plan", str(scene), str(path), json.dumps(dict(chosen))]
-    with Worker(arguments, launch) as worker:
-        if worker.answer() is None:
-            raise NlosError(f"{scene}: Blender could not plan the sweep: {worker.last_words()}")
+def planned_notes(
+    scene: Path, arguments: Sequence[str], launch: Launch = python, *, force: bool = False
+) -> list[str]:
+    """Let a worker plan a set, and return what it has to say of the scene."""
+    with Worker([*arguments, *([FORCE] if force else [])], launch) as worker:
+        if (answer := worker.answer()) is None:
+            raise NlosError(f"{scene}: Blender could not plan the set: {worker.last_words()}")
+        return [str(words) for words in answer.get("notes", [])]
 
 
 class Worker:
@@ -472,7 +515,7 @@ class Crew:
         self._workers: set[Worker] = set()
         self._stop = stop or threading.Event()
         self._stopped = threading.Event()
-        self._error: NlosError | None = None
+        self._error: Exception | None = None
         self._done = 0
         self._total = 0
 
@@ -597,7 +640,7 @@ class Crew:
                         else:
                             self.failed.append(f"{self._name(unit)}: {words}")
                             self._log.error("given up after %d tries: %s", TRIES, self.failed[-1])
-        except NlosError as error:
+        except Exception as error:  # bad input, or that nobody reads on; the thread that waits for this one raises it
             self._error = error
             self._stopped.set()
 

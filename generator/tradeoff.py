@@ -87,6 +87,7 @@ def run(
     most: float = 600.0,
     workers: int = 0,
     tell: Callable[[str], None] = lambda words: None,
+    force: bool = False,
 ) -> list[Cost]:
     """Render the same poses on every rung, each a data set of its own in a folder, and measure them.
 
@@ -107,6 +108,8 @@ def run(
         As of `generator.sweep.run`.
     tell : callable
         Is told of each rung.
+    force : bool
+        As of `generator.sweep.run`.
 
     Raises
     ------
@@ -119,7 +122,9 @@ def run(
     if words := sweep.compiling_words("auto"):
         tell(words)
     with tempfile.TemporaryDirectory(prefix="nlos-") as trial:
-        cheapest = sweep.prepare(scene, Path(trial) / "plan", {**common, "poses": 1, "engine": "auto"}).sweep.engine
+        settings = {**common, "poses": 1, "engine": "auto"}
+        planned = sweep.prepare(scene, Path(trial) / "plan", settings, force=force, probe=False, tell=tell)
+    cheapest = planned.sweep.engine
     if cheapest == "path":
         raise NlosError(f"{scene}: only the engine 'path' can render it, so there is nothing to trade")
     took: dict[str, float] = {}
@@ -129,7 +134,8 @@ def run(
         if guess > most:
             tell(f"{rung.name}: left out, would take about {sweep.clock(guess)}")
             continue
-        outcome = sweep.run(scene, folder / rung.name, {**common, **rung.settings}, workers=workers)
+        options: dict[str, Any] = {"workers": workers, "force": force, "probe": False}
+        outcome = sweep.run(scene, folder / rung.name, {**common, **rung.settings}, **options)
         if outcome.failed:
             raise NlosError(f"{folder / rung.name}: {outcome.failed[0]}")
         seconds = sum(record.seconds for record in outcome.dataset.records)

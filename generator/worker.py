@@ -21,10 +21,26 @@ from typing import TYPE_CHECKING, Any
 import bpy
 import numpy as np
 
-from generator import check, engines, experiments, links, poses, references, rehearsal, simplify, spec, stage
+from generator import (
+    check,
+    engines,
+    experiments,
+    extract,
+    links,
+    misgivings,
+    poses,
+    references,
+    rehearsal,
+    replaced,
+    simplify,
+    spec,
+    stage,
+    startcheck,
+)
 from generator.clearance import clearance
 from generator.dataset import (
     BACKGROUND_AMBIENT,
+    COLOUR_SPACE,
     SCENE,
     Dataset,
     Picture,
@@ -34,7 +50,7 @@ from generator.dataset import (
     write_picture,
 )
 from generator.spec import NlosError, Sweep
-from generator.sweep import ANSWER, BACKGROUND_FACTOR
+from generator.sweep import ANSWER, BACKGROUND_FACTOR, FORCE, NO_PROBE
 
 if TYPE_CHECKING:
     from generator.bulk import Bulk
@@ -42,11 +58,24 @@ if TYPE_CHECKING:
 _WRITERS = 4
 """Threads that write a batch: while one waits for the disk the next packs, and the disk flushes several at once."""
 
+_SMALLEST = 4
+"""Pixels: Blender's own limit of a picture's sides."""
+
 TURNS = {"sphere": (0.0, 0.0, 0.0), "sheet": (15.0, 15.0, 90.0), "mesh": (15.0, 15.0, 90.0)}
 """Largest rotations, degrees, where the user names none. About z, +-90 covers a two-sided sheet once."""
 
 
-def plan(scene: bpy.types.Scene, source: Path, path: Path, chosen: Mapping[str, Any]) -> Dataset:
+def plan(
+    scene: bpy.types.Scene,
+    source: Path,
+    path: Path,
+    chosen: Mapping[str, Any],
+    *,
+    force: bool = False,
+    tell: Callable[[str], None] = lambda words: None,
+    probe: bool = True,
+    reference: Path | None = None,
+) -> Dataset:
     """Create a data set from the open scene: settings, a copy of the scene, every pose; no picture of them yet.
 
     Parameters
@@ -58,27 +87,43 @@ def plan(scene: bpy.types.Scene, source: Path, path: Path, chosen: Mapping[str, 
         Of the data set.
     chosen : mapping
         Fields of `Sweep` that the user chose; ``resolution`` may be text. The rest follow from the scene.
+    force : bool
+        In spite of errors that the check finds; the set then remembers them.
+    tell : callable
+        Is told what the check finds short of that.
+    probe : bool
+        Whether the engine is held against plain Cycles first (`startcheck`).
+    reference : Path, optional
+        The file that plain Cycles renders; if there is none, or the sweep leaves something out, the set's own scene.
 
     Raises
     ------
     NlosError
-        The scene lacks a role, the engine cannot honour it, the target fits nowhere, or nothing can be written; or
-        it refers to files elsewhere.
+        The scene lacks a role, the engine cannot honour it, the check finds an error, the target fits nowhere, or
+        nothing can be written; or it refers to files elsewhere; or plain Cycles makes another picture of it.
     """
     check_free(path)
     linked = links.recorded(references.refuse(source), path)
+    references.require(scene, source)  # of a scene that is open already, in `batch`
     described = stage.read(scene)
     engines.refuse_hidden(scene)
     sweep, reasons = settled(scene, described, chosen)
+    # What cannot be honoured is said before any work is done; what is left out may be just that, and is no matter.
+    extract.survey(scene, resolution=sweep.resolution, ambient=True).check(
+        "path" if sweep.leave_out else sweep.engine
+    )
+    described = stage.read(scene, sweep.resolution)
     idle = Sweep.idle(sweep.engine)
-    if chosen.get("engine") != engines.AUTO and any(name in chosen for name in idle):
+    if chosen.get("engine", spec.AUTO) != spec.AUTO and any(name in chosen for name in idle):
         name = next(name for name in idle if name in chosen)
         raise NlosError(f"{name}: means nothing to the engine {sweep.engine!r}; leave it out")
+    found = doubted(scene, sweep, force=force)
+    for words in found.notes:
+        tell(words)
     records = placed(scene, described, sweep)
     simplify.apply(scene, sweep.leave_out)
     with engines.opened(scene, sweep.engine, **engines.settings(sweep)) as renderer:
         pass  # refuses now what it could not honour later
-    stage.save_file(path / SCENE)
     meta = {
         "sweep": {
             **{name: value for name, value in spec.to_dict(sweep).items() if name not in sweep.unused},
@@ -86,20 +131,46 @@ def plan(scene: bpy.types.Scene, source: Path, path: Path, chosen: Mapping[str, 
         },
         "engine_reasons": reasons,
         "reference_radiance": described.reference_radiance,
+        "colour_space": colour_space(),
         "scene": spec.to_dict(described),
         "extra_objects": stage.others(scene),
+        "replaced": [replaced.told(scene, setting) for setting in replaced.replaced(scene)],
+        **({"forced": found.errors} if found.errors else {}),
         **({"links": linked} if linked else {}),
         "software": {"nlos-lab": version(), "blender": bpy.app.version_string, "numpy": np.__version__},
     }
+    with startcheck.withdrawn(path, SCENE):
+        stage.save_file(path / SCENE)
+        if probe:
+            meta["start_check"] = startcheck.run(
+                path / SCENE,
+                path / SCENE if sweep.leave_out or reference is None else reference,
+                links.of_dataset(linked, path),
+                meta,
+                records[0],
+                len(records),
+                render,
+            )
     dataset = Dataset.create(path, meta, records)
     if isinstance(renderer, engines.SurfelRenderer):
         _background(renderer, dataset, sweep)  # needs no scene, and far less time than a process of its own to start
     return dataset
 
 
+def doubted(scene: bpy.types.Scene, sweep: Sweep, *, force: bool) -> misgivings.Misgivings:
+    """Return what the check finds in a scene, without rendering; refuse its errors unless they are overruled."""
+    found = misgivings.look(scene)
+    if found.errors and not force:
+        with engines.opened(scene, sweep.engine, **engines.settings(sweep)):
+            pass  # what the engine itself refuses, nobody can overrule, so that comes first
+        misgivings.refuse(found)
+    return found
+
+
 def placed(scene: bpy.types.Scene, described: spec.Scene, sweep: Sweep) -> list[PoseRecord]:
     """Return the poses of a sweep: where nothing is in the way, whether it is left out of the pictures or not."""
-    with engines.opened(scene, "path", resolution=sweep.resolution):  # the camera's view depends on the resolution
+    with stage.Overrides() as overrides:
+        stage.shape_pictures(scene, sweep.resolution, overrides)  # on which the camera's view depends
         is_free = clearance(scene, described, engine=sweep.engine)
     planned = poses.trajectory if sweep.frames else poses.plan
     return planned(described.grid, sweep, stage.hull(scene), is_free)
@@ -109,19 +180,36 @@ def settled(scene: bpy.types.Scene, described: spec.Scene, chosen: Mapping[str, 
     """Return the sweep that the user's settings mean in a scene, and why `auto` took no cheaper engine."""
     settings = with_defaults(described, chosen)
     reasons: list[str] = []
-    if settings.get("engine") == engines.AUTO:
+    if settings["engine"] == spec.AUTO:
         settings["engine"], reasons = engines.choose(scene)
     sweep: Sweep = spec.from_dict(Sweep, settings, "")
+    width, height = sweep.resolution
+    if sweep.engine != "surfel" and min(width, height) < _SMALLEST:  # Blender would take the least that it knows
+        raise NlosError(
+            f"resolution: {width} x {height} is less than Blender renders, {_SMALLEST} pixels a side; ask for more, "
+            "or take the engine 'surfel'"
+        )
     return sweep, reasons
 
 
 def with_defaults(described: spec.Scene, chosen: Mapping[str, Any]) -> dict[str, Any]:
     """Return the settings that the user chose, with those that follow from the scene where none was chosen."""
     width, height = described.resolution
-    settings = {"resolution": [width, height], "rotation": list(TURNS[described.target.kind]), **chosen}
+    settings = {
+        "engine": spec.AUTO,
+        "resolution": [width, height],
+        "rotation": list(TURNS[described.target.kind]),
+        **chosen,
+    }
     if isinstance(settings["resolution"], str):
         settings["resolution"] = list(spec.parse_resolution(settings["resolution"], width / height))
     return settings
+
+
+def colour_space() -> str:
+    """Return the linear space that the open file's colours are of, and what Cycles renders; before Blender 5 one."""
+    working = getattr(getattr(bpy.data, "colorspace", None), "working_space", "")
+    return str(working).removeprefix("Linear ") or COLOUR_SPACE
 
 
 def version(package: str = "nlos-lab") -> str:
@@ -222,7 +310,7 @@ def _background(renderer: engines.Renderer | engines.SurfelRenderer, dataset: Da
 
 def check_scene(scene: bpy.types.Scene, chosen: Mapping[str, Any]) -> list[check.Finding]:
     """Return what is to be said of a scene before a sweep with the settings that the user chose."""
-    found = check.findings(scene, engine=chosen.get("engine", Sweep().engine))
+    found = check.findings(scene, engine=chosen.get("engine", spec.AUTO))
     if check.hopeless(found):
         return found
     sweep, _ = settled(scene, stage.read(scene), chosen)
@@ -256,23 +344,30 @@ def commands() -> Iterable[dict[int, int]]:
 def main(argv: list[str]) -> int:
     """Do one of six things.
 
-    ``plan SCENE DATASET SETTINGS``; ``render DATASET THREADS``, positions on standard input;
-    ``check SCENE SETTINGS``, which answers what it found; ``rehearse SCENE SETTINGS THREADS I/N``, which answers
-    what a few pictures took; ``picture SCENE FOLDER SETTINGS denoise|plain``, which
+    ``plan SCENE DATASET SETTINGS [force] [no-probe]``; ``render DATASET THREADS``, positions on standard input;
+    ``check SCENE SETTINGS``, which answers what it found; ``rehearse SCENE SETTINGS THREADS I/N [force]``, which
+    answers what a few pictures took; ``picture SCENE FOLDER SETTINGS denoise|plain``, which
     leaves ``wall.exr`` and ``background.exr`` in the folder; ``experiment SCENE FILE
     NUMBER``, which leaves its pictures in the file.
     """
     try:
         if argv[0] == "plan":
-            source = Path(argv[1])
-            plan(stage.open_file(source), source, Path(argv[2]), json.loads(argv[3]))
-            answer(planned=True)
+            source, notes = Path(argv[1]), list[str]()
+            scene, chosen = stage.open_file(source), json.loads(argv[3])
+            options: dict[str, Any] = {
+                "force": FORCE in argv[4:],
+                "probe": NO_PROBE not in argv[4:],
+                "reference": source,
+            }
+            plan(scene, source, Path(argv[2]), chosen, **options, tell=notes.append)
+            answer(planned=True, notes=notes)
         elif argv[0] == "check":
             scene = stage.open_file(Path(argv[1]))
             answer(findings=[asdict(found) for found in check_scene(scene, json.loads(argv[2]))])
         elif argv[0] == "rehearse":
             scene = stage.open_file(Path(argv[1]))
             sweep, _ = settled(scene, stage.read(scene), json.loads(argv[2]))
+            doubted(scene, sweep, force=FORCE in argv[5:])
             index, _, count = argv[4].partition("/")
             found = rehearsal.rehearse(scene, sweep, share=(int(index), int(count)), threads=int(argv[3]))
             answer(**vars(found))

@@ -30,23 +30,24 @@ def picture_of(scene, position, albedo=0.9, area=0.25):
     return scene.wall.albedo / np.pi * onto * albedo / np.pi * area * position[1] ** 2 / r2**2
 
 
-def make_dataset(path, *, target="sheet", n=12, seed=0, noise=2e-7, grid=None, skip=0):
-    """Write a data set of ``n`` poses a voxel, the last ``skip`` poses unrendered."""
+def make_dataset(path, *, target="sheet", n=12, seed=0, noise=2e-7, grid=None, skip=0, engine="patch", **more):
+    """Write a data set of ``n`` poses a voxel, the last ``skip`` poses unrendered, with ``more`` in its manifest."""
     scene = preset("room", target)
     if grid is not None:
         scene = spec.from_dict(spec.Scene, {**spec.to_dict(scene), "grid": spec.to_dict(grid)})
-    sweep = Sweep(poses=n, seed=seed, resolution=(SIZE, SIZE), inside="centre")
+    sweep = Sweep(engine=engine, poses=n, seed=seed, resolution=(SIZE, SIZE), inside="centre")
     records = poses.plan(scene.grid, sweep, np.zeros((1, 3)))
     meta = {
         "sweep": {**spec.to_dict(sweep), "scene_sha256": "none"},
         "reference_radiance": scene.reference_radiance,
         "scene": spec.to_dict(scene),
         "software": {"blender": "none"},
+        **more,
     }
     dataset = Dataset.create(path, meta, records)
     rng = np.random.default_rng([seed, len(target)])
     background = np.full((SIZE, SIZE, 3), 2e-4 * scene.reference_radiance, dtype=np.float32)
-    dataset.write_background(BACKGROUND, background, seed=0, samples=1)
+    dataset.write_background(BACKGROUND, background, seed=poses.noise_seed(seed, 0), samples=1)
     albedo, area = (0.9, 0.25) if target == "sheet" else (1.0, np.pi * 0.2**2)
     for record in records[: len(records) - skip]:
         signal = picture_of(scene, record.position, albedo, area)
@@ -136,8 +137,9 @@ def plain_atlas(codes, positions, voxels, grid):
     )
 
 
-def make_seen(path, simulated, *, poses=3, frames=False):
+def make_seen(path, simulated, *, poses=3, frames=0, pace=0.0):
     """Write a data set of some poses of a bulk set, as a sweep of its scene would have."""
+    walk = {"frames": frames, "pace": pace} if frames else {}
     n = poses * simulated.grid.n_voxels
     labels, records = simulated.grid.labels, []
     for i, voxel in enumerate(simulated.voxels[:n]):
@@ -146,7 +148,7 @@ def make_seen(path, simulated, *, poses=3, frames=False):
         index = i if frames else i // len(labels)
         records.append(PoseRecord(index, int(voxel), labels[voxel], place, turn, 1, file=file))
     meta = {
-        "sweep": {**spec.to_dict(simulated.plan.sweep), "scene_sha256": "none"},
+        "sweep": {**spec.to_dict(simulated.plan.sweep), "scene_sha256": "none", **walk},
         "reference_radiance": 1.0,
         "scene": simulated.meta["scene"],
         "software": {"blender": "none"},

@@ -14,9 +14,14 @@ ROOT = Path(__file__).resolve().parents[1]
 
 @pytest.fixture(scope="session")
 def command():
-    """Run ``nlos-generate`` or ``nlos-classify`` in a process of its own; return what it did."""
+    """Run ``nlos-generate`` or ``nlos-classify`` in a process of its own; return what it did.
 
-    def run(module, *arguments, **options):
+    The check at the start of a set takes seconds, and most tests are of something else: ``probe=True`` has it made.
+    """
+
+    def run(module, *arguments, probe=False, **options):
+        if module == "generator" and arguments[0] in ("sweep", "trajectory", "bulk") and not probe:
+            arguments = (*arguments, "--no-probe")
         return subprocess.run(
             [sys.executable, "-m", f"{module}.cli", *map(str, arguments)],
             capture_output=True,
@@ -38,7 +43,7 @@ def scene_file(tmp_path_factory, command):
     return path
 
 
-TINY = ("--poses", "1", "--samples", "4", "--resolution", "8", "--workers", "1")
+TINY = ("--engine", "patch", "--poses", "1", "--samples", "64", "--resolution", "8", "--no-probe", "--workers", "1")
 
 
 @pytest.fixture(scope="session")

@@ -33,14 +33,74 @@ def changed(world, position, rotation=(0.0, 0.0, 0.0), **options):
 PLACE = (0.8, 1.1, 0.3)
 
 
-def test_a_sphere_hides_as_much_of_the_sky_as_its_form_factor_says():
+@pytest.mark.parametrize("radius", [0.2, 0.06, 1e-4])
+def test_a_sphere_hides_as_much_of_the_sky_as_its_form_factor_says(radius):
     """From an element of a plane, a sphere wholly above it is seen by (r / d)^2 cos: Howell, catalogue, B-43."""
-    world = under_sky(ball(), order=1)
+    world = under_sky(ball(radius), order=1)
     points, weights = worlds.picture_points(world.watched, 3)
     away = np.array(PLACE) - points
     far = np.linalg.norm(away, axis=-1)
-    hidden = ((0.2 / far) ** 2 * away[..., 1] / far) @ weights
+    hidden = ((radius / far) ** 2 * away[..., 1] / far) @ weights
     assert worlds.error(changed(world, PLACE), -worlds.WALL * hidden) < 0.01
+
+
+@pytest.mark.parametrize("order", [1, 2, 3])
+@pytest.mark.parametrize("target", [ball(0.06, 0.5), worlds.sheet(0.1, 0.5)], ids=["sphere", "sheet"])
+def test_what_no_light_reaches_changes_nothing(target, order):
+    """Behind a closed screen, an object is met by no ray from wall or picture: nothing is the sum of no rays."""
+    screen = worlds.quad((-9.0, 0.5, -9.0), (18.0, 0.0, 0.0), (0.0, 0.0, 18.0), 0.0)
+    picture = changed(under_sky(target, order=order, room=(screen,)), PLACE)
+    assert picture.dtype == np.float64
+    assert not picture.any()
+
+
+@pytest.mark.parametrize("size", [0.1, 0.02])
+def test_an_object_out_of_the_pictures_sight_darkens_it_by_its_shade(size):
+    """A black sphere that a screen hides from the watched wall takes sky from a white board that the wall sees: the
+    form factors of wall and board (quadrature) times that of board and sphere (Howell, B-43)."""
+    half, centre = 0.15, np.array([-0.6, 1.5, 0.1])
+    normal = np.array([1.0, -1.0, 0.0]) / np.sqrt(2.0)
+    along, up = np.array([1.0, 1.0, 0.0]) / np.sqrt(2.0), np.array([0.0, 0.0, 1.0])
+    board = worlds.quad(centre - half * (along + up), 2.0 * half * along, 2.0 * half * up, 1.0)
+    screen = worlds.quad((0.3, 0.0, -2.0), (0.0, 0.9, 0.0), (0.0, 0.0, 4.0), 0.0)
+    world = under_sky(ball(size, 0.0), order=2, room=(board, screen))
+    steps = (np.arange(8) + 0.5) / 4.0 - 1.0
+    on_board = centre + half * (np.repeat(steps, 8)[:, None] * along + np.tile(steps, 8)[:, None] * up)
+    away = np.array(PLACE) - on_board
+    far = np.linalg.norm(away, axis=1)
+    shade = (size / far) ** 2 * (away @ normal) / far
+    points, weights = worlds.picture_points(world.watched, 2)
+    way = on_board - points[..., None, :]
+    far = np.linalg.norm(way, axis=-1)
+    seen = way[..., 1] * -(way @ normal) / (np.pi * far**4) * (2.0 * half) ** 2 / len(on_board)
+    expected = -worlds.WALL * ((seen @ shade) @ weights)
+    assert worlds.error(changed(world, PLACE), expected) < 0.05
+
+
+def test_poses_in_the_shade_of_a_corridor():
+    """A small sphere far down a corridor: from most places no part of the watched wall sees it."""
+    grey = preset("corridor", "sphere").with_ambient(0.01)
+    grey = replace(
+        grey,
+        resolution=(8, 8),
+        wall=replace(grey.wall, albedo=0.5),
+        room=replace(grey.room, albedo=0.5),
+        partition=replace(grey.partition, albedo=0.5),
+        target=replace(grey.target, size=0.12, albedo=0.5),
+        grid=replace(grey.grid, lo=(0.2, 2.0, 0.3), hi=(1.4, 8.5, 2.3)),
+    )
+    scene = stage.new_file()
+    stage.build(scene, grey)
+    engine = Transport(extract.surfel_world(scene), accuracy=1e-2)
+    axes = engine._setting.frame.axes
+    level, unseen = np.zeros(40), np.zeros(40, dtype=bool)
+    for number, spot in enumerate(np.random.default_rng(0).uniform(grey.grid.lo, grey.grid.hi, (40, 3))):
+        pose = axes, engine._setting.frame.points(spot)
+        unseen[number] = not len(engine._ambient._met(engine._sky.watch(12).starts, *pose).owner)
+        level[number] = abs(engine._ambient.change(*pose)).mean()
+    assert unseen.sum() >= 20
+    # What the picture cannot see changes it less than what it sees, and not by nothing: it shades what is seen.
+    assert 0.0 < level[unseen].max() < level[~unseen].max() < engine._ambient.background().mean()
 
 
 def test_the_background_is_the_whole_sky_less_what_a_floor_hides():

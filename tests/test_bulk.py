@@ -338,8 +338,8 @@ def test_an_unwritable_folder_is_one_sentence(tmp_path):
 @pytest.mark.parametrize(
     ("change", "words"),
     [
-        (("format = 1", "format = 2"), "has bulk format 2; this software reads up to 1"),
-        (("format = 1", ""), "lacks the field 'format'"),
+        (("format = 2", "format = 3"), "has bulk format 3; this software reads up to 2"),
+        (("format = 2", ""), "lacks the field 'format'"),
         (("channels = 1", "channels = 2"), "channels 1 or 3"),
         (("channels = 1", ""), "lacks the field 'channels'"),
         (("part = 7", "part = 0"), "sweep.part must be 1 or more"),
@@ -437,7 +437,7 @@ def test_what_a_killed_plan_leaves_is_no_obstacle(tmp_path):
         bulk.check_free(tmp_path)
 
 
-TINY = ("--pictures", "30", "--part", "4", "--resolution", "8", "--accuracy", "0.01")
+TINY = ("--pictures", "30", "--part", "4", "--resolution", "8", "--accuracy", "0.01", "--no-probe")
 
 
 @pytest.fixture(scope="module")

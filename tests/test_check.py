@@ -246,7 +246,7 @@ def test_an_adopted_scene_is_swept(tmp_path):
     source = tmp_path / "artist.blend"
     stage.save_file(source)
     chosen = {"engine": "surfel", "poses": 2, "resolution": [16, 16], "accuracy": 1e-3, "rotation": [15, 15, 90]}
-    plan = worker.plan(stage.open_file(source), source, tmp_path / "artist", chosen)
+    plan = worker.plan(stage.open_file(source), source, tmp_path / "artist", chosen, probe=False)
     worker.render(
         stage.open_file(tmp_path / "artist" / "scene.blend"), plan, [dict.fromkeys(range(len(plan.poses)), 0)]
     )
@@ -293,3 +293,279 @@ def test_experiments_show_what_moves_and_what_does_not():
     assert about_y < 0.1 * min(about_x, about_z)
     with pytest.raises(NlosError, match="there is none"):
         experiments.draw(scene, 4)
+
+
+# Over voxel E, whence one sees past the partition to the wall; beside the camera, whence no voxel is seen.
+AMONG, BEFORE = (1.55, 1.15, 2.4), (-1.1, 3.0, 2.0)
+
+
+def lamp(kind, place=AMONG, *, energy=10.0, rotation=(0.0, 0.0, 0.0), collection=None, **data):
+    light = bpy.data.lights.new(kind.capitalize(), kind)
+    light.energy = energy
+    for name, value in data.items():
+        setattr(light, name, value)
+    obj = bpy.data.objects.new(kind.capitalize(), light)
+    obj.location, obj.rotation_euler = place, rotation
+    (collection or bpy.context.scene.collection).objects.link(obj)
+    bpy.context.view_layer.update()
+    return obj
+
+
+def glowing(place, *, strength=5.0, size=0.3):
+    bpy.ops.mesh.primitive_plane_add(size=size, location=place)
+    material = bpy.data.materials.new("Glow")
+    if material.node_tree is None:
+        material.use_nodes = True
+    nodes = material.node_tree.nodes
+    nodes.clear()
+    emission, output = nodes.new("ShaderNodeEmission"), nodes.new("ShaderNodeOutputMaterial")
+    emission.inputs["Strength"].default_value = strength
+    material.node_tree.links.new(emission.outputs[0], output.inputs["Surface"])
+    bpy.context.object.data.materials.append(material)
+    bpy.context.object.name = "Panel"
+    bpy.context.view_layer.update()
+    return bpy.context.object
+
+
+def of_lights(scene):
+    return [(f.level, f.text) for f in check.findings(scene) if f.text.startswith("Light of")]
+
+
+def sun_through_the_roof(scene):
+    bpy.data.objects.remove(scene.objects["Ceiling"])
+    lamp("SUN", energy=1.0)
+
+
+def in_a_collection(scene):
+    hidden = bpy.data.collections.new("Instanced")
+    lamp("POINT", (0.0, 0.0, 0.0), collection=hidden)
+    empty = bpy.data.objects.new("Empty", None)
+    empty.instance_type, empty.instance_collection, empty.location = "COLLECTION", hidden, AMONG
+    scene.collection.objects.link(empty)
+
+
+def in_a_background_set(scene):
+    other = bpy.data.scenes.new("Set")
+    lamp("POINT", collection=other.collection)
+    scene.background_set = other
+
+
+def linked_to(scene, names, state="INCLUDE", place=(-0.5, 1.0, 2.4)):
+    """A lamp that sees both patch and voxels, and lights only some objects."""
+    for screen in stage.players(scene, "partition"):
+        bpy.data.objects.remove(screen)
+    obj = lamp("POINT", place)
+    receivers = bpy.data.collections.new("Receivers")
+    for name in names:
+        receivers.objects.link(scene.objects[name])
+    obj.light_linking.receiver_collection = receivers
+    for entry in receivers.collection_objects:
+        entry.light_linking.link_state = state
+
+
+def by_geometry_nodes(scene):
+    """A cube without a material gets one that glows by its modifier."""
+    panel = glowing(AMONG)
+    material = panel.data.materials[0]
+    panel.data.materials.clear()
+    tree = bpy.data.node_groups.new("Glow", "GeometryNodeTree")
+    for way in ("INPUT", "OUTPUT"):
+        tree.interface.new_socket("Geometry", in_out=way, socket_type="NodeSocketGeometry")
+    into, out, change = (tree.nodes.new(n) for n in ("NodeGroupInput", "NodeGroupOutput", "GeometryNodeSetMaterial"))
+    change.inputs["Material"].default_value = material
+    tree.links.new(into.outputs[0], change.inputs[0])
+    tree.links.new(change.outputs[0], out.inputs[0])
+    panel.modifiers.new("Glow", "NODES").node_group = tree
+
+
+BOTH = "falls directly on the watched patch and"
+BACK, UP = (math.pi / 2.0, 0.0, 0.0), (math.pi, 0.0, 0.0)
+"""A lamp shines down where it is not turned; these turn it from the wall, and up."""
+
+
+@pytest.mark.parametrize(
+    ("edit", "level", "words"),
+    [
+        (lambda s: lamp("POINT", (1.55, 1.15, 1.3), energy=1000.0), ERROR, "'Point' comes from within voxel E"),
+        (lambda s: glowing((1.55, 1.15, 1.3)), ERROR, "'Panel' comes from within voxel E"),
+        (lambda s: lamp("POINT"), WARNING, f"'Point' {BOTH} voxels A to I, and outshines"),
+        (lambda s: lamp("AREA", rotation=BACK, size=0.2), WARNING, "'Area' falls directly on voxels D to I: the"),
+        (lambda s: lamp("AREA", rotation=UP, size=0.2), NOTE, "'Area' is in the scene too, hidden"),
+        (lambda s: lamp("SPOT", spot_size=0.2), WARNING, "'Spot.001' falls directly on voxel E:"),
+        (lambda s: lamp("SPOT", spot_size=0.02), WARNING, "'Spot.001' falls directly on voxel E:"),
+        (lambda s: lamp("SPOT", rotation=UP), NOTE, "'Spot.001' is in the scene too, hidden"),
+        (lambda s: glowing(AMONG), WARNING, f"'Panel' {BOTH} voxels A to I"),
+        (lambda s: lamp("POINT", BEFORE), WARNING, "'Point' falls directly on the watched patch, and outshines"),
+        (lambda s: glowing(BEFORE), WARNING, "'Panel' falls directly on the watched patch, and outshines"),
+        (lambda s: lamp("POINT", (0.3, -1.0, 1.3)), NOTE, "'Point' is in the scene too, hidden"),
+        (lambda s: lamp("SUN", energy=1.0), NOTE, "'Sun' is in the scene too, hidden"),
+        (sun_through_the_roof, WARNING, "'Sun' falls directly on voxels A to I"),
+        (in_a_collection, WARNING, f"'Point' {BOTH} voxels A to I"),
+        (in_a_background_set, WARNING, f"'Point' {BOTH} voxels A to I"),
+        (by_geometry_nodes, WARNING, f"'Panel' {BOTH} voxels A to I"),
+        (lambda s: linked_to(s, ["Floor"]), NOTE, "'Point' is in the scene too"),
+        (lambda s: linked_to(s, ["Relay wall"]), WARNING, "'Point' falls directly on the watched patch, and"),
+        (lambda s: linked_to(s, ["Target"]), WARNING, "'Point' falls directly on voxels"),
+        (lambda s: linked_to(s, ["Target"], "EXCLUDE"), WARNING, "'Point' falls directly on the watched patch, and"),
+        (lambda s: linked_to(s, ["Floor"], "EXCLUDE"), WARNING, f"'Point' {BOTH} voxels"),
+        (
+            lambda s: setattr(lamp("POINT", BEFORE).data, "use_shadow", False),
+            WARNING,
+            f"'Point' {BOTH} voxels A to I",
+        ),
+        (
+            lambda s: s.world.node_tree.nodes["Background"].inputs["Strength"].__setattr__("default_value", 0.1),
+            NOTE,
+            "'NLOS world' of the world is in every picture",
+        ),
+        (
+            lambda s: lamp("POINT", (1.0, 1.0, 1.0)).__setattr__("parent", stage.find(s, "target")),
+            WARNING,
+            "'Point' moves with the hidden object",
+        ),
+    ],
+)
+def test_every_source_of_light_is_named_that_sees_a_voxel_or_lights_the_picture(edit, level, words):
+    scene = built()
+    edit(scene)
+    bpy.context.view_layer.update()
+    [(got, text)] = of_lights(scene)
+    assert words in text
+    assert got == level
+    good = [f for f in check.findings(scene) if f.level == GOOD]
+    assert bool(good) == (level == NOTE)
+
+
+@pytest.mark.parametrize(
+    "edit",
+    [
+        lambda lamp: setattr(lamp, "hide_render", True),
+        lambda lamp: setattr(lamp.data, "energy", 0.0),
+        lambda lamp: setattr(lamp.data, "color", (0.0, 0.0, 0.0)),
+        lambda lamp: [setattr(lamp, f"visible_{kind}", False) for kind in ("diffuse", "glossy", "transmission")],
+        lambda lamp: lamp.users_collection[0].objects.unlink(lamp),
+    ],
+)
+def test_what_gives_no_light_is_not_named(edit):
+    scene = built()
+    edit(lamp("POINT"))
+    bpy.context.view_layer.update()
+    assert not of_lights(scene)
+
+
+def test_a_light_that_is_named_is_one_that_plain_cycles_has():
+    """Where check says that it falls directly on the patch, the picture of order 1 has it; where not, it has not."""
+    scene = built()
+    stage.limit_reflections(scene, 1)
+    lights = [(lamp("POINT", BEFORE), True), (lamp("AREA", rotation=BACK), False), (lamp("POINT"), True)]
+    lights += [(glowing(BEFORE), True), (lamp("POINT", (0.3, -1.0, 1.3)), False)]
+    for obj, _ in lights:
+        obj.hide_render = True
+    for obj, direct in lights:
+        obj.hide_render = False
+        bpy.context.view_layer.update()
+        with engines.opened(scene, "path", resolution=(8, 8)) as renderer:
+            assert renderer.render(samples=16, seed=0, target=False).any() == direct
+        assert any("directly on the watched patch" in text for _, text in of_lights(scene)) == direct
+        obj.hide_render = True
+
+
+def test_a_screen_that_rays_pass_hides_nothing():
+    scene = built()
+    for screen in stage.players(scene, "partition"):
+        screen.visible_shadow = False
+    assert [f.object for f in told(scene, NOTE) if "Nothing hides" in f.text] == ["Spot"]
+    for screen in stage.players(scene, "partition"):
+        screen.visible_shadow, screen.visible_camera = True, False
+    assert [f.object for f in told(scene, NOTE) if "Nothing hides" in f.text] == ["Camera"]
+
+
+def rough_target(scene):
+    """Make the target of something that patch renders and surfel does not."""
+    node = stage.find(scene, "target").data.materials[0].node_tree.nodes["Diffuse BSDF"]
+    node.inputs["Roughness"].default_value = 0.5
+
+
+def small(scale):
+    scene = built()
+    stage.find(scene, "target").scale = (scale,) * 3
+    bpy.context.view_layer.update()
+    return scene
+
+
+PROBED = {"samples": 64, "resolution": (16, 16), "poses": 3, "seed": 0}
+
+
+@pytest.mark.parametrize(
+    ("scale", "engine", "missed"),
+    [(0.2, "patch", False), (0.02, "patch", False), (0.2, "path", True), (1.0, "path", False)],
+)
+def test_an_object_that_the_noise_hides_changes_what_surfel_says(scale, engine, missed):
+    """By 0.4 % to 0.00004 %: never "nothing", though no sample of path meets its light."""
+    scene = small(scale)
+    found = check.probe(scene, Sweep(engine=engine, **PROBED))
+    with engines.opened(scene, "surfel", resolution=(16, 16), accuracy=1e-4) as renderer:
+        wall, without = renderer.render(), renderer.render(target=False)
+    assert found.share == pytest.approx((wall - without).mean() / wall.mean(), rel=0.03)
+    assert bool(found.missed) == missed
+    [signal, _] = found.findings()
+    assert signal.level == WARNING
+    assert f"The object adds {check._share(found.share)} to the picture" in signal.text
+    assert "or the engine 'surfel'" in signal.text
+
+
+def test_where_surfel_cannot_be_asked_a_range_is_told():
+    scene = small(0.1)
+    with engines.opened(scene, "surfel", resolution=(16, 16), accuracy=1e-3) as renderer:
+        wall, without = renderer.render(), renderer.render(target=False)
+    rough_target(scene)  # which changes what it adds by less than the noise hides
+    found = check.probe(scene, Sweep(engine="patch", **PROBED))
+    [signal, _] = found.findings()
+    assert signal.level == WARNING
+    assert "(95 %), which the noise of 'patch' hides; more samples would tell" in signal.text
+    assert "surfel" not in signal.text
+    assert abs(found.share - (wall - without).mean() / wall.mean()) < 5.0 * found.error  # 1 in 10^6 by chance
+
+
+def test_what_no_sample_met_is_bounded_and_no_error():
+    scene = small(0.02)
+    rough_target(scene)
+    found = check.probe(scene, Sweep(engine="path", **PROBED))
+    [signal, _] = found.findings()
+    assert found.missed >= 16 * 256
+    assert signal.level == WARNING
+    assert "is not known: none of" in signal.text
+    assert f"more than {3 / found.missed:.1g} of all (95 %)" in signal.text
+
+
+def test_an_object_that_nothing_lights_changes_nothing():
+    scene = built()
+    with stage.Overrides() as overrides:
+        overrides.set(stage.find(scene, "spot").data, "energy", 0.0)
+        for engine in ("surfel", "patch"):
+            [signal, _] = check.probe(scene, Sweep(engine=engine, **PROBED)).findings()
+            assert (signal.level, "changes nothing" in signal.text) == (ERROR, True)
+
+
+def test_what_no_engine_can_is_a_finding_and_names_none():
+    scene = built()
+    target = stage.find(scene, "target")
+    target.keyframe_insert("location", frame=1)
+    found = [f for f in told(scene, ERROR) if target.name in f.text]
+    assert found
+    assert not [f for f in found if any(f"{engine!r}" in f.text for engine in engines.ENGINES)]
+
+
+def test_advice_names_an_engine_that_was_asked():
+    scene = built()
+    rough_target(scene)
+    assert any("'patch' can" in f.text for f in told(scene, ERROR, engine="surfel"))
+    stage.find(scene, "spot").data.shadow_soft_size = 0.1
+    for engine in ("surfel", "patch"):
+        errors = [f.text for f in told(scene, ERROR, engine=engine)]
+        assert errors
+        assert all(text.endswith("'path' can") for text in errors)
+    assert any("radius" in text for text in errors)
+    world = built()
+    world.world.node_tree.nodes["Background"].inputs["Strength"].default_value = 0.1
+    assert not told(world, ERROR, engine="surfel"), "who asks for surfel gets ambient light, as in a sweep"

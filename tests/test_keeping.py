@@ -6,7 +6,7 @@ import bpy
 import pytest
 
 from generator import adopt, check, clearance, engines, extract, spec, stage, worker
-from generator.check import ERROR
+from generator.check import ERROR, NOTE
 from generator.spec import NlosError, preset
 
 _FACES = [(0, 1, 3, 2), (4, 5, 7, 6), (0, 1, 5, 4), (2, 3, 7, 6), (0, 2, 6, 4), (1, 3, 7, 5)]
@@ -98,9 +98,9 @@ def test_a_target_in_a_collection_that_is_not_rendered(how):
 
 
 def test_an_object_that_changes_nothing_is_an_error():
-    """Never "infinitely far above the noise"."""
-    probe = check.Probe(engine="patch", share=0.0, signal_to_noise=float("inf"), seconds=1.0, bytes=1.0)
-    assert [f.level for f in probe.findings()] == [ERROR]
+    """If it is known: never "infinitely far above the noise", and never since no sample met it."""
+    probe = check.Probe(engine="surfel", share=0.0, signal_to_noise=0.0, seconds=1.0, bytes=1.0, exact=True)
+    assert [f.level for f in probe.findings()] == [ERROR, NOTE]
 
 
 def test_the_picture_that_was_rendered_last_stays(tmp_path):

@@ -6,12 +6,13 @@ import os
 import shutil
 import subprocess
 import sys
+from pathlib import Path
 
 import bpy
 import pytest
 from conftest import ROOT, TINY
 
-from generator import links, planning, references, stage, worker
+from generator import engines, links, planning, references, stage, worker
 from generator.dataset import Dataset
 from generator.spec import NlosError
 
@@ -82,6 +83,7 @@ def volume(scene, elsewhere):
 
 
 def importer(scene, elsewhere, *, computed=False):
+    (elsewhere / "secret.txt").write_text("words", encoding="utf-8")
     tree = bpy.data.node_groups.new("import", "GeometryNodeTree")
     tree.interface.new_socket("Geometry", in_out="OUTPUT", socket_type="NodeSocketGeometry")
     node, output = tree.nodes.new("GeometryNodeImportText"), tree.nodes.new("NodeGroupOutput")
@@ -139,8 +141,8 @@ def test_what_leads_out_of_the_scenes_folder_is_refused(edited, tmp_path, spoil,
         assert stage.find(stage.open_file(path), "target")
 
 
-def test_a_fluid_that_writes_where_it_likes_is_never_opened(edited, tmp_path):
-    """Opened, it makes folders and files at any path that it names."""
+def test_a_fluid_with_a_cache_is_never_opened(edited, tmp_path):
+    """Opened, it would make the folder that it names, here beside the scene."""
     script = (
         "import bpy, sys;"
         "bpy.ops.wm.open_mainfile(filepath=sys.argv[1]);"
@@ -217,24 +219,11 @@ def test_a_set_that_hides_what_its_scene_refers_to_is_refused(edited, tmp_path, 
     assert "photo.png, outside its own folder" in result.stderr
 
 
-def runs(name, folder):
-    return f"open({str(folder / name)!r}, 'w').write('x')"
-
-
-def hostile(scene, elsewhere):
-    """All that might run, and all that might write: scripts, drivers, styles, compositor, output."""
+def busy(scene, elsewhere):
+    """What a scene may ask for besides its picture: a script that leaves a mark, the compositor, files of its own."""
     text = bpy.data.texts.new("register.py")
-    text.write(runs("text", elsewhere))
+    text.write(f"open({str(elsewhere / 'text')!r}, 'w').write('x')")
     text.use_module = True
-    driver = an_object(scene).driver_add("location", 0).driver
-    driver.expression = f"__import__('os').system('touch {elsewhere / 'driver'}') or 0.0"
-    style = bpy.data.texts.new("style.py")
-    style.write(runs("style", elsewhere))
-    scene.render.use_freestyle = True
-    for layer in scene.view_layers:
-        layer.use_freestyle = True
-        layer.freestyle_settings.mode = "SCRIPT"
-        layer.freestyle_settings.modules.new().script = style
     if hasattr(scene, "compositing_node_group"):
         tree = scene.compositing_node_group = bpy.data.node_groups.new("compositor", "CompositorNodeTree")
     else:
@@ -250,7 +239,7 @@ def hostile(scene, elsewhere):
 
 
 def test_nothing_in_a_scene_runs_or_writes(edited, tmp_path, command):
-    path = edited(hostile)
+    path = edited(busy)
     before = files(tmp_path)
     result = command("generator", "sweep", path, "-o", tmp_path / "set", *TINY, "--engine", "path")
     assert result.returncode == 0, result.stderr
@@ -265,3 +254,18 @@ def test_nothing_in_a_scene_runs_or_writes(edited, tmp_path, command):
     assert worker.check_scene(stage.open_file(path), {"resolution": "8", "samples": 4})
     assert planning.make(path, tolerance=0.1, count=2, most=0.0, predict=False).effects
     assert files(tmp_path) == before
+    asked = f"import bpy; bpy.ops.wm.open_mainfile(filepath={str(path)!r}, use_scripts=True)"
+    subprocess.run([sys.executable, "-c", asked], capture_output=True, check=True)
+    assert files(tmp_path) - before == {Path("elsewhere/text")}, "the mark is left where a file's scripts are on"
+
+
+@pytest.mark.parametrize("engine", engines.ENGINES)
+def test_what_may_run_or_write_is_off_while_a_scene_is_rendered(scene_file, engine):
+    """And as it was afterwards."""
+    scene = stage.open_file(scene_file)
+    names = ("use_freestyle", "use_compositing", "use_sequencer")
+    for name in names:
+        setattr(scene.render, name, True)
+    with engines.opened(scene, engine, resolution=(8, 8)):
+        assert not any(getattr(scene.render, name) for name in names)
+    assert all(getattr(scene.render, name) for name in names)

@@ -21,13 +21,18 @@ NEEDS_BLENDER = {
         "experiments",
         "extract",
         "laboratory",
+        "lighting",
+        "misgivings",
+        "nodes",
         "outlines",
         "planning",
         "probing",
         "references",
         "rehearsal",
+        "replaced",
         "simplify",
         "stage",
+        "startcheck",
         "worker",
     )
 }

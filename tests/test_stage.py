@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 import radiometry
 
-from generator import engines, spec, stage
+from generator import engines, meshes, spec, stage
 from generator.clearance import clearance
 from generator.spec import NlosError, Scene, preset
 
@@ -379,15 +379,18 @@ def test_a_mesh_whose_modifiers_leave_only_curves_has_no_surface(scene_file):
     assert check.findings(scene, engine="path")
 
 
-def test_a_ply_that_claims_what_it_cannot_hold_is_refused(tmp_path):
-    """Blender's importer would make room for 24 GB, or end the process."""
+def test_a_ply_that_claims_what_it_cannot_hold_is_refused(tmp_path, monkeypatch):
+    """By a limit so low that a sound file exceeds it."""
     path = tmp_path / "claim.ply"
     path.write_text(
-        "ply\nformat ascii 1.0\nelement vertex 2000000000\nproperty float x\nproperty float y\nproperty float z\n"
+        "ply\nformat ascii 1.0\nelement vertex 3\nproperty float x\nproperty float y\nproperty float z\n"
         "element face 1\nproperty list uchar int vertex_indices\nend_header\n0 0 0\n1 0 0\n0 1 0\n3 0 1 2\n"
     )
-    with pytest.raises(NlosError, match=r"claim\.ply claims 2000000000 elements in"):
-        stage._import_mesh(spec.Target(kind="mesh", size=0.0, albedo=0.5, mesh=str(path)))
+    target = spec.Target(kind="mesh", size=0.0, albedo=0.5, mesh=str(path))
+    assert len(stage._import_mesh(target).data.polygons) == 1
+    monkeypatch.setattr(meshes, "_PER_BYTE", 0.01)
+    with pytest.raises(NlosError, match=r"claim\.ply claims 3 elements in"):
+        stage._import_mesh(target)
 
 
 def test_an_obj_leads_nowhere_else(tmp_path):

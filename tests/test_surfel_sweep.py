@@ -104,7 +104,7 @@ def test_one_interface_renders_the_target_where_it_stands():
 
 
 def test_killed_and_resumed_gives_the_same_pixels_and_no_litter(tmp_path, scene_file, command):
-    options = ("--poses", "30", "--resolution", "16", "--engine", "surfel", "--accuracy", "1e-2")
+    options = ("--poses", "30", "--resolution", "16", "--engine", "surfel", "--accuracy", "1e-2", "--no-probe")
     whole, killed = tmp_path / "whole", tmp_path / "killed"
     assert command("generator", "sweep", scene_file, "-o", whole, *options, "--workers", "1").returncode == 0
     process = start(scene_file, killed, *options, "--workers", "1")

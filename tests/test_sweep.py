@@ -17,7 +17,7 @@ from conftest import ROOT, TINY
 from generator import sweep
 from generator.dataset import Dataset, read_picture
 
-SLOW = ("--poses", "2", "--samples", "48", "--resolution", "24")
+SLOW = ("--engine", "patch", "--poses", "2", "--samples", "48", "--resolution", "24", "--no-probe")
 
 
 def pixels_of(path):
@@ -110,7 +110,7 @@ def test_a_finished_set_is_left_alone(tmp_path, scene_file, tiny_dataset, comman
 def test_other_settings_are_refused_by_name(scene_file, tiny_dataset, command):
     result = command("generator", "sweep", scene_file, "-o", tiny_dataset, "--samples", "5", "--seed", "3")
     assert result.returncode == 2
-    assert "samples is 4 there and 5 here; seed is 0 there and 3 here" in result.stderr
+    assert "samples is 64 there and 5 here; seed is 0 there and 3 here" in result.stderr
 
 
 def test_another_scene_is_refused(tmp_path, tiny_dataset, command):
@@ -123,7 +123,7 @@ def test_another_scene_is_refused(tmp_path, tiny_dataset, command):
 def test_the_noise_of_no_two_poses_is_the_same(tmp_path, scene_file, command):
     """Unpaired, the pictures of a room differ by the target and by noise; equal noise would correlate them."""
     path = tmp_path / "noise"
-    options = ("--poses", "1", "--samples", "2", "--resolution", "24", "--no-paired")
+    options = ("--engine", "patch", "--poses", "1", "--samples", "2", "--resolution", "24", "--no-paired")
     assert command("generator", "sweep", scene_file, "-o", path, *options).returncode == 0
     other = tmp_path / "other"
     assert command("generator", "sweep", scene_file, "-o", other, *options, "--seed", "1").returncode == 0
@@ -160,6 +160,7 @@ def test_paired_noise_is_unbiased_and_smaller(scene_file):
 def test_ambient_set_has_two_backgrounds(tmp_path, command):
     scene = tmp_path / "a.blend"
     assert command("generator", "scene", "room", "--ambient", "0.01", "-o", scene).returncode == 0
+
     result = command("generator", "sweep", scene, "-o", tmp_path / "a", *TINY)
     assert result.returncode == 0, result.stderr
     dataset = Dataset.open(tmp_path / "a")
@@ -183,8 +184,9 @@ def test_verify_finds_what_was_done_to_a_set(tmp_path, tiny_dataset, command):
     shutil.copy(path / "D" / "0000.exr", path / "E" / "0000.exr")
     bad = command("generator", "verify", path)
     assert bad.returncode == 1
-    for label in "BCE":
-        assert f"{label}/0000.exr: missing, broken or of another sweep" in bad.stdout
+    for label in "BC":
+        assert f"{label}/0000.exr: missing or broken" in bad.stdout
+    assert "E/0000.exr: is a picture of label D, not E" in bad.stdout
     assert bad.stdout.splitlines()[-1].endswith("3 faults")
 
 
@@ -254,13 +256,13 @@ def test_a_run_can_be_stopped_and_gone_on_with(tmp_path, scene_file):
     from generator import sweep
 
     stop, path = threading.Event(), tmp_path / "set"
-    chosen = {"poses": 20, "samples": 1, "resolution": [4, 4]}
+    chosen = {"poses": 20, "samples": 512, "resolution": [4, 4]}
 
     def progress(done, total):
         if done == 2:
             stop.set()
 
-    outcome = sweep.run(scene_file, path, chosen, workers=1, progress=progress, stop=stop)
+    outcome = sweep.run(scene_file, path, chosen, workers=1, progress=progress, stop=stop, probe=False)
     assert 2 <= outcome.rendered < 100
     assert outcome.remaining == 180 - outcome.rendered
     assert not outcome.failed
@@ -320,7 +322,7 @@ def test_one_hopeless_unit_fails_alone_of_its_batch(monkeypatch):
         (("sweep", "{scene}", "-o", "x", "--samples", "0"), "samples: 0 must be"),
         (("sweep", "{scene}", "-o", "x", "--resolution", "big"), "resolution"),
         (("sweep", "{scene}", "-o", "x", "--workers", "-1"), "--workers"),
-        (("sweep", "{newer}/scene.blend", "-o", "{newer}"), "format 2; this software reads up to 1"),
+        (("sweep", "{newer}/scene.blend", "-o", "{newer}"), "format 3; this software reads up to 2"),
         (("verify", "{foreign}"), "is not a data set"),
         (("scene", "room", "-o", "room.txt"), "must end in .blend"),
         (("scene", "room", "--target", "cube", "-o", "x.blend"), "sheet, sphere or a mesh file"),
@@ -335,7 +337,7 @@ def test_bad_input_is_one_sentence_and_code_2(tmp_path, scene_file, tiny_dataset
     (foreign / "holiday.jpg").touch()
     shutil.copytree(tiny_dataset, newer)
     manifest = newer / "dataset.toml"
-    manifest.write_text(manifest.read_text().replace("format = 1", "format = 2"))
+    manifest.write_text(manifest.read_text().replace("format = 2", "format = 3"))
     before = sorted(p.relative_to(tmp_path) for p in tmp_path.rglob("*"))
     names = {"scene": scene_file, "foreign": foreign, "newer": newer}
     result = command("generator", *(a.format(**names) for a in arguments), cwd=tmp_path)

@@ -206,13 +206,7 @@ def test_lost_and_found_again(tmp_path, command):
 
 def make_walk(path, simulated):
     """A data set of frames whose poses are those of the bulk set along a path of nearest neighbours."""
-    data = make_seen(path, simulated, poses=10, frames=True)
-    data.meta["sweep"] = {**data.meta["sweep"], "frames": 40, "pace": 0.05}
-    from generator.dataset import MANIFEST, write_text
-    from generator.spec import dump_toml
-
-    write_text(path / MANIFEST, dump_toml(data.meta))
-    return type(data).open(path)
+    return make_seen(path, simulated, poses=10, frames=40, pace=0.05)
 
 
 def test_a_sequence_that_grows_is_waited_for(tmp_path):

@@ -18,13 +18,13 @@ and the wall's radiance is rho L (E_1 + E_2 + E_3), as many as there may be refl
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 from numpy.polynomial.legendre import leggauss, legvander
 from numpy.typing import NDArray
-from scipy import sparse
 
 from generator.spec import NlosError
 from generator.transport import picture
@@ -69,6 +69,15 @@ def _turned(count: int, dimensions: int, owners: Numbers) -> Floats:
     """The lattice (owners, count, dimensions), moved by another amount for each owner: their errors differ."""
     moves = np.random.default_rng(dimensions).random((int(owners.max(initial=-1)) + 1, dimensions))[owners]
     made: Floats = (lattice(count, dimensions)[None] + moves[:, None]) % 1.0
+    return made
+
+
+def _sums(owner: Numbers, values: Floats, count: int) -> Floats:
+    """Sums (count, groups) of values (n, groups) that belong to owners (n,)."""
+    made = np.zeros((count, values.shape[1]))
+    if len(owner):  # of nothing, `bincount` makes integers, weights or no weights
+        for group, one in enumerate(values.T):
+            made[:, group] = np.bincount(owner, one, count)
     return made
 
 
@@ -261,11 +270,36 @@ class _Starts:
         owner = np.repeat(some, rays)
         return cls(*cells.places(owner, spread[:, 2:]), owner, spread[:, :2], rays, cells.count)
 
-    def sums(self, owner: Numbers, values: Floats) -> Floats:
-        """Sums (receivers, groups) of values (n, groups) of rays that belong to receivers (n,)."""
-        every = [np.bincount(owner, one, self.receivers) for one in values.T]
-        made: Floats = np.stack(every, axis=1)
-        return made
+
+@dataclass(frozen=True)
+class Rows:
+    """What receivers have of each cell's radiosity: a sparse matrix (receivers, cells), as its entries.
+
+    NumPy alone is what Blender's Python has; a product with it takes a hundredth of a picture's time.
+
+    Attributes
+    ----------
+    shape : (int, int)
+    owner, cell : ndarray of shape (n,)
+        Row and column of each entry.
+    weight : ndarray of shape (n,)
+    """
+
+    shape: tuple[int, int]
+    owner: Numbers
+    cell: Numbers
+    weight: Floats
+
+    @classmethod
+    def joined(cls, shape: tuple[int, int], parts: Sequence[Rows]) -> Rows:
+        """Return the sum of matrices of one shape."""
+        nothing = np.zeros(0, dtype=np.int64)
+        owner, cell = (np.concatenate([nothing, *(getattr(p, name) for p in parts)]) for name in ("owner", "cell"))
+        return cls(shape, owner, cell, np.concatenate([np.zeros(0), *(p.weight for p in parts)]))
+
+    def __matmul__(self, values: Floats) -> Floats:
+        """What receivers have of cells' values (cells, groups), (receivers, groups)."""
+        return _sums(self.owner, self.weight[:, None] * values[self.cell], self.shape[0])
 
 
 @dataclass(frozen=True)
@@ -295,7 +329,7 @@ class _Watch:
     starts : _Starts
     share : ndarray of shape (points,)
         Of the sky that each sees, in the empty scene.
-    matrix : sparse matrix of shape (points, cells)
+    matrix : Rows of shape (points, cells)
         What it has of each cell's radiosity.
     """
 
@@ -328,6 +362,17 @@ class _Watch:
         return coefficients.T, math.sqrt(float((missed**2).sum()) / total) if total else 0.0
 
 
+def _rows(shape: tuple[int, int], owners: Numbers, found: Hits) -> Rows:
+    """Sum what the same number of rays from each receiver (n,) find, cell by cell."""
+    rays = len(found.cells) // len(owners)
+    row, corner = np.nonzero(found.shares)
+    key = row // rays * shape[1] + found.cells[row, corner]
+    dense = np.bincount(key, found.shares[row, corner] / rays, len(owners) * shape[1])
+    filled = np.flatnonzero(dense)
+    row, cell = np.divmod(filled, shape[1])
+    return Rows(shape, owners[row], cell, dense[filled].astype(np.float64))
+
+
 class Sky:
     """The sky over an empty scene: what of it reaches whom.
 
@@ -344,7 +389,7 @@ class Sky:
         The room's and the relay wall's.
     first, second : ndarray of shape (cells, groups)
         Their radiosities after one and two reflections.
-    gather : sparse matrix of shape (cells, cells)
+    gather : Rows of shape (cells, cells)
         What each has of each other's radiosity.
     starts : _Starts
         Rays from those that the picture can have light of.
@@ -366,14 +411,16 @@ class Sky:
         self._watches: dict[int, _Watch] = {}
         # What cannot be seen by way of others changes nothing: the outer sides of a room's walls.
         share, reached = np.zeros(self.cells.count), np.zeros(self.cells.count, dtype=bool)
-        self.gather = sparse.csr_matrix((self.cells.count, self.cells.count))
-        fresh = np.unique(self.watch(_POINTS).matrix.indices)
+        gathered: list[Rows] = []
+        fresh = np.unique(self.watch(_POINTS).matrix.cell)
         while len(fresh):
             reached[fresh] = True
             some, rows = self.rows(_Starts.of(self.cells, fresh, _ROWS))
-            share, self.gather = share + some, self.gather + rows
-            seen = np.unique(rows.indices)
+            share += some
+            gathered.append(rows)
+            seen = np.unique(rows.cell)
             fresh = seen[~reached[seen]]
+        self.gather = Rows.joined((self.cells.count, self.cells.count), gathered)
         self.first = self.cells.tint * share[:, None]
         self.second = self.cells.tint * (self.gather @ self.first)
         self.starts = _Starts.of(self.cells, np.flatnonzero(reached), _TOWARDS)
@@ -384,21 +431,19 @@ class Sky:
             self._watches[points] = _Watch(self, self._to_wall, points)
         return self._watches[points]
 
-    def rows(self, starts: _Starts) -> tuple[Floats, Any]:
+    def rows(self, starts: _Starts) -> tuple[Floats, Rows]:
         """Return what receivers have of the sky (n,) and of each cell's radiosity (n, cells), target or no target."""
-        cells = self.cells.count
-        sky = np.zeros(starts.receivers)
-        matrix = sparse.csr_matrix((starts.receivers, cells))
-        for at in range(0, len(starts.owner), _CHUNK):
-            part = slice(at, at + _CHUNK)
+        shape = starts.receivers, self.cells.count
+        sky, made = np.zeros(starts.receivers), []
+        step = max(1, _CHUNK // starts.rays) * starts.rays  # whole receivers
+        for at in range(0, len(starts.owner), step):
+            part = slice(at, at + step)
             ways = _hemisphere(starts.normals[part], starts.spread[part])
             found, _ = self.cells.hit(starts.places[part], ways)
-            owner = starts.owner[part]
-            sky += np.bincount(owner, found.sky, starts.receivers) / starts.rays
-            there = found.shares != 0.0
-            weight, owner = found.shares[there] / starts.rays, np.repeat(owner, 4)[there.ravel()]
-            matrix += sparse.csr_matrix((weight, (owner, found.cells[there])), shape=matrix.shape)
-        return sky, matrix
+            owners = starts.owner[part][:: starts.rays]
+            sky[owners] = found.sky.reshape(len(owners), -1).mean(axis=1)
+            made.append(_rows(shape, owners, found))
+        return sky, Rows.joined(shape, made)
 
     def background(self) -> Floats:
         """Return coefficients (groups, n) of the picture of the empty scene."""
@@ -493,10 +538,12 @@ class Ambient:
         groups, rho = tint.shape[1], self._sky.cells.tint
 
         def sky(hits: _Met, starts: _Starts) -> Floats:
-            return -starts.sums(hits.owner, np.tile((hits.weight * hits.behind.sky)[:, None], groups))
+            lost = (hits.weight * hits.behind.sky)[:, None]
+            return -_sums(hits.owner, np.tile(lost, groups), starts.receivers)
 
         def instead(hits: _Met, starts: _Starts, body: Floats, room: Floats) -> Floats:
-            return starts.sums(hits.owner, hits.weight[:, None] * (hits.body.of(body) - hits.behind.of(room)))
+            gained = hits.weight[:, None] * (hits.body.of(body) - hits.behind.of(room))
+            return _sums(hits.owner, gained, starts.receivers)
 
         light = sky(met, watch.starts)
         if self._sky.order < 2:

@@ -3,15 +3,15 @@
 from __future__ import annotations
 
 import functools
-import hashlib
 import os
 import threading
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
-from pathlib import Path
 from typing import Any, TypeVar
 
 import numpy as np
+
+from generator.transport import caching
 
 NONE, ONE = np.zeros(2, dtype=np.int64), np.ones(2, dtype=np.int64)
 """Numbers 0 and 1 for calls: numba compiles a function anew for every literal that it is called with."""
@@ -82,11 +82,10 @@ if hasattr(os, "register_at_fork"):
 def _compile(function: Function, **options: Any) -> Function:
     if not COMPILED:
         return function
-    # numba renews its cache when a function's own file changes, but not when a function that it calls does. So the
-    # cache of each state of the sources has a folder of its own.
-    before, _config.CACHE_DIR = _config.CACHE_DIR, str(_cache_folder())
+    before, kept = _config.CACHE_DIR, caching.folder()
     try:
-        return _njit(function, **options)
+        _config.CACHE_DIR = str(kept or "")
+        return _njit(function, cache=kept is not None, **options)
     finally:
         _config.CACHE_DIR = before
 
@@ -94,7 +93,7 @@ def _compile(function: Function, **options: Any) -> Function:
 def _njit(function: Function, **options: Any) -> Function:
     # "contract" lets a multiplication and an addition become one instruction, which rounds once instead of twice.
     # Nothing else of fastmath: reassociation would make the last bits depend on the compiler's mood.
-    made: Function = numba.njit(function, cache=True, error_model="numpy", fastmath={"contract"}, **options)
+    made: Function = numba.njit(function, error_model="numpy", fastmath={"contract"}, **options)
     return made
 
 
@@ -105,12 +104,3 @@ def limit_threads(threads: int) -> int:
     most = int(_config.NUMBA_NUM_THREADS)
     numba.set_num_threads(min(threads, most) if threads else most)
     return int(numba.get_num_threads())
-
-
-@functools.cache
-def _cache_folder() -> Path:
-    folder = Path(__file__).resolve().parent
-    digest = hashlib.sha256()
-    for source in sorted(folder.glob("*.py")):
-        digest.update(source.read_bytes())
-    return folder / "__pycache__" / f"numba-{digest.hexdigest()[:12]}"

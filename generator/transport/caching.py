@@ -1,0 +1,59 @@
+"""Where compiled functions are kept. Knows nothing of numba, so that asking does not load it."""
+
+from __future__ import annotations
+
+import contextlib
+import functools
+import hashlib
+import os
+import stat
+import tempfile
+from collections.abc import Iterator
+from pathlib import Path
+
+_HERE = Path(__file__).resolve().parent
+
+
+@functools.cache
+def folder() -> Path | None:
+    """Return a folder that can be written, or None: functions are compiled anew by each process then.
+
+    The first of: what ``NUMBA_CACHE_DIR`` names, beside the sources, the user's own cache, a private temporary
+    folder. numba renews its cache when a function's own file changes, but not when a function that it calls does. So
+    the cache of each state of the sources has a folder of its own.
+    """
+    digest = hashlib.sha256()
+    for source in sorted(_HERE.glob("*.py")):
+        digest.update(source.read_bytes())
+    for parent in _parents():
+        made = parent / f"numba-{digest.hexdigest()[:12]}"
+        with contextlib.suppress(OSError):
+            made.mkdir(parents=True, exist_ok=True)
+            with tempfile.TemporaryFile(dir=made):
+                return made
+    return None
+
+
+def _parents() -> Iterator[Path]:
+    if named := os.environ.get("NUMBA_CACHE_DIR"):
+        yield Path(named).absolute()
+    yield _HERE / "__pycache__"
+    if own := os.environ.get("LOCALAPPDATA" if os.name == "nt" else "XDG_CACHE_HOME"):
+        yield Path(own).absolute() / "nlos-lab"
+    with contextlib.suppress(RuntimeError):  # there is no home
+        yield Path.home() / ".cache" / "nlos-lab"
+    with contextlib.suppress(OSError):
+        yield _private()
+
+
+def _private() -> Path:
+    """A temporary folder that nobody else can write to: what is in it is run."""
+    if os.name == "nt":
+        return Path(tempfile.gettempdir(), "nlos-lab")  # is the user's own there
+    made = Path(tempfile.gettempdir(), f"nlos-lab-{os.getuid()}")
+    with contextlib.suppress(FileExistsError):
+        made.mkdir(mode=0o700)
+    found = made.lstat()
+    if not stat.S_ISDIR(found.st_mode) or found.st_uid != os.getuid() or found.st_mode & 0o077:
+        raise PermissionError(f"{made}: is not this user's alone")
+    return made
