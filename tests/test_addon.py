@@ -211,7 +211,7 @@ def test_render_fills_the_images(package: Path, tmp_path: Path) -> None:
         tmp_path,
         """
         bpy.ops.nlos.build_scene()
-        settings.samples, settings.resolution, settings.seed = 8, (16, 16), 3
+        settings.engine, settings.samples, settings.resolution, settings.seed = "patch", 8, (16, 16), 3
         assert bpy.ops.nlos.render_wall() == {"FINISHED"}
         wall, difference = pixels("NLOS wall"), pixels("NLOS difference")
         assert wall.shape == (16, 16, 3) and np.isfinite(wall).all() and (wall > 0).all()
@@ -244,7 +244,7 @@ def test_render_by_the_integral_without_numba_as_blender_has_none(package: Path,
         """
         settings.preset = "tabletop"
         bpy.ops.nlos.build_scene()
-        settings.samples, settings.resolution = 1024, (16, 16)
+        settings.engine, settings.samples, settings.resolution = "patch", 1024, (16, 16)
         bpy.ops.nlos.render_wall()
         patch = pixels("NLOS difference")
         settings.engine = "auto"
@@ -266,7 +266,8 @@ def test_the_data_sets_workers_end_with_blender(package: Path, tmp_path: Path) -
     script = """
         import os, signal, time
         bpy.ops.nlos.build_scene()
-        settings.samples, settings.resolution, settings.poses, settings.workers = 64, (16, 16), 100, 2
+        settings.engine, settings.samples, settings.poses, settings.workers = "patch", 64, 100, 2
+        settings.resolution = (16, 16)
         settings.dataset = os.path.join(os.getcwd(), "set")
         assert bpy.ops.nlos.sweep_start() == {"FINISHED"}
         job = importlib.import_module(f"{MODULE}.dataset").job
@@ -342,7 +343,7 @@ def test_a_trained_model_answers(
     package: Path, tmp_path: Path, scene_file: Path, command: Callable[..., Any]
 ) -> None:
     features, model, pictures = tmp_path / "tiny.h5", tmp_path / "tiny.skops", tmp_path / "pictures"
-    some = ("--poses", "4", "--samples", "1", "--resolution", "8")
+    some = ("--engine", "patch", "--poses", "4", "--samples", "64", "--resolution", "8", "--no-probe")
     assert command("generator", "sweep", scene_file, "-o", pictures, *some).returncode == 0
     assert command("classify", "features", pictures, "-o", features).returncode == 0
     assert command("classify", "train", features, "-o", model, "--classifier", "NB").returncode == 0
