@@ -102,15 +102,14 @@ def findings(scene: bpy.types.Scene, *, engine: str = "patch") -> list[Finding]:
         What is going to render it.
     """
     found = _roles(scene)
-    if not found:
-        found = _frame(scene)
-    if not hopeless(found):
-        try:
+    try:
+        if not found:
+            found = [*_frame(scene), *_settings(scene)]
+        if not hopeless(found):
             described = stage.read(scene)
-        except NlosError as error:
-            found.append(_told(scene, error))
-        else:
-            found += [*_settings(scene, described), *_sight(scene, described), *_engine(scene, engine)]
+            found += [*_sight(scene, described), *_engine(scene, engine)]
+    except NlosError as error:
+        found.append(_told(scene, error))
     order = [ERROR, WARNING, NOTE, GOOD]
     return sorted(found, key=lambda f: order.index(f.level))
 
@@ -161,13 +160,13 @@ def _frame(scene: bpy.types.Scene) -> list[Finding]:
     return found
 
 
-def _settings(scene: bpy.types.Scene, described: spec.Scene) -> list[Finding]:
+def _settings(scene: bpy.types.Scene) -> list[Finding]:
     found = []
     if scene.render.engine != "CYCLES":
         found.append(
             Finding(WARNING, "Cycles is not the scene's render engine: F12 shows another picture", fix="reflections")
         )
-    order = described.reflection_order
+    order = stage.reflection_order(scene)
     if order < extract.MAX_ORDER:
         text = f"Light makes {order} reflections at most: by way of the hidden object it takes three"
         found.append(Finding(ERROR, text, fix="reflections"))

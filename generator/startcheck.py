@@ -311,28 +311,24 @@ class _Check:
     def _by_engine(self, widths: Mapping[float, Array]) -> tuple[list[_View], float]:
         """What the engine makes of the scene, as it is and with a wider spot; and the seconds of a picture."""
         scene = stage.open_file(self.stored, self.known)
-        if self.sweep.engine == "surfel":
-            self._drawn(scene, self.sweep)  # what is compiled and made once is no part of a picture's time
-        begun = time.perf_counter()
-        views = [_View(0.0, self._drawn(scene, self.sweep), self._peak(wide=False))]
-        took = time.perf_counter() - begun
+        drawn, seconds = self._drawn(scene)
+        views = [_View(0.0, drawn, self._peak(wide=False))]
         spot = _player(scene, "spot").data
         narrow = spot.spot_size if widths else 0.0
         for width, dark in widths.items():
             spot.spot_size = width
             with contextlib.suppress(NlosError):  # not so wide, then
-                views.append(_View(width, self._drawn(scene, self.sweep), self._peak(wide=True), dark))
+                drawn, again = self._drawn(scene)
+                views.append(_View(width, drawn, self._peak(wide=True), dark))
+                seconds = min(seconds, again)  # the first may have waited for what is compiled and made once
                 break
         if widths:
             spot.spot_size = narrow
         if len(views) > 1:
             views[0].engine = views[0].engine[:1]  # the wide one shows what the target changes in less time
             views[0].total = views[0].total[:1]
-        pixels = math.prod(self.sweep.resolution) / math.prod(self.size)
-        if self.sweep.engine == "surfel":
-            return views, took * pixels
-        done = _SAMPLES * (BACKGROUND_FACTOR + _COPIES * (1 + self.sweep.paired))
-        return views, took * pixels * self.sweep.samples * (1 + self.sweep.paired) / done
+        more = math.prod(self.sweep.resolution) / math.prod(self.size)
+        return views, seconds * more * (1.0 if self.sweep.engine == "surfel" else self.sweep.samples / _SAMPLES)
 
     def _limit(self, seconds: float) -> float:
         """How long plain Cycles may take, where the sweep takes that long."""
@@ -357,8 +353,9 @@ class _Check:
             empty, change = empty + _AMBIENT, change + _LEFT_OUT
         return empty, change
 
-    def _drawn(self, scene: bpy.types.Scene, sweep: Sweep) -> Array:
-        """Background and difference, (2, height, width, 3), of a data set of the one pose."""
+    def _drawn(self, scene: bpy.types.Scene) -> tuple[Array, float]:
+        """Background and difference, (2, height, width, 3), of a data set of the one pose; and seconds a picture."""
+        sweep = self.sweep
         copies, samples = (_COPIES, _SAMPLES) if sweep.engine == "patch" else (1, _PATH_SAMPLES)
         small = replace(sweep, resolution=self.size, samples=samples, denoise=False, poses=copies, frames=0)
         settings = {k: v for k, v in spec.to_dict(small).items() if k not in small.unused}
@@ -370,7 +367,7 @@ class _Check:
             dataset.gather()
             empty = dataset.background().astype(np.float64)
             mean = np.mean([dataset.picture(pose).astype(np.float64) for pose in dataset.poses], axis=0)
-        return np.array([empty, mean - empty])
+        return np.array([empty, mean - empty]), float(np.mean([pose.seconds for pose in dataset.poses]))
 
     def _seed(self, copy: int) -> int:
         return poses.noise_seed(self.sweep.seed, 1 + copy)
@@ -393,7 +390,7 @@ class _Check:
     def _exactly(self, width: float) -> Found:
         scene = stage.open_file(self.stored, self.known)
         _widen(_player(scene, "spot"), width)
-        engine = self._drawn(scene, self.sweep)
+        engine, _ = self._drawn(scene)
         plain = self.plain()
         _widen(plain.spot, width)
         empty = plain.render(BACKGROUND_FACTOR * _PATH_SAMPLES, poses.noise_seed(self.sweep.seed, 0), target=False)

@@ -1,0 +1,379 @@
+"""The check at the start of a sweep, tried: which wrong scenes does it catch, and how often does it stop a right one?
+
+python benchmarks/start_check.py wrong -o DIR --scene room   every edit of `edits.py`, by every engine
+python benchmarks/start_check.py right -o DIR                scenes that are right, checked thousands of times
+python benchmarks/start_check.py table -o DIR                what both have found
+
+A scene is wrong for an engine if it renders it without a word, and either it should have been refused, or a longer
+look than the check's tells plain Cycles' picture from the engine's: in a small scene of little noise (`edits.BASE`),
+whichever scene the check is tried in. Each command goes on where it was stopped.
+"""
+
+from __future__ import annotations
+
+import argparse
+import csv
+import hashlib
+import multiprocessing
+import os
+import sys
+import tempfile
+import time
+from collections import Counter
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from generator import agreement, spec
+from generator.spec import Array, NlosError
+
+ENGINES = ("path", "patch", "surfel")
+LOOK = 6.0
+"""Seconds of the longer look."""
+
+
+def built(name: str, edit: Any, folder: Path) -> Path:
+    """Build a scene, edit and save it."""
+    import bpy
+    import edits
+
+    from generator import stage
+
+    scene = stage.new_file()
+    stage.build(scene, edits.BASE if name == "base" else spec.preset("room"))
+    edit(scene, folder)
+    bpy.context.view_layer.update()
+    path = folder / "scene.blend"
+    stage.save_file(path)
+    return path
+
+
+def tried(source: Path, folder: Path, engine: str, poses: int = 1) -> tuple[str, str, float]:
+    """Plan a sweep with the check; return what became of it, the words, and the seconds that the check took."""
+    from generator import stage, worker
+
+    begun = time.perf_counter()
+    settings = {"engine": engine, "poses": poses, **({} if engine == "surfel" else {"samples": 64})}
+    try:
+        dataset = worker.plan(stage.open_file(source), source, folder / engine, settings, reference=source)
+    except NlosError as error:
+        words = str(error)
+        kind = "stopped" if "does not render what Cycles makes of this file" in words else "refused"
+        return kind, words.replace(str(folder), ""), time.perf_counter() - begun
+    except Exception as error:  # what ends in a traceback is no silent fault
+        return "failed", repr(error), time.perf_counter() - begun
+    found = dataset.meta["start_check"]
+    return "passed", found["words"], found["seconds"]
+
+
+def looked(source: Path, folder: Path, engine: str) -> bool:
+    """Whether a longer look tells the engine's picture from plain Cycles'."""
+    from generator import startcheck
+
+    before = startcheck.LIMITS, startcheck.PRECISE, startcheck.TOLERANCES, startcheck._COPIES, agreement.SURE
+    startcheck.LIMITS, startcheck.PRECISE, startcheck.TOLERANCES = (LOOK,) * 3, (1e-3, 1e-2), (0.005, 0.02)
+    startcheck._COPIES, agreement.SURE = 24, 5.0
+    try:
+        return tried(source, folder, engine)[0] == "stopped"
+    finally:
+        startcheck.LIMITS, startcheck.PRECISE, startcheck.TOLERANCES, startcheck._COPIES, agreement.SURE = before
+
+
+def inside(planned: Path, case: Any, source: Path) -> bool:
+    """Whether the target is planned in a solid: no picture of it is wrong, but it cannot be there."""
+    from generator import stage
+    from generator.dataset import Dataset
+
+    if case.solid is None:
+        return False
+    low, high = case.solid(stage.open_file(source))
+    places = [pose.position for pose in Dataset.open(planned).poses]
+    return bool(any((np.array(place) > low).all() and (np.array(place) < high).all() for place in places))
+
+
+def one(task: tuple[str, str, str]) -> list[Any]:
+    """Try one edit by one engine, in a process of its own."""
+    import edits
+
+    scene, name, engine = task
+    case = edits.EDITS[name]
+    with tempfile.TemporaryDirectory(prefix="nlos-") as home:
+        folder = Path(home)
+        try:
+            source = built(scene, case.edit, folder)
+            kind, words, seconds = tried(source, folder, engine, 1 if scene == "base" else 100)
+            expect = case.expect
+            wrong = kind in ("passed", "stopped") and scene != "base"  # which is tried where it was found to be
+            if kind in ("passed", "stopped") and scene == "base":
+                # `path` is held against plain Cycles to the bit as it is.
+                seen = kind == "stopped" if engine == "path" else looked(source, folder / "longer", engine)
+                wrong = seen or (kind == "passed" and (expect == "refuse" or inside(folder / engine, case, source)))
+        except NlosError as error:
+            kind, words, seconds, wrong = "refused", str(error), 0.0, False
+        return [scene, name, case.kind, engine, case.expect, kind, int(wrong), f"{seconds:.2f}", words]
+
+
+COLUMNS = ["scene", "edit", "kind", "engine", "expect", "became", "wrong", "seconds", "words"]
+
+
+def wrong(options: argparse.Namespace) -> None:
+    """Try every edit by every engine."""
+    import edits
+
+    file = options.output / "wrong.csv"
+    done = {(row["scene"], row["edit"], row["engine"]) for row in rows(file)}
+    tasks = [
+        (options.scene, name, engine)
+        for name in sorted(edits.EDITS, key=lambda name: hashlib.sha256(name.encode()).digest())  # some stand for all
+        for engine in options.engines
+        if (options.scene, name, engine) not in done
+    ]
+    if options.scene != "base":  # where it was right, or refused, in the small scene, there is nothing to catch
+        known = {(row["edit"], row["engine"]) for row in rows(file) if row["scene"] == "base" and row["wrong"] == "1"}
+        tasks = [task for task in tasks if task[1:] in known]
+    run(tasks, one, file, COLUMNS, options)
+
+
+def run(
+    tasks: list[Any], work: Callable[[Any], list[Any]], file: Path, columns: list[str], options: argparse.Namespace
+) -> None:
+    """Do tasks in processes of their own, a line of a table each."""
+    file.parent.mkdir(parents=True, exist_ok=True)
+    late = time.monotonic() + 60.0 * options.minutes
+    if not file.exists():
+        file.write_text(",".join(columns) + "\n")
+    # Blender puts folders there that hold a module bpy of another kind, and the new processes would find that one.
+    sys.path[:] = [folder for folder in sys.path if f"bpy{os.sep}" not in folder]
+    for number, task in enumerate(tasks):
+        if time.monotonic() > late:
+            print(f"{len(tasks) - number} left")
+            return
+        with multiprocessing.get_context("spawn").Pool(1) as pool:
+            try:
+                row = pool.apply_async(work, (task,)).get(options.patience)
+            except multiprocessing.TimeoutError:
+                continue
+        with file.open("a", newline="") as out:
+            csv.writer(out, lineterminator="\n").writerow(row)
+        print(*row[:-1], flush=True)
+
+
+def rows(file: Path) -> list[dict[str, str]]:
+    """Return the lines of a table."""
+    if not file.exists():
+        return []
+    with file.open(newline="") as text:
+        return list(csv.DictReader(text))
+
+
+# --------------------------------------------------------------------------------------------------------------------
+# Scenes that are right
+# --------------------------------------------------------------------------------------------------------------------
+
+UNIT = 256
+"""Samples of a picture by plain Cycles; a check adds several."""
+DRAWN = 8
+"""Engine pictures of `patch`, each with other noise."""
+BUDGETS = (6, 20, 60)
+"""Units that a check has time for: on a busy machine, in a short sweep, in a long one."""
+
+
+def right_scenes() -> dict[str, Callable[[], Any]]:
+    """Return scenes that every engine renders right."""
+    import planning
+
+    from generator import stage
+
+    def preset(name: str, kind: str) -> Callable[[], Any]:
+        def made() -> Any:
+            scene = stage.new_file()
+            stage.build(scene, spec.preset(name, kind))
+            return scene
+
+        return made
+
+    presets = {
+        f"{name}, {kind}": preset(name, kind)
+        for name in ("room", "tabletop", "corridor")
+        for kind in ("sheet", "sphere")
+    }
+    some = {name: planning.SCENES[name] for name in ("cluttered", "white board", "window", "mirror panel")}
+    random = {f"random {seed}": (lambda seed=seed: planning.random_scene(seed)) for seed in range(6)}
+    return presets | some | random
+
+
+def pool(task: tuple[str, str, Path, int]) -> list[Any]:
+    """Render a pool of pictures of one scene, by an engine and by plain Cycles, and check with draws from it."""
+    import bpy
+
+    from generator import links, poses, stage, startcheck, worker
+
+    name, engine, home, count = task
+    file = home / f"{name.replace(', ', '-').replace(' ', '-')}-{engine}.npz"
+    if not file.exists():
+        with tempfile.TemporaryDirectory(prefix="nlos-") as temporary:
+            folder = Path(temporary)
+            source = folder / "scene.blend"
+            right_scenes()[name]()
+            bpy.context.view_layer.update()
+            stage.save_file(source)
+            settings = {"engine": engine, "poses": 1}
+            try:
+                made = worker.plan(stage.open_file(source), source, folder / "set", settings, probe=False)
+            except NlosError as error:
+                return [name, engine, 0, 0, f"{error}"[:80]]
+            known = links.of_dataset({}, folder / "set")
+            checked = startcheck._Check(
+                folder / "set" / "scene.blend", source, known, made.meta, made.sweep, made.poses[0], worker.render
+            )
+            widths = checked.plain().widths()
+            engines: list[list[Array]] = []
+            views: list[Any] = []
+            for seed in range(1 if engine == "surfel" else DRAWN):
+                again = replace(checked, sweep=replace(checked.sweep, seed=seed))
+                views, _ = again._by_engine(widths)
+                engines.append([view.engine for view in views])
+            plain = checked.plain()
+            narrow = plain.spot.data.spot_size
+            drawn: list[list[Array]] = [[] for _ in views]
+            for number in range(count):
+                for k, view in enumerate(views):
+                    plain.spot.data.spot_size = view.width or narrow
+                    seed = poses.noise_seed(99, 1000 + len(views) * number + k)
+                    empty = plain.render(UNIT, seed, target=False)
+                    both = [plain.render(UNIT, seed) - empty] if len(view.engine) > 1 else []
+                    drawn[k].append(np.array([empty, *both]) * view.dark)
+            arrays = {f"plain{k}": np.array(some, np.float32) for k, some in enumerate(drawn)}
+            arrays |= {f"engine{k}": np.array([e[k] for e in engines]) for k in range(len(views))}
+            np.savez_compressed(file, peaks=[v.peak for v in views], tolerances=checked.tolerances, **arrays)
+    return [name, engine, *simulated(file, CHECKS), ""]
+
+
+CHECKS = 400
+"""Simulated checks of each scene, engine and time."""
+
+
+def simulated(file: Path, checks: int) -> tuple[int, int, float]:
+    """Return how many checks were made of a pool, how many stopped, and the farthest that any figure went."""
+    from generator import startcheck
+
+    data = np.load(file)
+    peaks, tolerances = data["peaks"], tuple(data["tolerances"])
+    plain = [data[f"plain{k}"].astype(np.float64) for k in range(len(peaks))]
+    engine = [data[f"engine{k}"] for k in range(len(peaks))]
+    rng = np.random.default_rng(0)
+    made, stops, farthest = 0, 0, 0.0
+    for budget in BUDGETS:
+        for _ in range(checks):
+            pick = rng.integers(len(engine[0]))
+            stop, most = check(
+                [rng.choice(p, budget) for p in plain], [e[pick] for e in engine], peaks, tolerances, startcheck
+            )
+            made, stops, farthest = made + 1, stops + stop, max(farthest, most)
+    return made, stops, round(farthest, 2)
+
+
+def check(
+    plain: list[Array], engine: list[Array], peaks: Array, tolerances: tuple[float, ...], startcheck: Any
+) -> tuple[bool, float]:
+    """One check as `startcheck` makes it, with looks after each round; whether it stops, and its farthest figure."""
+    budget = len(plain[0])
+    step = max(1, round(budget / startcheck._ROUNDS))
+    most = 0.0
+    for used in (1, *range(1 + step, budget + 1, step)):
+        found = [
+            agreement.compare(p[:used].mean(axis=0), e, samples=UNIT * used, peak=peak, tolerances=tolerances)
+            for p, e, peak in zip(plain, engine, peaks, strict=True)
+        ]
+        most = max(most, *(agreement.worst(figures).excess for figures in found))
+        if most > agreement.SURE:
+            return True, most
+        if all(f.precision < p for f, p in zip(found[-1][:2], startcheck.PRECISE, strict=True)):
+            break
+    return False, most
+
+
+def right(options: argparse.Namespace) -> None:
+    """Check right scenes."""
+    file = options.output / "right.csv"
+    done = {(row["scene"], row["engine"]) for row in rows(file)}
+    engines = [engine for engine in options.engines if engine != "path"]  # has no noise of its own
+    tasks = [
+        (name, engine, options.output, options.count)
+        for name in sorted(right_scenes(), key=lambda name: hashlib.sha256(name.encode()).digest())
+        for engine in engines
+        if (name, engine) not in done
+    ]
+    run(tasks, pool, file, ["scene", "engine", "checks", "stopped", "farthest", "note"], options)
+
+
+def share(part: int, whole: int) -> str:
+    """Return a share with its 95 % interval by Clopper and Pearson (1934)."""
+    from scipy import stats
+
+    if not whole:
+        return "-"
+    low = float(stats.beta.ppf(0.025, part, whole - part + 1)) if part else 0.0
+    high = float(stats.beta.ppf(0.975, part + 1, whole - part)) if part < whole else 1.0
+    digits = 2 if whole > 2000 else 0
+    part_of, low_to, high_to = (f"{100.0 * x:.{digits}f}" for x in (part / whole, low, high))
+    return f"{part} of {whole}: {part_of} % ({low_to} to {high_to})"
+
+
+def table(options: argparse.Namespace) -> None:
+    """Print what was found, as Markdown."""
+    found = rows(options.output / "wrong.csv")
+    scenes = list(dict.fromkeys(row["scene"] for row in found))
+    base = [row for row in found if row["scene"] == scenes[0]]
+    print(f"{len(base)} edits and engines: {dict(Counter(row['became'] for row in base))}\n")
+    for scene in scenes:
+        some = [row for row in found if row["scene"] == scene]
+        bad = [row for row in some if row["wrong"] == "1"]
+        print(f"### {scene}\n\n| kind | path | patch | surfel | all |\n|---|---|---|---|---|")
+        for kind in [*sorted({row["kind"] for row in bad}, key=int), ""]:
+            cells = []
+            for engine in (*ENGINES, ""):
+                group = [r for r in bad if kind in ("", r["kind"]) and engine in ("", r["engine"])]
+                caught = sum(r["became"] == "stopped" for r in group)
+                cells.append((f"{caught} of {len(group)}" if kind else share(caught, len(group))) if group else "")
+            print(f"| {kind or 'all'} | {' | '.join(cells)} |")
+        for words, which in (
+            ("missed", [r for r in bad if r["became"] != "stopped"]),
+            (
+                "stopped, and a longer look sees nothing",
+                [r for r in some if r["became"] == "stopped" and r not in bad],
+            ),
+        ):
+            print(f"\n{words}: {', '.join('{edit} ({engine})'.format(**r) for r in which) or 'none'}")
+        if seconds := [float(r["seconds"]) for r in some if r["became"] == "passed"]:
+            print(
+                f"\nseconds of a check that passes: {np.median(seconds):.1f} (median), {max(seconds):.1f} at most\n"
+            )
+    held = [row for row in rows(options.output / "right.csv") if int(row["checks"])]
+    print("| scene | engine | checks | stopped | farthest, standard errors |\n|---|---|---|---|---|")
+    for row in held:
+        print(f"| {row['scene']} | {row['engine']} | {row['checks']} | {row['stopped']} | {row['farthest']} |")
+    checks, stopped = (sum(int(row[name]) for row in held) for name in ("checks", "stopped"))
+    print(f"\n{share(stopped, checks)}")
+
+
+def main() -> None:
+    """Run one of the three."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("what", choices=["wrong", "right", "table"])
+    parser.add_argument("-o", "--output", type=Path, required=True)
+    parser.add_argument("--scene", choices=["base", "room"], default="base")
+    parser.add_argument("--engines", nargs="*", choices=ENGINES, default=ENGINES)
+    parser.add_argument("--count", type=int, default=80, help="pictures of a pool by plain Cycles")
+    parser.add_argument("--minutes", type=float, default=600.0, help="to stop after")
+    parser.add_argument("--patience", type=float, default=300.0, help="seconds for one of them")
+    options = parser.parse_args()
+    options.output.mkdir(parents=True, exist_ok=True)
+    {"wrong": wrong, "right": right, "table": table}[options.what](options)
+
+
+if __name__ == "__main__":
+    main()
