@@ -1,4 +1,4 @@
-"""A sample of the property sweep (docs/properties.md): each engine renders what plain Cycles does, or says why not."""
+"""A sample of the property sweep: an engine renders what plain Cycles does, or says why not."""
 
 from __future__ import annotations
 
