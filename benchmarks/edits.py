@@ -49,12 +49,15 @@ class Case:
         edit, or refuse.
     solid : tuple of two (float, float, float), optional
         Corners of a box that the target must not be planned in.
+    instead : (str, object), optional
+        Setting of ``scene.render`` that a sweep replaces, and by what: plain Cycles is given that too.
     """
 
     edit: Edit
     kind: int
     expect: str = "cycles"
     solid: Callable[[bpy.types.Scene], tuple[Any, Any]] | None = None
+    instead: tuple[str, Any] | None = None
 
 
 EDITS: dict[str, Case] = {}
@@ -386,7 +389,7 @@ def camera_tracks_target(scene, folder):
     _tracks(part(scene, "camera"), part(scene, "target"), 0.02)
 
 
-@case(2, "refuse")
+@case(2)
 def lamp_child_of_target(scene, folder):
     child = add(scene, "Child lamp", lamp("Child lamp", "POINT", 1.0), (0.0, 0.15, 0.0))
     child.parent = part(scene, "target")
@@ -435,12 +438,32 @@ def mesh_child_of_target(scene, folder):
     add(scene, "Knob", box("Knob", 0.1), (0.0, 0.1, 0.0)).parent = part(scene, "target")
 
 
-@case(2, "refuse")
+@case(2)
 def area_lamp_grandchild_of_target(scene, folder):
     handle = add(scene, "Handle", None)
     handle.parent = part(scene, "target")
     child = add(scene, "Panel", lamp("Panel", "AREA", 1.0, size=0.05), (0.0, 0.15, 0.0))
     child.parent = handle
+
+
+@case(2)
+def texture_of_target_follows_target(scene, folder):
+    tree = material(scene, "target").node_tree
+    where, ramp = tree.nodes.new("ShaderNodeTexCoord"), tree.nodes.new("ShaderNodeTexGradient")
+    where.object = part(scene, "target")
+    tree.links.new(where.outputs["Object"], ramp.inputs["Vector"])
+    tree.links.new(ramp.outputs["Color"], tree.nodes["Diffuse BSDF"].inputs["Color"])
+
+
+@case(2, "refuse")
+def world_texture_follows_child_of_target(scene, folder):
+    handle = add(scene, "Handle", None)
+    handle.parent = part(scene, "target")
+    tree, node = _sky(scene)
+    where, ramp = tree.nodes.new("ShaderNodeTexCoord"), tree.nodes.new("ShaderNodeTexGradient")
+    where.object = handle
+    tree.links.new(where.outputs["Object"], ramp.inputs["Vector"])
+    tree.links.new(ramp.outputs["Color"], node.inputs["Color"])
 
 
 @case(2, "refuse")
@@ -562,7 +585,7 @@ def wall_displaced_in_renders(scene, folder):
     bumps.texture, bumps.strength, bumps.show_viewport = texture, 0.15, False
 
 
-@case(3)
+@case(3, instead=("use_simplify", False))
 def target_simplified_in_renders(scene, folder):
     level = part(scene, "target").modifiers.new("Subdivision", "SUBSURF")
     level.levels, level.render_levels = 2, 2

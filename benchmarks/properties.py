@@ -610,6 +610,8 @@ class Judge:
     def __init__(self, folder: Path) -> None:
         self.folder = folder
         self.base = base_file()
+        self.instead: tuple[str, Any] | None = None
+        """What plain Cycles is told that a sweep replaces in the file at hand."""
         record = Product(self.base, "path").records[0]
         self.pose: Pose = record.position, record.rotation
         self.plain = [*self._plain(self.base, SAMPLES, [7]), *self._plain(self.base, MANY, range(100, 100 + REPEATS))]
@@ -630,9 +632,15 @@ class Judge:
         every = np.array([figures(p) for p in pairs])
         return every.std(axis=0, ddof=1) / levels(every) * math.sqrt(MANY / QUICK)
 
+    def _cycles(self, file: Path) -> Plain:
+        cycles = Plain(file, self.pose, self.folder)
+        if self.instead:
+            setattr(cycles.scene.render, *self.instead)
+        return cycles
+
     def _plain(self, file: Path, samples: int, seeds: Sequence[int]) -> list[Pair]:
         # A file opened afresh: Cycles is given nothing to remember.
-        cycles = Plain(file, self.pose, self.folder)
+        cycles = self._cycles(file)
         return [cycles.pair(samples, seed) for seed in seeds]
 
     def _ours(self, file: Path, engine: str, samples: int, seeds: Sequence[int]) -> list[Pair]:
@@ -660,9 +668,10 @@ class Judge:
         bpy.ops.wm.save_as_mainfile(filepath=str(file), copy=True)
         case = edits.EDITS[name] if owner == "by hand" else None
         expect = case.expect if case else "cycles"
+        self.instead = case.instead if case else None
         plain: dict[int, list[Pair]] = {}
         try:
-            cycles = Plain(file, self.pose, self.folder)
+            cycles = self._cycles(file)
             plain[SAMPLES] = [cycles.pair(SAMPLES, 7)]
             self.rounded = cycles.nudged
             row.plain = "unchanged" if equal(plain[SAMPLES][0], self.plain[0]) else "changed"
@@ -688,6 +697,8 @@ class Judge:
                 verdict = "wrong"
             else:
                 verdict, why = self._verdict(file, engine, ours[0], plain, expect, name)
+                if self.instead and verdict == "follows":
+                    verdict = "replaced" if self.instead[0] in self.product.replaces else "wrong"
             setattr(row, engine, verdict)
             if why:
                 row.reason[engine] = why

@@ -767,7 +767,22 @@ def _at_rest(scene: bpy.types.Scene, target: bpy.types.Object) -> tuple[_Reading
     for role in ("camera", "spot"):
         if role in moved.places and not _alike(reading.places[role], moved.places[role], 1e-6):
             never.append(f"the {role} {stage.find(scene, role).name!r} moves when the target does")
-    return reading, [*never, *_changed_lights(reading.lights, moved.lights)]
+    return reading, [*never, *_changed_lights(reading.lights, moved.lights), *_painted_by(scene, target)]
+
+
+def _painted_by(scene: bpy.types.Scene, target: bpy.types.Object) -> list[str]:
+    """Return what has a texture that moves with the target, and is not carried by it."""
+    carried = {target, *target.children_recursive}
+    painted: list[tuple[str, Any]] = [(f"the world {scene.world.name!r}", scene.world)] if scene.world else []
+    for obj in scene.objects:
+        if obj not in carried:
+            blocks = [obj.data] if obj.type == "LIGHT" else [slot.material for slot in obj.material_slots]
+            painted += [(f"{obj.name!r}", block) for block in blocks if block is not None]
+    return [
+        f"{label} has a texture in the coordinates of {anchor.name!r}, which moves with the target"
+        for label, block in painted
+        for anchor in nodes.anchors(block) & carried
+    ]
 
 
 def _changed_lights(before: Sequence[Light], after: Sequence[Light]) -> list[str]:

@@ -206,6 +206,25 @@ def kinds(material: Any) -> frozenset[str]:
     return frozenset(found | ({VOLUME} if shader.volume else set()))
 
 
+def anchors(block: Any) -> set[bpy.types.Object]:
+    """Return the objects in whose coordinates a material, lamp or world may look its textures up."""
+    if not uses_nodes(block):
+        return set()
+    found: set[bpy.types.Object] = set()
+    trees, seen = [block.node_tree], set()
+    while trees:
+        tree = trees.pop()
+        if tree is None or tree in seen:
+            continue
+        seen.add(tree)
+        for node in tree.nodes:
+            if node.type == "GROUP":
+                trees.append(node.node_tree)
+            elif node.type == "TEX_COORD" and node.object is not None and node.outputs["Object"].is_linked:
+                found.add(node.object)
+    return found
+
+
 def _flat(block: Any) -> Part:
     """What stands for the nodes that a block does not use."""
     if isinstance(block, bpy.types.World):

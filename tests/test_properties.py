@@ -1,4 +1,4 @@
-"""A sample of the property sweep: an engine renders what plain Cycles does, or says why not."""
+"""A sample of the property sweep (docs/properties.md): engines render what plain Cycles does, or say why not."""
 
 from __future__ import annotations
 
@@ -22,6 +22,9 @@ SAMPLE = (
             "spot_power_keyed",
             "spot_tracks_target",
             "lamp_child_of_target",
+            "texture_of_floor_follows_target",
+            "texture_of_target_follows_target",
+            "world_texture_follows_child_of_target",
             "cube_hidden_in_viewport",
             "target_array_in_renders_only",
             "target_is_viewport_node",
