@@ -196,12 +196,21 @@ def power_is_driven(blender):
     driver.expression = f"100 * {variable.name}"
 
 
+def textured_by_it(blender):
+    tree = stage.players(blender, "room")[0].data.materials[0].node_tree
+    where, noise = tree.nodes.new("ShaderNodeTexCoord"), tree.nodes.new("ShaderNodeTexNoise")
+    where.object = stage.find(blender, "target")
+    tree.links.new(where.outputs["Object"], noise.inputs["Vector"])
+    tree.links.new(noise.outputs[0], tree.nodes["Diffuse BSDF"].inputs["Color"])
+
+
 FOLLOWERS = {
     "spot": (tracks("spot"), "the spot 'Spot' moves when the target does"),
     "camera": (tracks("camera"), "the camera 'Camera' moves when the target does"),
     "room": (wall_follows, "changes when the target moves, and is not one of its children"),
     "modifier": (cut_by_the_target, "'Cube' changes when the target moves"),
     "colour": (colour_is_driven, "changes when the target moves, and is not one of its children"),
+    "texture": (textured_by_it, "'Floor' has a texture in the coordinates of 'Target', which moves with the target"),
     "power": (power_is_driven, "the light 'Spot' changes its power when the target moves"),
     "lamp": (lamp_follows, "the light 'Torch' moves when the target does"),
 }
