@@ -121,7 +121,7 @@ class SurfelRenderer:
         if not target:
             return self._transport.background(ambient=ambient).astype(np.float32)
         refuse_hidden(self._scene)
-        position, turn, _ = stage.find(self._scene, "target").matrix_world.decompose()
+        position, turn, _ = Matrix(stage.snapshot(self._scene).matrices["target"].tolist()).decompose()
         return self.at(tuple(position), tuple(math.degrees(angle) for angle in turn.to_euler("XYZ")))
 
     def difference(self, position: Sequence[float], rotation: Sequence[float]) -> Array:
@@ -368,7 +368,12 @@ def _in_view(scene: bpy.types.Scene, patch: LitPatch) -> bool:
         return True
     turns = np.linspace(0.0, 2.0 * math.pi, 64, endpoint=False)
     rim = [patch.centre + 1.05 * (math.cos(t) * patch.major + math.sin(t) * patch.minor) for t in turns]
-    seen = np.array([world_to_camera_view(scene, scene.camera, Vector(p)) for p in rim], dtype=np.float64)
+    eye = scene.camera.copy()  # which nothing hides: of what the viewport hides Blender does not know the place
+    try:
+        eye.matrix_world = Matrix(stage.snapshot(scene).matrices["camera"].tolist())
+        seen = np.array([world_to_camera_view(scene, eye, Vector(p)) for p in rim], dtype=np.float64)
+    finally:
+        bpy.data.objects.remove(eye)
     behind = seen[:, 2] <= 0.0
     if behind.any() and not behind.all():
         return True

@@ -134,7 +134,7 @@ def run(
         The scene cannot be read, or there is no such experiment.
     """
     size = min(stage.read(scene).grid.size) / 2.0
-    place = tuple(float(v) for v in stage.find(scene, "target").matrix_world.translation)
+    place = tuple(float(v) for v in stage.snapshot(scene).matrices["target"][:3, 3])
     rows = poses.experiment(number, (place[0], place[1], place[2]), step=size / 4.0, turn=TURN)
     wanted = Target(kind="sphere" if target == "sphere" else "sheet", size=size, albedo=Target.named(target).albedo)
     with stage.stand_in(scene, wanted):

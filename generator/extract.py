@@ -832,13 +832,14 @@ def _lit_patch(scene: bpy.types.Scene, reading: _Reading) -> tuple[LitPatch | No
     light = lamp.data
     if lamp.type != "LIGHT" or light.type != "SPOT":
         return None, [f"the spot {lamp.name!r} is not a spot lamp"]
-    reasons = _lamp_reasons(lamp, stage.reflection_order(scene))
+    # Where a render has it: of what the viewport hides Blender does not keep the place up to date.
+    matrix = reading.places.get("spot", stage.numbers(lamp.matrix_world))
+    reasons = _lamp_reasons(lamp, matrix, stage.reflection_order(scene))
     if "spot" not in reading.places:
         reasons.append(f"the spot {lamp.name!r} is hidden from renders")
     reasons += _reflection_reasons(scene, reading)
     surfaces = [s for s in reading.surfaces if s.role != "target"]
     walls = [s for s in surfaces if s.role == "relay_wall"]
-    matrix = stage.numbers(lamp.matrix_world)
     origin, axis = matrix[:3, 3], -matrix[:3, 2] / np.linalg.norm(matrix[:3, 2])
     half = light.spot_size / 2.0
     hit, point, normal = _first_hit(surfaces, origin, axis)
@@ -889,7 +890,7 @@ def _lit_patch(scene: bpy.types.Scene, reading: _Reading) -> tuple[LitPatch | No
     return (None if reasons else patch), list(dict.fromkeys(reasons))
 
 
-def _lamp_reasons(lamp: bpy.types.Object, order: int) -> list[str]:
+def _lamp_reasons(lamp: bpy.types.Object, matrix: Array, order: int) -> list[str]:
     """What is special about a spot lamp."""
     light, name = lamp.data, f"the spot {lamp.name!r}"
     reasons = []
@@ -902,8 +903,8 @@ def _lamp_reasons(lamp: bpy.types.Object, order: int) -> list[str]:
         reasons.append(f"{name} takes its colour from a temperature")
     if not getattr(light, "normalize", True):
         reasons.append(f"{name} has a power that is not normalised")
-    scale = stage.numbers(lamp.matrix_world.to_scale())
-    if np.ptp(np.abs(scale)) > 1e-5 * np.abs(scale).max():
+    scale = np.linalg.norm(matrix[:3, :3], axis=0)
+    if np.ptp(scale) > 1e-5 * scale.max():
         reasons.append(f"{name} is scaled unevenly, so that its cone is not round")
     if not light.use_shadow or not getattr(light.cycles, "cast_shadow", True):
         reasons.append(f"{name} casts no shadows")
@@ -1067,7 +1068,7 @@ def _watched(
     size = float(np.ptp(triangles.reshape(-1, 3), axis=0).max())
     if uneven > _FLAT * size:
         return None, [*reasons, f"the relay wall {wall.name!r} is not plane"]
-    matrix = stage.numbers(camera.matrix_world)
+    matrix = reading.places.get("camera", stage.numbers(camera.matrix_world))
     # Cameras have no scale: Blender drops it.
     frame, eye = matrix[:3, :3] / np.linalg.norm(matrix[:3, :3], axis=0), matrix[:3, 3]
     if (eye - point) @ normal < 0:

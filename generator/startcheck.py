@@ -437,7 +437,11 @@ def _widen(spot: Any, width: float) -> None:
 
 def _player(scene: bpy.types.Scene, role: str) -> Any:
     """Return the object that the file names for a role."""
-    return next(obj for obj in scene.objects if obj.get("nlos_role") == role)
+    player = next(obj for obj in scene.objects if obj.get("nlos_role") == role)
+    if player.hide_viewport:  # changes no render, but what Blender knows of its place
+        player.hide_viewport = False
+        bpy.context.view_layer.update()
+    return player
 
 
 def _put(target: Any, pose: PoseRecord) -> None:

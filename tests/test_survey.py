@@ -297,6 +297,23 @@ def test_what_only_the_viewport_hides_is_rendered(role):
         assert renderer.render().mean() == pytest.approx(plain.mean(), rel=0.1)
 
 
+@pytest.mark.parametrize("role", ["spot", "target", "camera", "relay_wall"])
+def test_so_it_is_in_a_file_that_was_saved_like_that(role, tmp_path):
+    """Blender does not know where things are that were hidden when it opened the file."""
+    blender = built()
+    described, plain = stage.read(blender), picture(blender)
+    obj = stage.find(blender, role)
+    obj.hide_viewport = True
+    stage.save_file(tmp_path / "hidden.blend")
+    blender = stage.open_file(tmp_path / "hidden.blend")
+    assert stage.read(blender) == described
+    np.testing.assert_array_equal(picture(blender), plain)
+    with engines.opened(blender, "surfel", resolution=(8, 8)) as renderer:
+        stage.move_target(blender, POSITION, ROTATION)
+        assert renderer.render().mean() == pytest.approx(plain.mean(), rel=0.1)
+    assert not any(f.level == check.ERROR for f in check.findings(blender, engine="auto"))
+
+
 def test_a_cupboard_that_the_viewport_hides_is_kept_clear_of():
     places = []
     for hidden in (False, True):
