@@ -196,7 +196,6 @@ def with_defaults(described: spec.Scene, chosen: Mapping[str, Any]) -> dict[str,
     """Return the settings that the user chose, with those that follow from the scene where none was chosen."""
     width, height = described.resolution
     settings = {
-        "engine": spec.AUTO,
         "resolution": [width, height],
         "rotation": list(TURNS[described.target.kind]),
         **chosen,

@@ -75,7 +75,7 @@ def test_a_figure_that_is_taken_can_be_swept(setting, tmp_path):
     stage.save_file(file)
     scene = stage.open_file(file)
     chosen = {"engine": "patch", "samples": 1, "poses": 1, "resolution": "4"}
-    dataset = worker.plan(scene, file, tmp_path / "set", chosen, force=True)
+    dataset = worker.plan(scene, file, tmp_path / "set", chosen, force=True, probe=False)
     assert dataset.planned == dataset.grid.n_voxels
     with engines.opened(scene, "patch", resolution=(4, 4)) as renderer:
         assert np.isfinite(renderer.render(samples=1, seed=0)).all()

@@ -416,7 +416,7 @@ def test_a_set_says_what_was_replaced(tmp_path):
     source = tmp_path / "room.blend"
     stage.save_file(source)
     chosen = {"engine": "patch", "poses": 1, "samples": 4, "resolution": [8, 8]}
-    said = worker.plan(scene, source, tmp_path / "set", chosen).meta["replaced"]
+    said = worker.plan(scene, source, tmp_path / "set", chosen, probe=False).meta["replaced"]
     assert Dataset.open(tmp_path / "set").meta["replaced"] == said
     assert "reflective caustics (off in the file, on in a sweep)" in said
     [note] = [f.text for f in check.findings(scene) if f.text.startswith("A sweep replaces")]

@@ -517,7 +517,7 @@ def planned(blender, tmp_path, **chosen):
     path = tmp_path / "scene.blend"
     stage.save_file(path)
     chosen = {"poses": 1, "samples": 4, "engine": "patch", **chosen}
-    dataset = worker.plan(stage.open_file(path), path, tmp_path / "set", chosen)
+    dataset = worker.plan(stage.open_file(path), path, tmp_path / "set", chosen, probe=False)
     return spec.from_dict(spec.Scene, dataset.meta["scene"], "").camera
 
 

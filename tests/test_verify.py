@@ -541,7 +541,7 @@ def test_a_blend_files_working_space_is_recorded(tmp_path, scene_file):
     wide = tmp_path / "wide.blend"
     stage.save_file(wide)
     scene = stage.open_file(wide)
-    made = worker.plan(scene, wide, tmp_path / "set", {"poses": 1, "samples": 1, "resolution": [4, 4]})
+    made = worker.plan(scene, wide, tmp_path / "set", {"poses": 1, "samples": 1, "resolution": [4, 4]}, probe=False)
     assert made.colour_space == "ACEScg"
     worker.render(scene, made, [])
     _, header = read_picture(made.path / BACKGROUND)
