@@ -363,7 +363,7 @@ def test_a_bad_scene_is_refused_before_anything_is_written(tmp_path, scene_file,
         f"bpy.ops.wm.save_as_mainfile(filepath={str(bad)!r})"
     )
     subprocess.run([sys.executable, "-c", script], check=True, capture_output=True)
-    result = command("generator", "sweep", bad, "-o", tmp_path / "x")
+    result = command("generator", "sweep", bad, "-o", tmp_path / "x", "--engine", "patch")
     assert result.returncode == 2
     assert words in result.stderr
     assert result.stderr.count("\n") == 1
