@@ -102,14 +102,16 @@ def findings(scene: bpy.types.Scene, *, engine: str = "patch") -> list[Finding]:
         What is going to render it.
     """
     found = _roles(scene)
-    try:
-        if not found:
-            found = [*_frame(scene), *_settings(scene)]
-        if not hopeless(found):
-            described = stage.read(scene)
-            found += [*_sight(scene, described), *_engine(scene, engine)]
-    except NlosError as error:
-        found.append(_told(scene, error))
+    if not found:
+        try:
+            found = _frame(scene)
+            readable = not hopeless(found)
+            found += _settings(scene)
+            if readable:
+                described = stage.read(scene)
+                found += [*_sight(scene, described), *_engine(scene, engine)]
+        except NlosError as error:
+            found.append(_told(scene, error))
     order = [ERROR, WARNING, NOTE, GOOD]
     return sorted(found, key=lambda f: order.index(f.level))
 

@@ -12,8 +12,8 @@ import bpy
 import pytest
 from conftest import ROOT, TINY
 
-from generator import engines, links, planning, references, stage, worker
-from generator.dataset import Dataset
+from generator import engines, links, planning, references, seal, spec, stage, worker
+from generator.dataset import Dataset, file_hash
 from generator.spec import NlosError
 
 
@@ -213,6 +213,11 @@ def test_a_set_that_hides_what_its_scene_refers_to_is_refused(edited, tmp_path, 
     path = tmp_path / "set"
     shutil.copytree(tiny_dataset, path)
     os.replace(edited(picture), path / "scene.blend")
+    # Whoever means ill seals it anew.
+    meta = spec.read_toml(path / "dataset.toml")
+    files = {**meta[seal.SEAL], "scene": file_hash(path / "scene.blend")}
+    sealed = seal.sealed(meta, **{name: files[name] for name in ("scene", "poses")})
+    (path / "dataset.toml").write_text(spec.dump_toml(sealed), encoding="utf-8")
     next(path.glob("*/0000.exr")).unlink()
     result = command("generator", "sweep", path / "scene.blend", "-o", path)
     assert result.returncode == 2

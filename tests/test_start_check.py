@@ -174,7 +174,6 @@ WRONG = {
 
 CASES = [
     *((what, engine, *edits) for what, some in WRONG.items() for edits in some for engine in ("path",)),
-    ("background", "patch", _stamp, _nothing),
     ("background", "patch", _nothing, _sky),
     ("change by the target", "patch", _nothing, _target_black),
     ("change by the target", "patch", _nothing, _lamp_child),

@@ -256,7 +256,7 @@ def test_a_run_can_be_stopped_and_gone_on_with(tmp_path, scene_file):
     from generator import sweep
 
     stop, path = threading.Event(), tmp_path / "set"
-    chosen = {"poses": 20, "samples": 512, "resolution": [4, 4]}
+    chosen = {"engine": "patch", "poses": 20, "samples": 512, "resolution": [4, 4]}
 
     def progress(done, total):
         if done == 2:

@@ -352,7 +352,7 @@ def test_the_same_pose_twice_may_look_the_same_without_noise(tmp_path, engine, c
 
 def test_a_sweep_says_so_at_its_end(tmp_path, scene_file, command):
     """One ray a pixel, of which none meets the object in some picture."""
-    some = ("--poses", "2", "--samples", "1", "--resolution", "4", "--workers", "1")
+    some = ("--engine", "patch", "--poses", "2", "--samples", "1", "--resolution", "4", "--workers", "1")
     result = command("generator", "sweep", scene_file, "-o", tmp_path / "s", *some)
     assert result.returncode == 0, result.stderr
     assert "equals the background to the bit" in result.stderr
@@ -361,8 +361,8 @@ def test_a_sweep_says_so_at_its_end(tmp_path, scene_file, command):
 
 def test_fewer_pixels_than_blender_renders_are_refused(tmp_path, scene_file, command):
     """Its least is 4 a side: 2 x 2 was planned, and 4 x 4 rendered."""
-    some = ("--poses", "1", "--samples", "1", "--resolution", "2", "--workers", "1")
-    result = command("generator", "sweep", scene_file, "-o", tmp_path / "s", *some)
+    some = ("--poses", "1", "--resolution", "2", "--workers", "1")
+    result = command("generator", "sweep", scene_file, "-o", tmp_path / "s", *some, "--engine", "patch")
     assert result.returncode == 2
     assert "resolution: 2 x 2 is less than Blender renders, 4 pixels a side" in result.stderr
     assert not (tmp_path / "s").exists()
