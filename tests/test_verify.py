@@ -366,9 +366,7 @@ def test_fewer_pixels_than_blender_renders_are_refused(tmp_path, scene_file, com
     assert result.returncode == 2
     assert "resolution: 2 x 2 is less than Blender renders, 4 pixels a side" in result.stderr
     assert not (tmp_path / "s").exists()
-    result = command(
-        "generator", "sweep", scene_file, "-o", tmp_path / "s", *some[:2], *some[4:], "--engine", "surfel"
-    )
+    result = command("generator", "sweep", scene_file, "-o", tmp_path / "s", *some, "--engine", "surfel")
     assert result.returncode == 0, result.stderr
     assert Dataset.open(tmp_path / "s").background().shape == (2, 2, 3)
 
