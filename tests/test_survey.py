@@ -10,7 +10,6 @@ from dataclasses import replace
 import bpy
 import numpy as np
 import pytest
-import radiometry
 from mathutils import Matrix
 
 from generator import check, engines, extract, spec, stage, worker
@@ -23,12 +22,6 @@ POSITION, ROTATION = (1.5, 1.0, 1.2), (0.0, 0.0, 20.0)
 def built(target="sheet", **changes):
     blender = stage.new_file()
     stage.build(blender, replace(preset("room", target), **changes))
-    return blender
-
-
-def small(**changes):
-    blender = stage.new_file()
-    stage.build(blender, radiometry.bare_scene(**changes))
     return blender
 
 
