@@ -328,10 +328,10 @@ def main() -> None:
     bombs.MUCH = hostile.LIMIT
     corpus = _FILE.parent / "corpus"
     seeds(target, corpus)
-    limits = ["-timeout=10", "-rss_limit_mb=1024", "-max_len=65536"]
+    flags = ["-timeout=10", "-rss_limit_mb=1024", "-max_len=65536"]
     if target not in ("exr", "poses", "toml", "mesh"):
-        limits += ["-reduce_inputs=0", "-len_control=0", "-max_len=400"]  # what is drawn from: shorter is no better
-    atheris.Setup([*sys.argv, *limits, str(corpus)], TARGETS[target])
+        flags += ["-reduce_inputs=0", "-len_control=0", "-max_len=400"]  # what is drawn from: shorter is no better
+    atheris.Setup([*sys.argv, *flags, str(corpus)], TARGETS[target])
     atheris.Fuzz()
 
 

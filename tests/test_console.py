@@ -11,8 +11,8 @@ import sys
 import pytest
 from conftest import ROOT, TINY
 
-import classify.cli
-import generator.cli
+from classify import cli as classify_cli
+from generator import cli as generate_cli
 
 GONE, FULL = 141, "error: standard output cannot be written (No space left on device)\n"
 ENVIRONMENT = {**os.environ, "PYTHONPATH": str(ROOT)}
@@ -61,7 +61,7 @@ class Broken(io.StringIO):
         raise self.error
 
 
-@pytest.mark.parametrize("module", [generator.cli, classify.cli])
+@pytest.mark.parametrize("module", [generate_cli, classify_cli])
 def test_every_verb_is_quiet_when_nobody_reads_and_says_so_when_the_disk_is_full(module, monkeypatch, capsys):
     """In this process: two dozen interpreters would take half a minute."""
     assert len(verbs(module)) > 8
@@ -119,7 +119,7 @@ def test_other_files_on_a_full_disk_are_not_taken_for_the_output(capsys):
         raise OSError(28, "No space left on device", "picture.exr")
 
     with pytest.raises(OSError, match=r"picture\.exr"):
-        generator.cli.guarded(work)
+        generate_cli.guarded(work)
 
 
 def test_an_error_is_told_by_the_exit_code_where_standard_error_is_full():
