@@ -41,15 +41,15 @@ lint: $(READY)
 	$(BIN)/ruff check .
 	$(BIN)/ruff format --check .
 	$(BIN)/mypy
-	$(BIN)/python -m blender_addon.build -o dist
+	$(BIN)/python -m blender_addon.packaging.build -o dist
 
 extension: $(READY)
-	$(BIN)/python -m blender_addon.build -o dist
+	$(BIN)/python -m blender_addon.packaging.build -o dist
 
 package: $(READY)
 	SOURCE_DATE_EPOCH=$$(git log -1 --format=%ct) $(BIN)/python -m hatchling build -d dist
-	$(BIN)/python -m blender_addon.build -o dist
-	$(BIN)/python -m blender_addon.sbom -o dist/environment.cdx.json
+	$(BIN)/python -m blender_addon.packaging.build -o dist
+	$(BIN)/python -m blender_addon.packaging.sbom -o dist/environment.cdx.json
 
 matrix: $(READY)
 	$(BIN)/python tests/matrix/run.py -o dist/matrix

@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 import scenes
 
-from generator import spec
+from generator.model import spec
 from generator.transport import Transport, fields
 from generator.transport.world import Mesh
 

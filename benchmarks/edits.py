@@ -16,7 +16,7 @@ import bpy
 import numpy as np
 from mathutils import Matrix
 
-from generator.spec import Camera, Partition, Room, Scene, Spot, Target, VoxelGrid, Wall
+from generator.model.spec import Camera, Partition, Room, Scene, Spot, Target, VoxelGrid, Wall
 
 BASE = Scene(
     preset="custom",

@@ -8,7 +8,7 @@ samples, against `surfel` at an accuracy of 1e-6 (in the room 1e-5); `surfel` al
 sweep does, and its seconds are then those of one. "agreement": the picture's mean, engine against
 engine, with 95 % intervals over independent renders, from 1 m down to 5 cm from the relay wall; that table, not the
 first, is what shows that the engines are right, since Mitsuba shares nothing with them: it gets worlds made by hand
-(`scenes.py`), and `surfel` those that `generator.extract` reads from the Blender scene.
+(`scenes.py`), and `surfel` those that `generator.blender.engines.extract` reads from the Blender scene.
 
 Mitsuba is left out, with a word, where it is not installed (`pip install mitsuba`; its LLVM variants need LLVM 17 or
 later). Cycles and Mitsuba each run in a process of their own, one at a time.
@@ -33,8 +33,8 @@ import numpy as np
 import scenes
 from scipy.stats import t as student
 
-from generator import spec
-from generator.spec import rotation_matrix
+from generator.model import spec
+from generator.model.spec import rotation_matrix
 from generator.transport.compiled import COMPILED
 from generator.transport.world import Body, Sphere, World
 
@@ -110,7 +110,8 @@ Shots = tuple[list[float], list[np.ndarray], list[np.ndarray]]
 
 def cycles(case: Case, engine: str, samples: int, seeds: list[int], denoise: bool = False) -> Shots:
     """Render differences with Cycles; runs in a process of its own. Seconds are those of a new pose."""
-    from generator import engines, stage
+    from generator.blender.engines import engines
+    from generator.blender.scene import stage
 
     blender = _blender_scene(case)
     seconds, differences, backgrounds = [], [], []
@@ -137,15 +138,15 @@ def cycles(case: Case, engine: str, samples: int, seeds: list[int], denoise: boo
 
 
 def extracted(case: Case) -> tuple[World | None, list[str]]:
-    """Return what `generator.extract` makes of the case's Blender scene; runs in Cycles' process."""
-    from generator import extract
+    """Return what `generator.blender.engines.extract` makes of the case's Blender scene; runs in Cycles' process."""
+    from generator.blender.engines import extract
 
     return extract.world(_blender_scene(case), resolution=case.spec.resolution)
 
 
 @functools.lru_cache(maxsize=1)
 def _blender_scene(case: Case) -> Any:
-    from generator import stage
+    from generator.blender.scene import stage
 
     blender = stage.new_file()
     stage.build(blender, case.spec)
@@ -278,7 +279,7 @@ class Processes:
         return self._pools["mitsuba"].submit(function, *arguments).result()
 
     def surfel_world(self, case: Case) -> World:
-        """Return the world that `generator.extract` reads from the case's Blender scene."""
+        """Return the world that `generator.blender.engines.extract` reads from the case's Blender scene."""
         world, reasons = self.cycles(extracted, case)
         if world is None:
             raise spec.NlosError(f"{case.name}: surfel cannot render it: {'; '.join(reasons)}")

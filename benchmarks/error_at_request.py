@@ -34,8 +34,8 @@ import scenes
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
-from generator import spec
-from generator.spec import NlosError, rotation_matrix
+from generator.model import spec
+from generator.model.spec import NlosError, rotation_matrix
 from generator.transport import Transport
 from generator.transport.world import Mesh, Sphere, World
 

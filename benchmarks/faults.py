@@ -22,7 +22,7 @@ from pathlib import Path
 
 import numpy as np
 
-from generator.dataset import Dataset, csv_text, write_text
+from generator.sets.dataset import Dataset, csv_text, write_text
 
 SWEEP = ("--poses", "20", "--resolution", "16", "--engine", "patch", "--samples", "64", "--workers", "2")
 """Some minutes of work in small pieces."""

@@ -41,11 +41,17 @@ _COMPILED = {path.stem for path in Path(__file__).parents[1].glob("generator/tra
 with atheris.instrument_imports(
     include=["generator", "classify", "skops"], exclude=[f"generator.transport.{name}" for name in _COMPILED]
 ):
-    from classify import atlas, localise, models, store
-    from classify.features import FeatureSettings
-    from generator import bombs, bulk, dataset, exr, journal, plans, simulated, spec
-    from generator.sensor import Sensor
-    from generator.transport import store as worlds
+    from classify.classifiers import models
+    from classify.inference import atlas, posterior
+    from classify.pictures import feature_table
+    from classify.pictures.features import FeatureSettings
+    from classify.pictures.sensor import Sensor
+    from generator.files import exr, limits
+    from generator.jobs import journal
+    from generator.measure import plan_file
+    from generator.model import spec
+    from generator.sets import bulk, dataset, simulated
+    from generator.transport import world_file as worlds
 
 import hostile  # noqa: E402
 
@@ -75,7 +81,7 @@ def read_toml(data: bytes) -> None:
         with contextlib.suppress(spec.NlosError):
             spec.from_dict(kind, spec.read_toml(_FILE))
     with contextlib.suppress(spec.NlosError):
-        plans.read(_FILE, _FILE)
+        plan_file.read(_FILE, _FILE)
 
 
 def read_dataset(data: bytes) -> None:
@@ -110,8 +116,8 @@ def read_features(data: bytes) -> None:
     """Read features."""
     _spoil_hdf5("features", data)
     with contextlib.suppress(spec.NlosError):
-        found = store.read(_FILE)
-        store.check_comparable(found, found, ("a", "b"))
+        found = feature_table.read(_FILE)
+        feature_table.check_comparable(found, found, ("a", "b"))
         found.duplicates  # noqa: B018
 
 
@@ -122,7 +128,7 @@ def read_atlas(data: bytes) -> None:
         found = atlas.load(_FILE)
         picture = np.repeat(found.background[..., None] * 1.01, 3, axis=2).astype(np.float32)
         with np.errstate(all="ignore"):
-            localise.locate(found, found.code(picture))
+            posterior.locate(found, found.code(picture))
 
 
 def _spoil_hdf5(kind: str, data: bytes) -> None:
@@ -216,7 +222,7 @@ def read_status(data: bytes) -> None:
 
 def read_mesh(data: bytes) -> None:
     """Import a mesh as the hidden object."""
-    from generator import stage
+    from generator.blender.scene import stage
 
     kind = hostile.pick(atheris.FuzzedDataProvider(data), spec.MESH_SUFFIXES)
     file = _FILE.with_suffix(kind)
@@ -285,8 +291,10 @@ def _seed_structured(target: str) -> None:
     import classify_helpers
 
     if target in ("features", "model"):
-        described = store.extract(classify_helpers.make_dataset(_FILE.parent / "small", n=4), FeatureSettings())
-        store.write(_FILE, described)
+        described = feature_table.extract(
+            classify_helpers.make_dataset(_FILE.parent / "small", n=4), FeatureSettings()
+        )
+        feature_table.write(_FILE, described)
         _SOUND["features"] = _FILE.read_bytes()
         for name in models.ALL if target == "model" else ():
             model = models.train(described, name, "paper")
@@ -325,7 +333,7 @@ def main() -> None:
     if target not in TARGETS:
         sys.exit(f"usage: {sys.argv[0]} {'|'.join(TARGETS)} [libFuzzer's options]")
     _OUTSIDE.write_bytes(b"none of its business")
-    bombs.MUCH = hostile.LIMIT
+    limits.MUCH = hostile.LIMIT
     corpus = _FILE.parent / "corpus"
     seeds(target, corpus)
     flags = ["-timeout=10", "-rss_limit_mb=1024", "-max_len=65536"]

@@ -12,8 +12,9 @@ import argparse
 
 import numpy as np
 
-from generator import extract, stage
-from generator.spec import preset
+from generator.blender.engines import extract
+from generator.blender.scene import stage
+from generator.model.spec import preset
 from generator.transport import Transport
 
 PLACE = (0.0, 0.5, 0.0)

@@ -10,7 +10,7 @@ from pathlib import Path
 
 import numpy as np
 
-from generator.dataset import Dataset
+from generator.sets.dataset import Dataset
 
 
 def main() -> None:

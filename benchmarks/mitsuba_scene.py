@@ -16,7 +16,7 @@ from typing import Any
 
 import numpy as np
 
-from generator.spec import NlosError, rotation_matrix
+from generator.model.spec import NlosError, rotation_matrix
 from generator.transport.world import LitPatch, Sphere, Watched, World
 
 METHODS = ("patch", "spot")
@@ -63,7 +63,7 @@ class Prepared:
     world : World
         Its watched patch is seen straight on, with square pixels; the lamp's edge is hard.
     position, rotation_degrees : (float, float, float)
-        The target's pose, as in `generator.poses`; metres and degrees.
+        The target's pose, as in `generator.model.poses`; metres and degrees.
     method : {"patch", "spot"}
     target : bool
         With the target, or the background.

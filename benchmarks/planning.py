@@ -17,11 +17,17 @@ from typing import Any
 import bpy
 import numpy as np
 
-from generator import budget, effects, planning, plans, poses, probing, simplify, spec, stage, worker
-from generator.clearance import clearance
-from generator.dataset import csv_text, write_text
-from generator.intervals import relative
-from generator.plans import Effect, Plan
+from generator.blender import worker
+from generator.blender.engines import simplify
+from generator.blender.measure import paired, planning
+from generator.blender.scene import stage
+from generator.blender.scene.clearance import clearance
+from generator.jobs import budget
+from generator.measure import effects, plan_file
+from generator.measure.intervals import relative
+from generator.measure.plan_file import Effect, Plan
+from generator.model import poses, spec
+from generator.sets.dataset import csv_text, write_text
 from generator.transport import Transport
 
 OTHER = 1
@@ -151,28 +157,28 @@ def again(source: Path, plan: Plan, most: float) -> dict[str, tuple[float, float
     """Measure a plan's effects once more, at other poses and in other noise, and the plan against Cycles."""
     scene = stage.open_file(source)
     described = stage.read(scene)
-    sweep, _ = worker.settled(scene, described, {"engine": "patch", "poses": probing.ROUNDS[1], "seed": OTHER})
+    sweep, _ = worker.settled(scene, described, {"engine": "patch", "poses": paired.ROUNDS[1], "seed": OTHER})
     planned = poses.plan(described.grid, sweep, stage.hull(scene), clearance(scene, described, engine="patch"))
-    rounds = [[p for p in planned if p.index == k] for k in range(probing.ROUNDS[1])]
-    probe = probing.Probe(source, "patch", rounds, described.resolution[0] / described.resolution[1])
+    rounds = [[p for p in planned if p.index == k] for k in range(paired.ROUNDS[1])]
+    probe = paired.Probe(source, "patch", rounds, described.resolution[0] / described.resolution[1])
     pieces = [e.name for e in plan.effects if e.name in simplify.found(stage.open_file(source))]
-    sky = planning.ambient(source, [p for one in rounds[: plans.POSES] for p in one])
+    sky = planning.ambient(source, [p for one in rounds[: plan_file.POSES] for p in one])
     pieces = [name for name in pieces if name != simplify.AMBIENT or sky is None]
-    orders = [o for o in (4, 5) if any(e.name == probing.order_name(o) for e in plan.effects)]
-    found = probing.measure(probe, pieces, orders=orders, tolerance=plan.tolerance, most=most)
+    orders = [o for o in (4, 5) if any(e.name == paired.order_name(o) for e in plan.effects)]
+    found = paired.measure(probe, pieces, orders=orders, tolerance=plan.tolerance, most=most)
     if sky is not None:
         found[sky.name] = sky.share
     if plan.settings["engine"] == "surfel":
         cycles = [name for name in plan.dropped if name in (*pieces, simplify.AMBIENT)]
         variant = planning.variant(source, cycles)
         every = [e.name for e in plan.effects if not e.note and e.name not in found]
-        places, turns = other_poses(source, plans.POSES)
+        places, turns = other_poses(source, plan_file.POSES)
         exact, _, _ = effects.measure(
             variant,
             every,
             places,
             turns,
-            rounds=plans.POSES,
+            rounds=plan_file.POSES,
             accuracy=max(budget.FINE, plan.tolerance / 20.0),
             tolerance=0.0,
         )
@@ -185,9 +191,9 @@ def _against_cycles(probe: Any, variant: Any, plan: Plan, most: float) -> tuple[
     """Error of the planned pictures against Cycles' of the whole scene, with Cycles' noise seen through."""
     world, shadows = variant(plan.dropped)
     errors, wholes, begun = [], [], time.monotonic()
-    for number in range(probing.ROUNDS[1]):
+    for number in range(paired.ROUNDS[1]):
         whole = probe.whole(number)
-        size = (probing.PIXELS, whole.shape[2] // probing.PIXELS)
+        size = (paired.PIXELS, whole.shape[2] // paired.PIXELS)
         small = replace(world, watched=replace(world.watched, resolution=size))
         engine = Transport(small, accuracy=plan.settings["accuracy"])
         made = [
@@ -198,7 +204,7 @@ def _against_cycles(probe: Any, variant: Any, plan: Plan, most: float) -> tuple[
         wholes.append(whole)
         if number >= 3 and time.monotonic() - begun > most:
             break
-    return probing.share(errors, wholes)
+    return paired.share(errors, wholes)
 
 
 def verdict(effect: Effect, measured: tuple[float, float, float], tolerance: float) -> str:
@@ -285,7 +291,7 @@ def run_random(options: argparse.Namespace) -> None:
         source = saved(random_scene(seed), options.output / f"random-{seed}.blend")
         try:
             plan = planning.make(source, tolerance=tolerance, most=0.0, predict=False)
-            places, turns = other_poses(source, plans.POSES)
+            places, turns = other_poses(source, plan_file.POSES)
         except spec.NlosError as error:
             print(f"{seed}: left out: {error}", flush=True)
             continue
@@ -293,7 +299,7 @@ def run_random(options: argparse.Namespace) -> None:
         whole, _ = effects.differences(variant, (), places, turns, max(budget.FINE, tolerance / 30.0))
         accuracy = plan.settings["accuracy"]
         made, _ = effects.differences(variant, plan.dropped, places, turns, accuracy)
-        squares = (((one**2).mean(axis=(1, 2))).reshape(plans.POSES, -1) for one in (made - whole, whole))
+        squares = (((one**2).mean(axis=(1, 2))).reshape(plan_file.POSES, -1) for one in (made - whole, whole))
         error = relative(*squares)[0]
         ratios = []
         for _ in range(3):  # in turn

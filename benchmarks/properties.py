@@ -130,7 +130,7 @@ def base_scene() -> Any:
     import bpy
     import edits
 
-    from generator import stage
+    from generator.blender.scene import stage
 
     scene = stage.new_file()
     stage.build(scene, edits.BASE)
@@ -360,7 +360,7 @@ def catalogue() -> list[tuple[str, str, str]]:
     """Return every edit as owner, property and value in words; prints what is left out and why."""
     import edits
 
-    from generator import stage
+    from generator.blender.scene import stage
 
     base = base_file()
     scene = stage.open_file(base)
@@ -482,7 +482,7 @@ class Plain:
         """Render the scene with the target, and without."""
         import bpy
 
-        from generator.stage import quiet
+        from generator.blender.scene.stage import quiet
 
         made = []
         self.scene.cycles.samples, self.scene.cycles.seed = samples, seed
@@ -502,7 +502,7 @@ class Plain:
 
 def read(path: Path) -> Any:
     """Return a picture's pixels."""
-    from generator.dataset import read_picture
+    from generator.sets.dataset import read_picture
 
     return read_picture(path)[0]
 
@@ -511,7 +511,9 @@ class Product:
     """Renders a file as a sweep does, by one engine, whatever pose it is asked for."""
 
     def __init__(self, file: Path, engine: str) -> None:
-        from generator import engines, extract, references, replaced, stage, worker
+        from generator.blender import worker
+        from generator.blender.engines import engines, extract
+        from generator.blender.scene import references, replaced, stage
 
         references.refuse(file)
         self.scene = stage.open_file(file)
@@ -530,7 +532,8 @@ class Product:
 
     def pairs(self, pose: Pose, shots: Sequence[tuple[int, int]]) -> list[Pair]:
         """Render with samples and seeds, each with the target and without."""
-        from generator import engines, stage
+        from generator.blender.engines import engines
+        from generator.blender.scene import stage
 
         made = []
         with engines.opened(self.scene, self.sweep.engine, **engines.settings(self.sweep)) as renderer:
@@ -652,8 +655,8 @@ class Judge:
         import bpy
         import edits
 
-        from generator import stage
-        from generator.spec import NlosError
+        from generator.blender.scene import stage
+        from generator.model.spec import NlosError
 
         begun = time.monotonic()
         row = Row(owner, name, value)
@@ -750,7 +753,7 @@ class Judge:
         """Return why a planned pose is no pose: the target, a sheet, is in a box; empty if it is not."""
         import edits
 
-        from generator.spec import rotation_matrix
+        from generator.model.spec import rotation_matrix
 
         product = Product(file, engine)
         low, high = solid(product.scene)
@@ -777,7 +780,7 @@ def _ratios(ours: Pair, theirs: Pair) -> str:
 
 def serve() -> None:
     """Judge the edits that come as lines of JSON on standard input; one line of JSON answers each."""
-    from generator import poses
+    from generator.model import poses
 
     poses._TRIES_TURNING = 2000  # an edit that leaves no room is refused in the same words, and sooner
     out = sys.stdout

@@ -27,8 +27,9 @@ import matplotlib.pyplot as plt
 import numba
 import numpy as np
 
-from generator import extract, stage
-from generator.spec import preset
+from generator.blender.engines import extract
+from generator.blender.scene import stage
+from generator.model.spec import preset
 from generator.transport import Mesh, Transport, World, kernel
 
 POSE = ((1.4, 0.9, 1.3), (0.0, 0.0, 20.0))

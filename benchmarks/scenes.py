@@ -6,7 +6,7 @@ import math
 
 import numpy as np
 
-from generator.spec import ROOM_SURFACES, Camera, NlosError, Scene, Spot, Target
+from generator.model.spec import ROOM_SURFACES, Camera, NlosError, Scene, Spot, Target
 from generator.transport.world import Body, LitPatch, Mesh, Sphere, Watched, World
 
 

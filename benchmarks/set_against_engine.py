@@ -12,8 +12,8 @@ from pathlib import Path
 
 import numpy as np
 
-from generator.bulk import Bulk
-from generator.dataset import Dataset
+from generator.sets.bulk import Bulk
+from generator.sets.dataset import Dataset
 from generator.transport import Transport
 
 

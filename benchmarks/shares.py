@@ -14,8 +14,9 @@ from pathlib import Path
 
 import numpy as np
 
-from generator import poses, spec, sweep
-from generator.dataset import BACKGROUND, Dataset
+from generator.jobs import sweep
+from generator.model import poses, spec
+from generator.sets.dataset import BACKGROUND, Dataset
 
 
 def all_of_them(dataset: Dataset, shard: tuple[int, int], own: Sequence[int]) -> None:

@@ -12,7 +12,9 @@ import argparse
 
 import numpy as np
 
-from generator import engines, spec, stage
+from generator.blender.engines import engines
+from generator.blender.scene import stage
+from generator.model import spec
 
 
 def differences(scene: spec.Scene, places: np.ndarray, samples: int, renders: int) -> tuple[np.ndarray, ...]:

@@ -27,8 +27,9 @@ from typing import Any
 
 import numpy as np
 
-from generator import agreement, spec
-from generator.spec import Array, NlosError
+from generator.measure import agreement
+from generator.model import spec
+from generator.model.spec import Array, NlosError
 
 ENGINES = ("path", "patch", "surfel")
 LOOK = 6.0
@@ -40,7 +41,7 @@ def built(name: str, edit: Any, folder: Path) -> Path:
     import bpy
     import edits
 
-    from generator import stage
+    from generator.blender.scene import stage
 
     scene = stage.new_file()
     stage.build(scene, edits.BASE if name == "base" else spec.preset("room"))
@@ -53,7 +54,8 @@ def built(name: str, edit: Any, folder: Path) -> Path:
 
 def tried(source: Path, folder: Path, engine: str, poses: int = 1) -> tuple[str, str, float]:
     """Plan a sweep with the check; return what became of it, the words, and the seconds that the check took."""
-    from generator import stage, worker
+    from generator.blender import worker
+    from generator.blender.scene import stage
 
     begun = time.perf_counter()
     settings = {"engine": engine, "poses": poses, **({} if engine == "surfel" else {"samples": 64})}
@@ -71,21 +73,21 @@ def tried(source: Path, folder: Path, engine: str, poses: int = 1) -> tuple[str,
 
 def looked(source: Path, folder: Path, engine: str) -> bool:
     """Whether a longer look tells the engine's picture from plain Cycles'."""
-    from generator import startcheck
+    from generator.blender import start_check
 
-    before = startcheck.LIMITS, startcheck.PRECISE, startcheck.TOLERANCES, startcheck._COPIES, agreement.SURE
-    startcheck.LIMITS, startcheck.PRECISE, startcheck.TOLERANCES = (LOOK,) * 3, (1e-3, 1e-2), (0.005, 0.02)
-    startcheck._COPIES, agreement.SURE = 24, 5.0
+    before = start_check.LIMITS, start_check.PRECISE, start_check.TOLERANCES, start_check._COPIES, agreement.SURE
+    start_check.LIMITS, start_check.PRECISE, start_check.TOLERANCES = (LOOK,) * 3, (1e-3, 1e-2), (0.005, 0.02)
+    start_check._COPIES, agreement.SURE = 24, 5.0
     try:
         return tried(source, folder, engine)[0] == "stopped"
     finally:
-        startcheck.LIMITS, startcheck.PRECISE, startcheck.TOLERANCES, startcheck._COPIES, agreement.SURE = before
+        start_check.LIMITS, start_check.PRECISE, start_check.TOLERANCES, start_check._COPIES, agreement.SURE = before
 
 
 def inside(planned: Path, case: Any, source: Path) -> bool:
     """Whether the target is planned in a solid: no picture of it is wrong, but it cannot be there."""
-    from generator import stage
-    from generator.dataset import Dataset
+    from generator.blender.scene import stage
+    from generator.sets.dataset import Dataset
 
     if case.solid is None:
         return False
@@ -185,7 +187,7 @@ def right_scenes() -> dict[str, Callable[[], Any]]:
     """Return scenes that every engine renders right."""
     import planning
 
-    from generator import stage
+    from generator.blender.scene import stage
 
     def preset(name: str, kind: str) -> Callable[[], Any]:
         def made() -> Any:
@@ -209,7 +211,10 @@ def pool(task: tuple[str, str, Path, int]) -> list[Any]:
     """Render a pool of pictures of one scene, by an engine and by plain Cycles, and check with draws from it."""
     import bpy
 
-    from generator import links, poses, stage, startcheck, worker
+    from generator.blender import start_check, worker
+    from generator.blender.scene import stage
+    from generator.model import poses
+    from generator.sets import links
 
     name, engine, home, count = task
     file = home / f"{name.replace(', ', '-').replace(' ', '-')}-{engine}.npz"
@@ -226,7 +231,7 @@ def pool(task: tuple[str, str, Path, int]) -> list[Any]:
             except NlosError as error:
                 return [name, engine, 0, 0, f"{error}"[:80]]
             known = links.of_dataset({}, folder / "set")
-            checked = startcheck._Check(
+            checked = start_check._Check(
                 folder / "set" / "scene.blend", source, known, made.meta, made.sweep, made.poses[0], worker.render
             )
             widths = checked.plain().widths()
@@ -258,7 +263,7 @@ CHECKS = 400
 
 def simulated(file: Path, checks: int) -> tuple[int, int, float]:
     """Return how many checks were made of a pool, how many stopped, and the farthest that any figure went."""
-    from generator import startcheck
+    from generator.blender import start_check
 
     data = np.load(file)
     peaks, tolerances = data["peaks"], tuple(data["tolerances"])
@@ -270,7 +275,7 @@ def simulated(file: Path, checks: int) -> tuple[int, int, float]:
         for _ in range(checks):
             pick = rng.integers(len(engine[0]))
             stop, most = check(
-                [rng.choice(p, budget) for p in plain], [e[pick] for e in engine], peaks, tolerances, startcheck
+                [rng.choice(p, budget) for p in plain], [e[pick] for e in engine], peaks, tolerances, start_check
             )
             made, stops, farthest = made + 1, stops + stop, max(farthest, most)
     return made, stops, round(farthest, 2)

@@ -38,28 +38,44 @@ THREADED = ("render poses", "background")
 STAGES = {
     START: [],
     "Blender: open, read, save the scene": [
-        *("generator.stage:open_file", "generator.stage:save_file", "generator.stage:read", "generator.stage:hull"),
-        *("generator.clearance:clearance", "generator.engines:_linear_output", "generator.engines:_plain_cycles"),
+        *(
+            "generator.blender.scene.stage:open_file",
+            "generator.blender.scene.stage:save_file",
+            "generator.blender.scene.stage:read",
+            "generator.blender.scene.stage:hull",
+        ),
+        *(
+            "generator.blender.scene.clearance:clearance",
+            "generator.blender.engines.engines:_linear_output",
+            "generator.blender.engines.engines:_plain_cycles",
+        ),
     ],
-    "extract the world": ["generator.extract:surfel_world", "generator.extract:world"],
+    "extract the world": [
+        "generator.blender.engines.extract:surfel_world",
+        "generator.blender.engines.extract:world",
+    ],
     "compile, or load what is compiled": ["numba.core.dispatcher:Dispatcher.compile"],
     "set up the engine": ["generator.transport:Transport.__init__"],
-    "background": ["generator.worker:_background"],
-    "draw poses": ["generator.poses:plan"],
-    "render poses": ["generator.transport:Transport.pictures", "generator.engines:Renderer.render"],
-    "check pixels, encode EXR": ["generator.dataset:write_picture", "generator.exr:write"],
-    "hash": ["generator.dataset:pixel_hash", "generator.dataset:scene_hash"],
+    "background": ["generator.blender.worker:_background"],
+    "draw poses": ["generator.model.poses:plan"],
+    "render poses": ["generator.transport:Transport.pictures", "generator.blender.engines.engines:Renderer.render"],
+    "check pixels, encode EXR": ["generator.sets.dataset:write_picture", "generator.files.exr:write"],
+    "hash": ["generator.sets.dataset:pixel_hash", "generator.sets.dataset:scene_hash"],
     "write and rename": [
         *("pathlib:Path.write_bytes", "pathlib:Path.write_text", "pathlib:Path.mkdir", "pathlib:Path.unlink"),
         *("pathlib:Path.is_dir", "os:replace"),
     ],
     "fsync": ["os:fsync"],
     "gather: read pictures, poses.csv": [
-        *("generator.dataset:Dataset.gather", "generator.dataset:Dataset.write_manifest"),
-        *("generator.dataset:_read_poses", "generator.dataset:read_picture", "generator.dataset:read_toml"),
+        *("generator.sets.dataset:Dataset.gather", "generator.sets.dataset:Dataset.write_manifest"),
+        *(
+            "generator.sets.dataset:_read_poses",
+            "generator.sets.dataset:read_picture",
+            "generator.sets.dataset:read_toml",
+        ),
     ],
-    WAIT: ["generator.worker:answer"],
-    REST: ["generator.dataset:Dataset.write_pose"],
+    WAIT: ["generator.blender.worker:answer"],
+    REST: ["generator.sets.dataset:Dataset.write_pose"],
     OTHERS: ["concurrent.futures:Future.result"],
 }
 
@@ -145,7 +161,7 @@ def as_worker(arguments: list[str]) -> int:
     """Be a worker that tells in a file where its time went: before each answer, for it may be ended after any."""
     began, clock = time.time(), Clock()
     with clock.stage(START):
-        from generator import worker
+        from generator.blender import worker
     before = began - float(os.environ[STARTED])
     write_text, role = Path.write_text, "plan" if arguments[0] == "plan" else "first"
     clock.watch()
@@ -175,7 +191,8 @@ def as_coordinator(arguments: list[str]) -> int:
     """Run the command line, its workers replaced by those that tell their times."""
     began, clock = time.time(), Clock()
     with clock.stage(START):
-        from generator import cli, sweep
+        from generator.cli import main as cli
+        from generator.jobs import sweep
     before = began - float(os.environ[STARTED])
     write_text, start = Path.write_text, subprocess.Popen
     clock.watch()

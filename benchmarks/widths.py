@@ -19,7 +19,7 @@ from typing import Any
 
 import numpy as np
 
-from generator.dataset import csv_text, write_text
+from generator.sets.dataset import csv_text, write_text
 
 MODES: dict[str, Any] = {"none": set(), "contract": {"contract"}, "all": True}
 WIDTHS = ("float64", "float32")
@@ -32,7 +32,7 @@ def cases() -> list[tuple[str, Any, Any, Any]]:
     """Return name, world, position and rotation of every extreme."""
     import scenes
 
-    from generator import spec
+    from generator.model import spec
     from generator.transport.world import Sphere
 
     def bare(kind: str = "sphere", pixels: int = 32, **changes: Any) -> Any:

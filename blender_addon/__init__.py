@@ -7,22 +7,13 @@ from typing import Any
 
 
 def _modules() -> tuple[Any, ...]:
-    from . import (
-        answer,
-        background,
-        caption,
-        dataset,
-        files,
-        looking,
-        menus,
-        operators,
-        overlay,
-        panels,
-        properties,
-        translations,
-    )
+    from . import handlers
+    from .operators import answer, dataset, scene
+    from .session import background
+    from .ui import menus, panels, properties, translations
+    from .view import caption, live, overlay
 
-    rest = (background, operators, dataset, answer, menus, panels, overlay, looking, caption, files, translations)
+    rest = (background, scene, dataset, answer, menus, panels, overlay, live, caption, handlers, translations)
     return (properties, *rest)
 
 

@@ -15,9 +15,12 @@ if __name__ == "__main__":  # a script given to Blender finds its package only b
 
 import bpy
 
-from generator import cli, links, sweep, worker
-from generator.dataset import Dataset, PoseRecord
-from generator.spec import AUTO, NlosError
+from generator.blender import worker
+from generator.cli import main as cli
+from generator.jobs import sweep
+from generator.model.spec import AUTO, NlosError
+from generator.sets import links
+from generator.sets.dataset import Dataset, PoseRecord
 
 
 def run(arguments: list[str]) -> int:

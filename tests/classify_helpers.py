@@ -7,11 +7,12 @@ from dataclasses import replace
 import numpy as np
 import worlds
 
-from classify.atlas import Atlas
-from generator import bulk, poses, spec
-from generator.dataset import BACKGROUND, Dataset, PoseRecord
-from generator.sensor import Sensor
-from generator.spec import Sweep, preset
+from classify.inference.atlas import Atlas
+from classify.pictures.sensor import Sensor
+from generator.model import poses, spec
+from generator.model.spec import Sweep, preset
+from generator.sets import bulk
+from generator.sets.dataset import BACKGROUND, Dataset, PoseRecord
 from generator.transport import Sphere, Transport
 
 SIZE = 12

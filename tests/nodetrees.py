@@ -5,7 +5,7 @@ from __future__ import annotations
 import bpy
 import radiometry
 
-from generator import stage
+from generator.blender.scene import stage
 
 WHITE = (1.0, 1.0, 1.0, 1.0)
 

@@ -7,7 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from generator.spec import Camera, Room, Scene, Spot, Target, VoxelGrid, Wall
+from generator.model.spec import Camera, Room, Scene, Spot, Target, VoxelGrid, Wall
 
 
 def bare_scene(**changes):

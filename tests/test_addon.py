@@ -16,7 +16,7 @@ from typing import Any
 
 import pytest
 
-from blender_addon import build
+from blender_addon.packaging import build
 
 ROOT = Path(__file__).resolve().parent.parent
 
@@ -89,7 +89,12 @@ def blender(package: Path, folder: Path, script: str, *, without: str = "_") -> 
 def test_zip_holds_what_is_needed_and_no_more(package: Path) -> None:
     with zipfile.ZipFile(package) as archive:
         sources = {n: archive.read(n).decode() for n in archive.namelist()}
-    wanted = ("__init__.py", "generator/stage.py", "generator/engines.py", "generator/transport/world.py")
+    wanted = (
+        "__init__.py",
+        "generator/blender/scene/stage.py",
+        "generator/blender/engines/engines.py",
+        "generator/transport/world.py",
+    )
     assert {"blender_manifest.toml", "generator/transport/__init__.py", *wanted} <= set(sources)
     unwanted = ("tests", "__pycache__", "classify", "build.py", "cli.py", "bulk.py", ".whl")
     assert not [n for n in sources if any(word in n for word in unwanted)]
@@ -105,7 +110,7 @@ def test_zip_holds_what_is_needed_and_no_more(package: Path) -> None:
 
 
 def test_command_line_builds(package: Path, tmp_path: Path) -> None:
-    command = [sys.executable, "-m", "blender_addon.build", "-o", str(tmp_path / "new" / "dist")]
+    command = [sys.executable, "-m", "blender_addon.packaging.build", "-o", str(tmp_path / "new" / "dist")]
     done = subprocess.run(command, capture_output=True, text=True, cwd=ROOT, check=True)
     assert Path(done.stdout.strip()).name == package.name
 
@@ -120,29 +125,39 @@ def test_manifest() -> None:
 
 def test_absolute_import_is_refused(tmp_path: Path) -> None:
     source = tmp_path / "module.py"
-    source.write_text("def f():\n    import generator.spec\n")
-    with pytest.raises(build.BuildError, match=r"import generator\.spec"):
-        build._copy(source, tmp_path / "copy.py", ".")
+    source.write_text("def f():\n    import generator.model.spec\n")
+    with pytest.raises(build.BuildError, match=r"import generator\.model\.spec"):
+        build._copy(source, tmp_path, Path("copy.py"))
 
 
 @pytest.mark.parametrize(
-    ("line", "in_addon", "in_generator"),
+    ("line", "module", "in_addon", "in_generator"),
     [
-        ("from generator import a, b", "from .generator import a, b", "from . import a, b"),
-        ("from generator.a import b", "from .generator.a import b", "from .a import b"),
-        ("if 1:\n    from generator.a import b", None, "if 1:\n    from .a import b"),
+        (
+            "from generator import sets",
+            "sets/__init__",
+            "from .generator import sets",
+            "from ..generator import sets",
+        ),
+        ("from generator.files import exr", "files/exr", "from .generator.files import exr", None),
+        ("from generator.files.exr import read", "files/exr", "from .generator.files.exr import read", None),
+        (
+            "if 1:\n    from generator.files import exr",
+            "files/exr",
+            None,
+            "if 1:\n    from ..generator.files import exr",
+        ),
     ],
 )
-def test_imports_become_relative(tmp_path: Path, line: str, in_addon: str | None, in_generator: str) -> None:
-    source, copy = tmp_path / "module.py", tmp_path / "copy.py"
+def test_imports_become_relative(
+    tmp_path: Path, line: str, module: str, in_addon: str | None, in_generator: str | None
+) -> None:
+    source = tmp_path / "module.py"
     source.write_text(line)
-    if in_addon:
-        build._copy(source, copy, ".generator")
-        assert copy.read_text() == in_addon
-    assert "a" in build._copy(source, copy, ".")
-    assert copy.read_text() == in_generator
-    assert "a" in build._copy(source, copy, "..")
-    assert copy.read_text() == in_generator.replace("from .", "from ..")
+    for place, wanted in (("copy.py", in_addon), ("generator/copy.py", in_generator)):
+        assert Path("generator", f"{module}.py") in build._copy(source, tmp_path, Path(place))
+        if wanted:
+            assert (tmp_path / place).read_text() == wanted
 
 
 def test_operator_builds_what_the_api_builds(package: Path, tmp_path: Path) -> None:

@@ -5,13 +5,17 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from generator import bulk, engines, extract, poses, stage, worker
-from generator import simulated as simulations
-from generator.clearance import clearance
-from generator.dataset import Dataset
-from generator.spec import NlosError, Sweep, preset
+from generator.blender import worker
+from generator.blender.engines import engines, extract
+from generator.blender.scene import stage
+from generator.blender.scene.clearance import clearance
+from generator.model import poses
+from generator.model.spec import NlosError, Sweep, preset
+from generator.sets import bulk
+from generator.sets import simulated as simulations
+from generator.sets.dataset import Dataset
 from generator.transport import AmbientLight, Mesh, Sphere, Transport, ambient
-from generator.transport.store import load_world, save_world, world_hash
+from generator.transport.world_file import load_world, save_world, world_hash
 from tests import worlds
 
 

@@ -9,7 +9,10 @@ import numpy as np
 import pytest
 from nodetrees import WHITE, bare, node, output, tree_of
 
-from generator import dataset, engines, stage, worker
+from generator.blender import worker
+from generator.blender.engines import engines
+from generator.blender.scene import stage
+from generator.sets import dataset
 
 
 def emission(tree):

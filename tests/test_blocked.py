@@ -18,8 +18,8 @@ import pytest
 from conftest import ROOT
 from conftest import TINY as SHARED
 
-from blender_addon import build
-from generator.dataset import Dataset
+from blender_addon.packaging import build
+from generator.sets.dataset import Dataset
 
 LACKING = {
     *("scipy", "numba", "embreex", "h5py", "OpenEXR", "cv2", "sklearn", "mahotas", "matplotlib", "rich"),

@@ -9,11 +9,11 @@ import pytest
 from classify_helpers import make_bulk, plain_atlas
 from scipy.stats import norm
 
-from classify import atlas as atlases
-from classify import bound
-from classify.localise import Synthesis
-from generator.sensor import Sensor
-from generator.spec import NlosError, VoxelGrid
+from classify.inference import atlas as atlases
+from classify.inference import bound
+from classify.inference.posterior import Synthesis
+from classify.pictures.sensor import Sensor
+from generator.model.spec import NlosError, VoxelGrid
 from generator.transport import Transport
 
 PLACE, TURN = np.array([0.8, 0.9, 0.1]), np.zeros(3)

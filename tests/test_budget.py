@@ -11,11 +11,11 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from generator import budget
-from generator.budget import Measured
-from generator.dataset import Dataset
-from generator.spec import NlosError
-from generator.tradeoff import differences
+from generator.jobs import budget
+from generator.jobs.budget import Measured
+from generator.measure.tradeoff import differences
+from generator.model.spec import NlosError
+from generator.sets.dataset import Dataset
 
 PATCH = Measured("patch", 9, start=5.0, fixed=0.01, slope=0.002, power=1.0, noise=20.0, workers=2.0)
 SURFEL = Measured("surfel", 9, start=4.0, fixed=0.002, slope=0.001, power=0.5, noise=0.0, workers=2.0)

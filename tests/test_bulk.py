@@ -19,12 +19,15 @@ import numpy as np
 import pytest
 from conftest import ROOT
 
-from generator import bulk, cli, poses, spec, transport
-from generator.bulk import Bulk, Settings
-from generator.dataset import Dataset
-from generator.spec import NlosError, Sweep, preset, to_dict
-from generator.transport.store import load_world, save_world, world_hash
+from generator import transport
+from generator.cli import main as cli
+from generator.model import poses, spec
+from generator.model.spec import NlosError, Sweep, preset, to_dict
+from generator.sets import bulk
+from generator.sets.bulk import Bulk, Settings
+from generator.sets.dataset import Dataset
 from generator.transport.world import LitPatch, Mesh, Sphere, Watched, World
+from generator.transport.world_file import load_world, save_world, world_hash
 
 GRID = preset("room").grid
 SHEET = np.array([(x, 0.0, z) for x in (-0.2, 0.2) for z in (-0.2, 0.2)])

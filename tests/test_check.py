@@ -10,10 +10,13 @@ import pytest
 from mathutils import Matrix
 from numpy.testing import assert_allclose
 
-from generator import adopt, check, engines, experiments, stage, worker
-from generator.check import ERROR, GOOD, NOTE, WARNING
-from generator.dataset import read_picture
-from generator.spec import NlosError, Sweep, preset
+from generator.blender import check, worker
+from generator.blender.check import ERROR, GOOD, NOTE, WARNING
+from generator.blender.engines import engines
+from generator.blender.measure import experiment
+from generator.blender.scene import adopt, stage
+from generator.model.spec import NlosError, Sweep, preset
+from generator.sets.dataset import read_picture
 
 
 def built(name="room", target="sheet"):
@@ -278,7 +281,7 @@ def test_roles_that_cannot_be(role, name, words):
 def test_experiments_show_what_moves_and_what_does_not():
     """The sheet turned about its own normal, y, changes nothing worth the name; along y it changes most."""
     scene = built("tabletop")
-    pictures = {number: experiments.draw(scene, number, pixels=16) for number in (1, 2, 3)}
+    pictures = {number: experiment.draw(scene, number, pixels=16) for number in (1, 2, 3)}
     for picture in pictures.values():
         assert picture.shape == (48, 80, 3)
         assert not picture[:, 32:48].any(), "at rest"
@@ -292,7 +295,7 @@ def test_experiments_show_what_moves_and_what_does_not():
     about_x, about_y, about_z = change(3)
     assert about_y < 0.1 * min(about_x, about_z)
     with pytest.raises(NlosError, match="there is none"):
-        experiments.draw(scene, 4)
+        experiment.draw(scene, 4)
 
 
 # Over voxel E, whence one sees past the partition to the wall; beside the camera, whence no voxel is seen.

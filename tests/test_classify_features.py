@@ -7,11 +7,11 @@ from classify_helpers import make_dataset
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from classify import store
-from classify.features import FeatureSettings, describe, feature_names, tone_map
-from generator.dataset import read_picture, write_picture
-from generator.sensor import Sensor
-from generator.spec import NlosError
+from classify.pictures import feature_table
+from classify.pictures.features import FeatureSettings, describe, feature_names, tone_map
+from classify.pictures.sensor import Sensor
+from generator.model.spec import NlosError
+from generator.sets.dataset import read_picture, write_picture
 
 SETS = ["global", "spatial-hog"]
 
@@ -131,9 +131,9 @@ def test_histogram_shares_add_up_to_one_per_channel():
 
 def test_features_survive_hdf5(tmp_path):
     dataset = make_dataset(tmp_path / "d", n=2)
-    features = store.extract(dataset, FeatureSettings())
-    store.write(tmp_path / "f.h5", features)
-    back = store.read(tmp_path / "f.h5")
+    features = feature_table.extract(dataset, FeatureSettings())
+    feature_table.write(tmp_path / "f.h5", features)
+    back = feature_table.read(tmp_path / "f.h5")
     np.testing.assert_array_equal(back.values, features.values)
     np.testing.assert_array_equal(back.labels, features.labels)
     np.testing.assert_array_equal(back.positions, [r.position for r in dataset.records])
@@ -143,28 +143,28 @@ def test_features_survive_hdf5(tmp_path):
 
 
 def test_features_files_from_elsewhere_are_refused(tmp_path):
-    features = store.extract(make_dataset(tmp_path / "d", n=1), FeatureSettings())
-    store.write(tmp_path / "f.h5", features)
+    features = feature_table.extract(make_dataset(tmp_path / "d", n=1), FeatureSettings())
+    feature_table.write(tmp_path / "f.h5", features)
     with h5py.File(tmp_path / "f.h5", "a") as file:
         file.attrs["format"] = 2
     with pytest.raises(NlosError, match="features format 2"):
-        store.read(tmp_path / "f.h5")
+        feature_table.read(tmp_path / "f.h5")
     with h5py.File(tmp_path / "f.h5", "a") as file:
         file.attrs["format"] = 1
         del file["voxel"]
         file["voxel"] = h5py.ExternalLink("other.h5", "/voxel")
     with pytest.raises(NlosError, match="is a link to somewhere else"):
-        store.read(tmp_path / "f.h5")
+        feature_table.read(tmp_path / "f.h5")
     (tmp_path / "text.h5").write_text("hello")
     with pytest.raises(NlosError, match="is not a features file"):
-        store.read(tmp_path / "text.h5")
+        feature_table.read(tmp_path / "text.h5")
 
 
 def test_an_unfinished_data_set_is_taken_only_when_asked(tmp_path):
     dataset = make_dataset(tmp_path / "d", n=2, skip=3)
     with pytest.raises(NlosError, match="only 15 of 18 pictures"):
-        store.extract(dataset, FeatureSettings())
-    assert len(store.extract(dataset, FeatureSettings(), partial=True).values) == 15
+        feature_table.extract(dataset, FeatureSettings())
+    assert len(feature_table.extract(dataset, FeatureSettings(), partial=True).values) == 15
 
 
 def test_a_picture_altered_after_rendering_is_refused(tmp_path):
@@ -173,25 +173,26 @@ def test_a_picture_altered_after_rendering_is_refused(tmp_path):
     pixels, header = read_picture(file)
     write_picture(file, pixels * 2, header)
     with pytest.raises(NlosError, match=r"C/0000\.exr: its pixels differ"):
-        store.extract(dataset, FeatureSettings())
+        feature_table.extract(dataset, FeatureSettings())
 
 
 def test_features_of_what_a_sensor_saw(tmp_path, command):
     """The same seed sees the same noise; sets that different sensors saw are not compared."""
     dataset = make_dataset(tmp_path / "d", n=2)
     clean, noisy, again = (
-        store.extract(dataset, FeatureSettings(), sensor=sensor, seed=4) for sensor in (None, Sensor(), Sensor())
+        feature_table.extract(dataset, FeatureSettings(), sensor=sensor, seed=4)
+        for sensor in (None, Sensor(), Sensor())
     )
     assert not np.array_equal(clean.values, noisy.values)
     assert np.array_equal(noisy.values, again.values)
     assert noisy.provenance["sensor"]["exposure"] > 0.0
-    many = store.extract(dataset, FeatureSettings(), sensor=Sensor(frames=9))
+    many = feature_table.extract(dataset, FeatureSettings(), sensor=Sensor(frames=9))
     with pytest.raises(NlosError, match="were seen by different sensors"):
-        store.check_comparable(noisy, many, ("a.h5", "b.h5"))
-    store.check_comparable(noisy, again, ("a.h5", "b.h5"))
+        feature_table.check_comparable(noisy, many, ("a.h5", "b.h5"))
+    feature_table.check_comparable(noisy, again, ("a.h5", "b.h5"))
     done = command("classify", "features", tmp_path / "d", "-o", tmp_path / "f.h5", "--sensor", "default")
     assert done.returncode == 0, done.stderr
-    assert store.read(tmp_path / "f.h5").provenance["sensor"]["frames"] == 1
+    assert feature_table.read(tmp_path / "f.h5").provenance["sensor"]["frames"] == 1
     done = command("classify", "features", tmp_path / "d", "-o", tmp_path / "g.h5", "--frames", 0)
     assert (done.returncode, (tmp_path / "g.h5").exists()) == (2, False)
     assert "sensor.frames: 0 must be 1 or more" in done.stderr

@@ -11,14 +11,16 @@ import pytest
 import skops.io
 from classify_helpers import make_dataset
 
-from classify import cli, evaluate, models, store
-from classify.features import FeatureSettings, describe
-from generator.spec import NlosError
+from classify.classifiers import evaluate, models
+from classify.cli import main
+from classify.pictures import feature_table
+from classify.pictures.features import FeatureSettings, describe
+from generator.model.spec import NlosError
 
 
 @pytest.fixture(scope="module")
 def features(tmp_path_factory):
-    return store.extract(make_dataset(tmp_path_factory.mktemp("h") / "d", n=4), FeatureSettings())
+    return feature_table.extract(make_dataset(tmp_path_factory.mktemp("h") / "d", n=4), FeatureSettings())
 
 
 @pytest.fixture(autouse=True)
@@ -81,9 +83,9 @@ def test_duplicate_pictures_are_counted_and_told(features, tmp_path, capsys):
     values[1] = values[2] = values[0]
     doubled = replace(features, values=values)
     assert doubled.duplicates == 2
-    store.write(tmp_path / "f.h5", doubled)
+    feature_table.write(tmp_path / "f.h5", doubled)
     arguments = ["compare", str(tmp_path / "f.h5"), "-o", str(tmp_path / "r"), "--folds", "2", "--settings", "paper"]
-    assert cli.main(arguments) == 0
+    assert main.main(arguments) == 0
     assert "2 of 36 pictures" in capsys.readouterr().err
     assert "2 of 36 pictures" in (tmp_path / "r" / "report.html").read_text(encoding="utf-8")
 
@@ -110,10 +112,10 @@ def spoil(path, name, value):
     ],
 )
 def test_inconsistent_features_files_are_refused(features, tmp_path, name, value, words):
-    store.write(tmp_path / "f.h5", features)
+    feature_table.write(tmp_path / "f.h5", features)
     spoil(tmp_path / "f.h5", name, value)
     with pytest.raises(NlosError, match=rf"f\.h5: .*{words}"):
-        store.read(tmp_path / "f.h5")
+        feature_table.read(tmp_path / "f.h5")
 
 
 @pytest.mark.parametrize("kind", ["external", "virtual"])
@@ -121,7 +123,7 @@ def test_features_that_lie_in_another_file_are_not_followed(features, tmp_path, 
     """HDF5 can keep a data set's bytes in any file of the machine: such a file is not read."""
     secret = tmp_path / "secret"
     secret.write_bytes(features.values.tobytes())
-    store.write(tmp_path / "f.h5", features)
+    feature_table.write(tmp_path / "f.h5", features)
     with h5py.File(tmp_path / "f.h5", "a") as file:
         shape = file["features"].shape
         del file["features"]
@@ -132,7 +134,7 @@ def test_features_that_lie_in_another_file_are_not_followed(features, tmp_path, 
             layout[:] = h5py.VirtualSource(str(tmp_path / "other.h5"), "x", shape)
             file.create_virtual_dataset("features", layout)
     with pytest.raises(NlosError, match="features lies in another file"):
-        store.read(tmp_path / "f.h5")
+        feature_table.read(tmp_path / "f.h5")
 
 
 @pytest.mark.parametrize(
@@ -172,13 +174,13 @@ def test_every_tuned_model_is_saved_and_loaded(features, tmp_path, name):
 
 @pytest.mark.parametrize("command", ["features", "compare", "train"])
 def test_output_that_cannot_be_written_is_told_before_the_work(tmp_path, capsys, monkeypatch, command):
-    monkeypatch.setattr(store, "read", lambda *_: pytest.fail("worked first"))
-    monkeypatch.setattr(store, "extract", lambda *_, **__: pytest.fail("worked first"))
+    monkeypatch.setattr(feature_table, "read", lambda *_: pytest.fail("worked first"))
+    monkeypatch.setattr(feature_table, "extract", lambda *_, **__: pytest.fail("worked first"))
     (tmp_path / "file").write_text("")
     (tmp_path / "folder").mkdir()
     make_dataset(tmp_path / "d", n=1)
     taken = tmp_path / ("file" if command == "compare" else "folder")
-    assert cli.main([command, str(tmp_path / "d"), "-o", str(taken)]) == 2
+    assert main.main([command, str(tmp_path / "d"), "-o", str(taken)]) == 2
     assert capsys.readouterr().err.startswith(f"error: {taken}: ")
 
 

@@ -9,10 +9,12 @@ import pytest
 import skops.io
 from classify_helpers import make_dataset
 
-from classify import evaluate, models, report, store
-from classify.features import FeatureSettings
-from generator.dataset import pixel_hash, read_picture
-from generator.spec import NlosError, VoxelGrid, preset
+from classify.classifiers import evaluate, models
+from classify.pictures import feature_table
+from classify.pictures.features import FeatureSettings
+from classify.report import comparison
+from generator.model.spec import NlosError, VoxelGrid, preset
+from generator.sets.dataset import pixel_hash, read_picture
 
 QUICK = ("LDA", "SVM", "NB")
 
@@ -22,7 +24,7 @@ def pair(tmp_path_factory):
     """Features of a sheet's and a sphere's data set."""
     folder = tmp_path_factory.mktemp("pair")
     return [
-        store.extract(make_dataset(folder / target, target=target, seed=i), FeatureSettings())
+        feature_table.extract(make_dataset(folder / target, target=target, seed=i), FeatureSettings())
         for i, target in enumerate(("sheet", "sphere"))
     ]
 
@@ -31,7 +33,7 @@ def pair(tmp_path_factory):
 def files(pair, tmp_path_factory):
     folder = tmp_path_factory.mktemp("files")
     for features in pair:
-        store.write(folder / f"{features.target}.h5", features)
+        feature_table.write(folder / f"{features.target}.h5", features)
     return folder
 
 
@@ -169,7 +171,7 @@ def test_report_is_one_page_that_needs_nothing_else(pair, tmp_path):
     results = evaluate.compare(pair, ["<i>.h5", "b.h5"], classifiers=QUICK, settings=["paper"], folds=3)
     (tmp_path / "report").mkdir()
     (tmp_path / "report" / "mine.txt").write_text("keep")
-    page = report.write(tmp_path / "report", results, pair, ["<i>.h5", "b.h5"], 3)
+    page = comparison.write(tmp_path / "report", results, pair, ["<i>.h5", "b.h5"], 3)
     text = page.read_text()
     assert "<i>.h5" not in text, "names are escaped"
     assert "&lt;i&gt;.h5" in text
@@ -184,9 +186,9 @@ def test_report_is_one_page_that_needs_nothing_else(pair, tmp_path):
 
 def test_report_of_many_voxels(tmp_path):
     grid = VoxelGrid(lo=(0.8, 0.4, 0.4), hi=(2.3, 1.9, 2.2), shape=(4, 3, 3))
-    features = store.extract(make_dataset(tmp_path / "d", n=4, grid=grid), FeatureSettings())
+    features = feature_table.extract(make_dataset(tmp_path / "d", n=4, grid=grid), FeatureSettings())
     results = evaluate.compare([features], ["d"], classifiers=("NB",), settings=["paper"], folds=3)
-    page = report.write(tmp_path / "r", results, [features], ["d"], 3)
+    page = comparison.write(tmp_path / "r", results, [features], ["d"], 3)
     assert "AJ" in page.read_text()
 
 
@@ -206,7 +208,7 @@ def test_confused_voxels_are_told_by_how_they_lie():
         train_seconds=0,
         predict_seconds=0,
     )
-    pairs = report.confusions(result, preset("room").grid)
+    pairs = comparison.confusions(result, preset("room").grid)
     assert pairs[0] == ("G", "H", 5, "1 voxel apart along the wall")
     assert pairs[1] == ("A", "D", 3, "1 voxel apart in distance from the wall")
     assert pairs[2][3] == "1 voxel apart along the wall and 1 voxel apart in distance from the wall"
@@ -249,7 +251,7 @@ def test_commands_from_data_set_to_answer(tmp_path, command):
 
 def with_nan(path):
     """Put a NaN into a picture of a data set, hash and all, as a broken renderer would."""
-    from generator import exr
+    from generator.files import exr
 
     file = path / "A" / "0000.exr"
     pixels, header = read_picture(file)
@@ -309,9 +311,11 @@ def broken(tmp_path_factory):
     cut = folder / "cut" / "A" / "0000.exr"
     cut.write_bytes(cut.read_bytes()[:-9])
     other = VoxelGrid(lo=(0.8, 0.4, 0.4), hi=(2.3, 1.9, 2.2), shape=(3, 3, 2))
-    store.write(folder / "good.h5", store.extract(good, FeatureSettings()))
-    store.write(folder / "hog.h5", store.extract(good, FeatureSettings(set="spatial-hog")))
-    store.write(folder / "other.h5", store.extract(make_dataset(folder / "o", n=2, grid=other), FeatureSettings()))
+    feature_table.write(folder / "good.h5", feature_table.extract(good, FeatureSettings()))
+    feature_table.write(folder / "hog.h5", feature_table.extract(good, FeatureSettings(set="spatial-hog")))
+    feature_table.write(
+        folder / "other.h5", feature_table.extract(make_dataset(folder / "o", n=2, grid=other), FeatureSettings())
+    )
     return folder
 
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 from conftest import TINY
 
-from generator.dataset import Dataset
+from generator.sets.dataset import Dataset
 
 
 def hashes(path):

@@ -11,8 +11,8 @@ import sys
 import pytest
 from conftest import ROOT, TINY
 
-from classify import cli as classify_cli
-from generator import cli as generate_cli
+from classify.cli import main as classify_cli
+from generator.cli import main as generate_cli
 
 GONE, FULL = 141, "error: standard output cannot be written (No space left on device)\n"
 ENVIRONMENT = {**os.environ, "PYTHONPATH": str(ROOT)}

@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 import worlds
 
-from generator import effects
-from generator.transport import Sphere, Transport, partial
-from generator.transport.partial import PATCH, SHADOW
+from generator.measure import effects
+from generator.transport import Sphere, Transport, left_out
+from generator.transport.left_out import PATCH, SHADOW
 
 FLOOR = worlds.quad((-2.0, 0.0, -1.0), (4.0, 0.0, 0.0), (0.0, 3.0, 0.0), 0.8)
 FAR = worlds.quad((5.0, 8.0, -1.0), (0.1, 0.0, 0.0), (0.0, 0.0, 0.1), 0.5)
@@ -31,7 +31,7 @@ def variant(whole, names):
 
     def without(dropped):
         room = tuple(mesh for mesh, name in zip(whole.room, names, strict=True) if name not in dropped)
-        return partial.without(dataclasses.replace(whole, room=room), dropped)
+        return left_out.without(dataclasses.replace(whole, room=room), dropped)
 
     return without
 

@@ -9,9 +9,11 @@ import bpy
 import numpy as np
 import pytest
 
-from generator import experiments, poses, spec, stage
-from generator.dataset import read_picture
-from generator.experiments import Experiment
+from generator.blender.measure import experiment
+from generator.blender.measure.experiment import Experiment
+from generator.blender.scene import stage
+from generator.model import poses, spec
+from generator.sets.dataset import read_picture
 
 
 def made(repeats, noise, seed=0, size=24):
@@ -67,10 +69,10 @@ def test_both_engines_see_the_same():
     """Cycles' pictures of experiment 2 on the tabletop change as the integral's do, within their interval."""
     scene = stage.new_file()
     stage.build(scene, spec.preset("tabletop"))
-    exact = experiments.run(scene, 2, "sheet", pixels=12)
+    exact = experiment.run(scene, 2, "sheet", pixels=12)
     scene.world.node_tree.nodes["Background"].inputs["Color"].default_value = (1e-9, 1e-9, 1e-9, 1.0)
     scene.world.node_tree.nodes["Background"].inputs["Strength"].default_value = 1.0
-    sampled = experiments.run(scene, 2, "sheet", pixels=12, samples=256, repeats=5)
+    sampled = experiment.run(scene, 2, "sheet", pixels=12, samples=256, repeats=5)
     assert (exact.engine, sampled.engine) == ("surfel", "patch")
     for (truth, _), (value, half) in zip(exact.changes(), sampled.changes(), strict=True):
         assert abs(value - truth) < 2.0 * half

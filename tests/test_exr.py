@@ -8,9 +8,9 @@ import pytest
 from hypothesis import HealthCheck, example, given, settings
 from hypothesis import strategies as st
 
-from generator import bombs, exr
-from generator.dataset import pixel_hash, read_picture, write_picture
-from generator.spec import NlosError
+from generator.files import exr, limits
+from generator.model.spec import NlosError
+from generator.sets.dataset import pixel_hash, read_picture, write_picture
 
 
 def random_picture(height, width, seed=0):
@@ -106,8 +106,8 @@ def test_what_a_header_claims_is_held_against_the_files_size(tmp_path, monkeypat
     else:
         exr.write(path, dict.fromkeys("RGB" if kind == "scanlines" else "RGBCDEFG", zeros), {})
     read_picture(path)
-    monkeypatch.setattr(bombs, "MUCH", 2**10)
-    monkeypatch.setattr(bombs, "MOST", 2)
+    monkeypatch.setattr(limits, "MUCH", 2**10)
+    monkeypatch.setattr(limits, "MOST", 2)
     with pytest.raises(NlosError, match="it claims 64 x 64 pixels in"):
         read_picture(path)
 

@@ -16,8 +16,10 @@ import radiometry
 from bpy_extras.object_utils import world_to_camera_view
 from mathutils import Matrix, Vector
 
-from generator import engines, extract, spec, stage
-from generator.spec import NlosError, preset
+from generator.blender.engines import engines, extract
+from generator.blender.scene import stage
+from generator.model import spec
+from generator.model.spec import NlosError, preset
 from generator.transport.world import Mesh, Sphere
 
 CORNERS = np.array([[0.0, 0.0], [1.0, 0.0], [1.0, 1.0], [0.0, 1.0]])

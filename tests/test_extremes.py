@@ -8,12 +8,14 @@ import numpy as np
 import pytest
 from classify_helpers import colour, make_bulk, plain_atlas
 
-from classify import atlas as atlases
-from classify import bound, detect, evaluate, learning, localise, models, store, track
-from classify.features import FeatureSettings, describe
-from classify.physics import PhysicsFeatures, Setup
-from generator.sensor import Sensor
-from generator.spec import NlosError, VoxelGrid, preset
+from classify.classifiers import curves, evaluate, models
+from classify.inference import atlas as atlases
+from classify.inference import bound, detect, posterior, tracker
+from classify.pictures import feature_table
+from classify.pictures.features import FeatureSettings, describe
+from classify.pictures.physics import PhysicsFeatures, Setup
+from classify.pictures.sensor import Sensor
+from generator.model.spec import NlosError, VoxelGrid, preset
 
 
 @pytest.fixture(scope="module")
@@ -24,7 +26,7 @@ def simulated(tmp_path_factory):
 def answers(found, pictures, background=None, seed=0):
     rng = np.random.default_rng(seed)
     seen = [found.code(found.sensor.measure(colour(p), rng), background) for p in pictures]
-    return [localise.locate(found, code) for code in seen]
+    return [posterior.locate(found, code) for code in seen]
 
 
 @pytest.mark.parametrize("factor", [1e-20, 1e20])
@@ -95,7 +97,7 @@ def test_one_voxel_and_a_thousand(shape):
     assert best.accuracy.high >= neighbour
     assert best.error.high < 0.01
     assert len(best.by_voxel) == grid.n_voxels
-    step = track.Filter(found, step=0.05).update((300.0 * places[7]).astype(np.float32))
+    step = tracker.Filter(found, step=0.05).update((300.0 * places[7]).astype(np.float32))
     assert step.voxels.argmax() == voxels[7]
 
 
@@ -115,7 +117,7 @@ def many_classes(features, classes, each):
 def features(tmp_path_factory):
     from classify_helpers import make_dataset
 
-    return store.extract(make_dataset(tmp_path_factory.mktemp("f") / "d", n=3), FeatureSettings())
+    return feature_table.extract(make_dataset(tmp_path_factory.mktemp("f") / "d", n=3), FeatureSettings())
 
 
 @pytest.mark.parametrize("name", ["LDA", "KNN", "CART", "RF", "SVM", "NB"])
@@ -123,7 +125,7 @@ def features(tmp_path_factory):
 def test_classifiers_take_a_thousand_voxels(features, name):
     # Of SVMs there is one for every pair of classes: of a thousand, half a million.
     many = many_classes(features, {"SVM": 100, "RF": 200}.get(name, 1000), 4)
-    point = learning.curves(many, classifiers=[name], counts=[3 * len(np.unique(many.labels))])[0]
+    point = curves.curves(many, classifiers=[name], counts=[3 * len(np.unique(many.labels))])[0]
     assert point.accuracy.value > 0.3, "a thousand times chance"
 
 
@@ -132,7 +134,7 @@ def test_one_class_is_one_sentence(features):
     with pytest.raises(NlosError, match="only one class"):
         evaluate.compare([one], ["one.h5"], folds=2)
     with pytest.raises(NlosError, match="only one class"):
-        learning.curves(one)
+        curves.curves(one)
     with pytest.raises(NlosError, match="only one class"):
         models.train(one, "SVM", "paper")
 
@@ -140,7 +142,7 @@ def test_one_class_is_one_sentence(features):
 def test_voxels_of_copies_are_one_sentence(features):
     """Linear discriminant analysis divides by how a voxel's pictures vary; no one can learn it from copies."""
     copies = dataclasses.replace(features, values=np.repeat(features.voxels[:, None], 5, axis=1).astype(float))
-    for fit in (lambda: models.train(copies, "LDA", "paper"), lambda: learning.curves(copies)):
+    for fit in (lambda: models.train(copies, "LDA", "paper"), lambda: curves.curves(copies)):
         with pytest.raises(NlosError, match="pictures of each voxel all have the same features"):
             fit()
 
@@ -162,7 +164,9 @@ def test_a_ball_wider_than_its_voxel(tmp_path):
     found = make_bulk(tmp_path / "wide", pictures=640, shape=(5, 5, 1), radius=0.13, inside="centre")
     assert found.grid.size[0] < 0.26
     atlas = atlases.build(found, Sensor(full_well=100.0), measured_background=False)
-    held = [localise.holds(p, t) for p, t in zip(answers(atlas, found.pictures[:100]), found.positions, strict=False)]
+    held = [
+        posterior.holds(p, t) for p, t in zip(answers(atlas, found.pictures[:100]), found.positions, strict=False)
+    ]
     assert np.mean(held) > 0.85
 
 
@@ -170,7 +174,7 @@ def test_edge_on_and_unlit_objects_are_what_they_look_like_nothing(simulated):
     """A pose that changes nothing has a code of zero: no evidence, no place, no error."""
     codes = np.zeros((50, 4))
     found = plain_atlas(codes, simulated.positions[:50], simulated.voxels[:50], simulated.grid)
-    place = localise.locate(found, np.array([0.3, -1.0, 0.2, 0.8], dtype=np.float32))
+    place = posterior.locate(found, np.array([0.3, -1.0, 0.2, 0.8], dtype=np.float32))
     assert abs(place.evidence) < 1e-6
     np.testing.assert_allclose(place.voxels.sum(), 1.0)
     assert np.isfinite(place.covariance).all()

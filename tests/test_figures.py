@@ -6,8 +6,11 @@ import bpy
 import numpy as np
 import pytest
 
-from generator import engines, spec, stage, worker
-from generator.spec import NlosError
+from generator.blender import worker
+from generator.blender.engines import engines
+from generator.blender.scene import stage
+from generator.model import spec
+from generator.model.spec import NlosError
 
 GOOD = [
     *(f'room.surfaces=["{name}"]' for name in spec.ROOM_SURFACES),

@@ -10,8 +10,9 @@ import pytest
 from nodetrees import WHITE, bare, node, output, paint, tree_of
 from radiometry import floor_room
 
-from generator import coincident, engines, extract, stage
-from generator.spec import NlosError
+from generator.blender.engines import coincident, engines, extract
+from generator.blender.scene import stage
+from generator.model.spec import NlosError
 
 SAMPLES, SEEDS = 16384, 6
 SIGMAS = 4.5

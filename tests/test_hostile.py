@@ -24,21 +24,25 @@ from conftest import ROOT
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
-from classify import atlas, localise, models, store
-from classify.features import FeatureSettings
-from generator import bombs, bulk, simulated, spec
-from generator.dataset import Dataset
-from generator.sensor import Sensor
-from generator.spec import NlosError
-from generator.transport.store import load_world
+from classify.classifiers import models
+from classify.inference import atlas, posterior
+from classify.pictures import feature_table
+from classify.pictures.features import FeatureSettings
+from classify.pictures.sensor import Sensor
+from generator.files import limits
+from generator.model import spec
+from generator.model.spec import NlosError
+from generator.sets import bulk, simulated
+from generator.sets.dataset import Dataset
+from generator.transport.world_file import load_world
 
 
 @pytest.fixture(scope="module")
 def sound(tmp_path_factory):
     """A folder with a sound file of every kind."""
     folder = tmp_path_factory.mktemp("sound")
-    features = store.extract(make_dataset(folder / "set", n=4), FeatureSettings())
-    store.write(folder / "f.h5", features)
+    features = feature_table.extract(make_dataset(folder / "set", n=4), FeatureSettings())
+    feature_table.write(folder / "f.h5", features)
     for name in ("LDA", "CART", "KNN", "SVM"):
         models.save(folder / f"{name}.skops", models.train(features, name, "paper"))
     made = make_bulk(folder / "bulk", pictures=80, resolution=(8, 8))
@@ -101,7 +105,7 @@ def test_spoilt_features_are_refused(copied, spoil, words):
     with h5py.File(path, "r+") as file:
         spoil(file)
     with pytest.raises(NlosError, match=rf"f\.h5: .*({words})"):
-        store.read(path)
+        feature_table.read(path)
 
 
 def rebuilt(path, change):
@@ -113,7 +117,7 @@ def rebuilt(path, change):
 @pytest.mark.parametrize(
     ("reader", "name"),
     [
-        (store.read, "f.h5"),
+        (feature_table.read, "f.h5"),
         (atlas.load, "a.atlas"),
         (models.load, "LDA.skops"),
         (load_world, "bulk/world.npz"),
@@ -123,22 +127,22 @@ def rebuilt(path, change):
 def test_what_a_file_claims_is_held_against_its_size(sound, monkeypatch, reader, name):
     """A sound file claims more than a limit of nothing; with the usual one it is read."""
     reader(sound / name)
-    monkeypatch.setattr(bombs, "MUCH", 0)
-    monkeypatch.setattr(bombs, "MOST", 0)
+    monkeypatch.setattr(limits, "MUCH", 0)
+    monkeypatch.setattr(limits, "MOST", 0)
     with pytest.raises(NlosError, match="claims"):
         reader(sound / name)
 
 
 def test_the_limit_is_a_hundred_times_the_size_and_128_mib_at_least():
-    assert not bombs.excessive(2**27, 1)
-    assert bombs.excessive(2**27 + 1, 2**20)
-    assert not bombs.excessive(2**27 + 1, 2**21)
+    assert not limits.excessive(2**27, 1)
+    assert limits.excessive(2**27 + 1, 2**20)
+    assert not limits.excessive(2**27 + 1, 2**21)
 
 
 @pytest.mark.skipif(sys.platform != "linux", reason="only Linux tells how much memory a process has")
 def test_what_reads_a_file_takes_no_more_memory_than_it_may(copied):
     """Of 40 MB, which are let through and then asked for."""
-    with bombs.limited(2**24):
+    with limits.limited(2**24):
         with pytest.raises(MemoryError):
             np.ones(2**25)
         np.ones(2**10)
@@ -148,7 +152,7 @@ def test_what_reads_a_file_takes_no_more_memory_than_it_may(copied):
         del file["features"]
         file.create_dataset("features", data=np.zeros((40_000, 125)), compression="gzip")
     with pytest.raises(NlosError, match="differ in length"):
-        store.read(path)
+        feature_table.read(path)
     # In a process of its own: one that did much else before has room that it need not ask for.
     script = (
         "import sys; from pathlib import Path; from classify import store\n"
@@ -183,12 +187,12 @@ def test_texts_lie_one_behind_the_other(tmp_path, data, words):
     with pytest.raises(OSError, match=r"[Uu]nable"):  # HDF5 opens none of these
         h5py.File(path)
     if words is None:
-        bombs.check_heaps(path)
+        limits.check_heaps(path)
         return
     with pytest.raises(ValueError, match=words):
-        bombs.check_heaps(path)
+        limits.check_heaps(path)
     with pytest.raises(NlosError, match=words):
-        store.read(path)
+        feature_table.read(path)
 
 
 @pytest.mark.parametrize(
@@ -299,7 +303,7 @@ def test_an_atlas_whose_codes_mean_nothing_gives_a_sentence(copied):
     found = atlas.load(path)
     picture = np.repeat(found.background[..., None], 3, axis=2).astype(np.float32)
     try:
-        place = localise.locate(found, found.code(picture))
+        place = posterior.locate(found, found.code(picture))
     except NlosError:
         return
     assert np.isfinite(place.position).all()
@@ -396,7 +400,7 @@ def test_any_attribute_gives_features_or_a_sentence(sound, tmp_path, name, value
     with h5py.File(path, "r+") as file:
         file.attrs[name] = json.dumps(value)
     try:
-        found = store.read(path)
-        store.check_comparable(found, found, ("a", "b"))
+        found = feature_table.read(path)
+        feature_table.check_comparable(found, found, ("a", "b"))
     except NlosError:
         pass

@@ -15,8 +15,8 @@ from pathlib import Path
 import pytest
 from conftest import TINY
 
-from generator import journal, sweep
-from generator.spec import NlosError
+from generator.jobs import journal, sweep
+from generator.model.spec import NlosError
 
 HANG = "import sys, time; print('nlos {}', flush=True); sys.stdin.readline(); time.sleep({})"
 

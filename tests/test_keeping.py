@@ -5,9 +5,12 @@ from __future__ import annotations
 import bpy
 import pytest
 
-from generator import adopt, check, clearance, engines, extract, spec, stage, worker
-from generator.check import ERROR, NOTE
-from generator.spec import NlosError, preset
+from generator.blender import check, worker
+from generator.blender.check import ERROR, NOTE
+from generator.blender.engines import engines, extract
+from generator.blender.scene import adopt, clearance, stage
+from generator.model import spec
+from generator.model.spec import NlosError, preset
 
 _FACES = [(0, 1, 3, 2), (4, 5, 7, 6), (0, 1, 5, 4), (2, 3, 7, 6), (0, 2, 6, 4), (1, 3, 7, 5)]
 
@@ -161,7 +164,7 @@ def test_many_voxels_are_looked_at_in_part():
 
 
 def test_a_lamp_that_is_no_spot_has_no_patch():
-    from generator import outlines
+    from generator.blender.scene import outlines
 
     scene = built()
     lamp = stage.find(scene, "spot")

@@ -10,14 +10,16 @@ import pytest
 from classify_helpers import make_dataset
 from scipy.stats import norm
 
-from classify import cli, learning, store
-from classify.features import FeatureSettings
-from generator.spec import NlosError
+from classify.classifiers import curves
+from classify.cli import main
+from classify.pictures import feature_table
+from classify.pictures.features import FeatureSettings
+from generator.model.spec import NlosError
 
 
 @pytest.fixture(scope="module")
 def rendered(tmp_path_factory):
-    return store.extract(make_dataset(tmp_path_factory.mktemp("l") / "d", n=4), FeatureSettings())
+    return feature_table.extract(make_dataset(tmp_path_factory.mktemp("l") / "d", n=4), FeatureSettings())
 
 
 @pytest.fixture(autouse=True)
@@ -38,7 +40,7 @@ def two_clouds(rendered, count, seed, distance=2.0):
 
 
 def test_a_classifier_learns_what_can_be_known(rendered):
-    points = learning.curves(
+    points = curves.curves(
         two_clouds(rendered, 3000, 0), two_clouds(rendered, 4000, 1), classifiers=["LDA", "MLP"], counts=[10, 3000]
     )
     assert [(p.classifier, p.count) for p in points] == [("LDA", 10), ("MLP", 10), ("LDA", 3000), ("MLP", 3000)]
@@ -46,13 +48,13 @@ def test_a_classifier_learns_what_can_be_known(rendered):
     for point in points[2:]:
         assert abs(point.accuracy.value - best) < 0.025  # four standard errors of 4000 answers
     assert points[0].accuracy.value < points[2].accuracy.value - 0.02
-    assert len(learning.rows(points)) == 4
+    assert len(curves.rows(points)) == 4
     assert all(1_000 < point.size < 1_000_000 for point in points)
 
 
 def test_fewer_are_among_the_more_and_have_all_classes(rendered):
     features = two_clouds(rendered, 100, 2)
-    order, held = learning._order(features, 0, hold=True)
+    order, held = curves._order(features, 0, hold=True)
     assert len(held) == 20
     assert sorted([*order, *held]) == list(range(100))
     for count in (2, 10, 50):
@@ -65,26 +67,26 @@ def test_fewer_are_among_the_more_and_have_all_classes(rendered):
 )
 def test_numbers_that_cannot_be(rendered, counts, words):
     with pytest.raises(NlosError, match=words):
-        learning.curves(two_clouds(rendered, 100, 3), counts=counts)
+        curves.curves(two_clouds(rendered, 100, 3), counts=counts)
 
 
 def test_a_set_is_not_tested_on_itself(rendered):
     features = two_clouds(rendered, 100, 4)
     with pytest.raises(NlosError, match="shows the pictures of training set"):
-        learning.curves(features, features)
+        curves.curves(features, features)
 
 
 def test_from_the_shell(rendered, tmp_path, capsys):
-    store.write(tmp_path / "a.h5", rendered)
+    feature_table.write(tmp_path / "a.h5", rendered)
     out = tmp_path / "learned"
     command = ["learn", str(tmp_path / "a.h5"), "-o", str(out), "--classifiers", "NB", "KNN", "--counts", "18", "27"]
-    assert cli.main(command) == 0
+    assert main.main(command) == 0
     told = capsys.readouterr().out
     assert "is right most often" in told
     assert "of it, held out" in " ".join(told.split())
     assert {p.name for p in out.iterdir()} == {"learn.csv", "learn.png", "report.html"}
-    assert (out / "learn.csv").read_text().splitlines()[0] == ",".join(learning.HEADINGS).replace(
+    assert (out / "learn.csv").read_text().splitlines()[0] == ",".join(curves.HEADINGS).replace(
         "answer, each", '"answer, each"'
     )
-    assert cli.main([*command[:4], "--classifiers", "GPT"]) == 2
+    assert main.main([*command[:4], "--classifiers", "GPT"]) == 2
     assert "classifier 'GPT': there is none; choose from LR" in capsys.readouterr().err

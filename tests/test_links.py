@@ -12,9 +12,14 @@ import bpy
 import pytest
 from conftest import ROOT, TINY
 
-from generator import engines, links, planning, references, seal, spec, stage, worker
-from generator.dataset import Dataset, file_hash
-from generator.spec import NlosError
+from generator.blender import worker
+from generator.blender.engines import engines
+from generator.blender.measure import planning
+from generator.blender.scene import references, stage
+from generator.model import spec
+from generator.model.spec import NlosError
+from generator.sets import links, seal
+from generator.sets.dataset import Dataset, file_hash
 
 
 @pytest.fixture(autouse=True)

@@ -7,10 +7,10 @@ import pytest
 from classify_helpers import colour, make_bulk
 from scipy import stats
 
-from classify import atlas as atlases
-from classify import localise, strengths
-from generator.sensor import Sensor
-from generator.spec import NlosError
+from classify.inference import atlas as atlases
+from classify.inference import posterior, unknown_object
+from classify.pictures.sensor import Sensor
+from generator.model.spec import NlosError
 
 
 @pytest.fixture(scope="module")
@@ -29,7 +29,7 @@ def places(atlas, unseen, seed=0):
     """Where the unseen poses are found, through the sensor's noise."""
     rng = np.random.default_rng(seed)
     pictures = [atlas.sensor.measure(colour(p), rng) for p in unseen.pictures[:]]
-    return [localise.locate(atlas, atlas.code(picture)) for picture in pictures]
+    return [posterior.locate(atlas, atlas.code(picture)) for picture in pictures]
 
 
 @pytest.mark.parametrize("measured", [False, True])
@@ -79,11 +79,11 @@ def test_the_engines_fit_reaches_the_bound(simulated, unseen, tmp_path, turning)
         simulated = make_bulk(tmp_path / "set", radius=0.0, rotation=angles)
         unseen = make_bulk(tmp_path / "unseen", radius=0.0, rotation=angles, pictures=32, seed=9)
     atlas = atlases.build(simulated, Sensor(frames=100), measured_background=False)
-    synthesis = localise.Synthesis(atlas, unseen.world())
+    synthesis = posterior.Synthesis(atlas, unseen.world())
     rng = np.random.default_rng(4)
     apart = []
     for position, picture in list(zip(unseen.positions, unseen.pictures[:], strict=True))[:32]:
-        fit = localise.polish(synthesis, atlas.code(atlas.sensor.measure(colour(picture), rng)))
+        fit = posterior.polish(synthesis, atlas.code(atlas.sensor.measure(colour(picture), rng)))
         off = fit.position - position
         apart.append(off @ np.linalg.solve(fit.covariance[:3, :3], off) / 3.0)
     low, high = stats.chi2.interval(0.999, 3 * len(apart))
@@ -95,7 +95,7 @@ def test_evidence_speaks_for_what_is_there(simulated, unseen):
     atlas = atlases.build(simulated, Sensor(), measured_background=False)
     rng = np.random.default_rng(3)
     dark = np.zeros((16, 16, 3), dtype=np.float32)
-    empty = localise.locate(atlas, atlas.code(atlas.sensor.measure(dark, rng)))
+    empty = posterior.locate(atlas, atlas.code(atlas.sensor.measure(dark, rng)))
     assert empty.evidence < 0.0
     assert min(p.evidence for p in places(atlas, unseen)[:20]) > 0.0
 
@@ -160,7 +160,7 @@ def test_what_could_be_a_change_of_light_is_no_evidence(tmp_path):
     told = {}
     for drift in (0.0, 0.05):
         atlas = atlases.build(found, Sensor(frames=10), lamp_drift=drift, ambient_drift=drift)
-        told[drift] = localise.locate(atlas, atlas.code(lit.astype(np.float32), found.background)).evidence
+        told[drift] = posterior.locate(atlas, atlas.code(lit.astype(np.float32), found.background)).evidence
     assert told[0.0] > 5.0
     assert told[0.05] < 1.0
 
@@ -170,8 +170,8 @@ def test_unknown_strengths_are_integrated_out():
     rng = np.random.default_rng(0)
     added, hiding = rng.normal(size=(2, 3, 5)) * 0.6
     code = rng.normal(size=5)
-    drawn = rng.multivariate_normal(strengths.MEAN, strengths.COVARIANCE, size=400_000)
-    found = strengths.Strengths.of(added, hiding).logs(added @ code, hiding @ code)
+    drawn = rng.multivariate_normal(unknown_object.MEAN, unknown_object.COVARIANCE, size=400_000)
+    found = unknown_object.Strengths.of(added, hiding).logs(added @ code, hiding @ code)
     for pose in range(3):
         codes = drawn @ np.stack([added[pose], hiding[pose]])
         likelihoods = np.exp(codes @ code - 0.5 * (codes**2).sum(axis=1))
@@ -184,7 +184,7 @@ def test_strengths_are_found():
     rng = np.random.default_rng(1)
     added, hiding = 100.0 * rng.normal(size=(2, 1, 8))
     code = 0.3 * added[0] + 0.9 * hiding[0]
-    found = strengths.Strengths.of(added, hiding).means(added @ code, hiding @ code)
+    found = unknown_object.Strengths.of(added, hiding).means(added @ code, hiding @ code)
     np.testing.assert_allclose(found[0], [0.3, 0.9], atol=1e-3)
 
 

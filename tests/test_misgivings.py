@@ -8,8 +8,8 @@ import sys
 import pytest
 from conftest import ROOT, TINY
 
-from generator import stage
-from generator.dataset import Dataset
+from generator.blender.scene import stage
+from generator.sets.dataset import Dataset
 
 ORDER = "Light makes 2 reflections at most"
 

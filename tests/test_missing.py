@@ -6,8 +6,8 @@ import bpy
 import pytest
 from conftest import TINY
 
-from generator import references, stage
-from generator.spec import NlosError
+from generator.blender.scene import references, stage
+from generator.model.spec import NlosError
 
 
 def square(scene, name="Extra"):

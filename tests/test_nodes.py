@@ -7,8 +7,8 @@ import numpy as np
 import pytest
 from nodetrees import WHITE, node, output, tree_of
 
-from generator import nodes, stage
-from generator.dataset import read_picture
+from generator.blender.scene import nodes, stage
+from generator.sets.dataset import read_picture
 
 
 @pytest.fixture(scope="module")

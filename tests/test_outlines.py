@@ -6,8 +6,9 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose
 
-from generator import extract, outlines, stage
-from generator.spec import Sweep, VoxelGrid, preset
+from generator.blender.engines import extract
+from generator.blender.scene import outlines, stage
+from generator.model.spec import Sweep, VoxelGrid, preset
 
 
 def built(name):

@@ -14,7 +14,7 @@ import pytest
 from conftest import ROOT
 from matrix import builds
 
-from blender_addon import sbom
+from blender_addon.packaging import sbom
 
 NO_BLENDER = "import sys; sys.modules['bpy'] = None; from generator import cli; sys.exit(cli.main(sys.argv[1:]))"
 
@@ -48,7 +48,9 @@ def test_the_wheel_from_the_sdist_is_that_of_the_tree(made: list[dict[str, Path]
 def test_archives_hold_what_is_needed_and_no_more(made: list[dict[str, Path]]) -> None:
     assert builds.faults(made[0], builds.tracked(ROOT)) == []
     files = zipfile.ZipFile(made[0]["wheel"]).namelist()
-    assert {"classify/py.typed", "classify/templates/page.html", "blender_addon/blender_manifest.toml"} <= set(files)
+    assert {"classify/py.typed", "classify/report/templates/page.html", "blender_addon/blender_manifest.toml"} <= set(
+        files
+    )
 
 
 def test_bill_matches_the_zip(made: list[dict[str, Path]]) -> None:

@@ -9,10 +9,10 @@ import pytest
 from classify_helpers import make_bulk, plain_atlas
 from scipy.stats import multivariate_normal
 
-from classify import atlas as atlases
-from classify.pairs import locate_two
-from generator.sensor import Sensor
-from generator.spec import NlosError, VoxelGrid
+from classify.inference import atlas as atlases
+from classify.inference.two_objects import locate_two
+from classify.pictures.sensor import Sensor
+from generator.model.spec import NlosError, VoxelGrid
 from generator.transport import Sphere, Transport
 
 LIGHT = 3e-4

@@ -11,13 +11,13 @@ from scipy.stats import spearmanr
 from sklearn.discriminant_analysis import LinearDiscriminantAnalysis
 from sklearn.pipeline import make_pipeline
 
-from classify import physics, store
-from classify.cli import main
-from classify.features import FeatureSettings, describe
-from classify.physics import PhysicsFeatures, Setup
-from generator.sensor import Camera, Sensor
-from generator.simulated import Simulated, opened
-from generator.spec import NlosError, preset
+from classify.cli.main import main
+from classify.pictures import feature_table, physics
+from classify.pictures.features import FeatureSettings, describe
+from classify.pictures.physics import PhysicsFeatures, Setup
+from classify.pictures.sensor import Camera, Sensor
+from generator.model.spec import NlosError, preset
+from generator.sets.simulated import Simulated, opened
 
 SCENE = preset("room")
 SETUP = Setup.of(SCENE)
@@ -117,11 +117,11 @@ def test_it_is_a_step_of_a_pipeline():
 
 
 def test_a_data_set_brings_its_own_setup(tmp_path):
-    made = store.extract(make_dataset(tmp_path / "set", n=2), FeatureSettings(set="physics"))
+    made = feature_table.extract(make_dataset(tmp_path / "set", n=2), FeatureSettings(set="physics"))
     assert made.settings.setup == SETUP
     assert made.names == physics.names()
-    store.write(tmp_path / "f.h5", made)
-    again = store.read(tmp_path / "f.h5")
+    feature_table.write(tmp_path / "f.h5", made)
+    again = feature_table.read(tmp_path / "f.h5")
     assert again.settings == made.settings
     assert np.array_equal(again.values, made.values)
 
@@ -139,7 +139,7 @@ def test_a_simulated_set_reads_like_a_data_set_of_the_same_pictures(simulated, t
         (r.voxel, r.index, r.position) for r in seen.records
     ]
     settings = FeatureSettings()
-    ours, theirs = (store.extract(one, settings) for one in (as_one, seen))
+    ours, theirs = (feature_table.extract(one, settings) for one in (as_one, seen))
     assert np.array_equal(ours.values, theirs.values)
     assert np.array_equal(ours.labels, theirs.labels)
     assert Camera(as_one, Sensor()).sensor == Camera(seen, Sensor()).sensor
@@ -160,4 +160,4 @@ def test_features_of_a_simulated_set_from_the_shell(simulated, tmp_path, capsys)
     out = tmp_path / "f.h5"
     assert main(["features", str(simulated.path), "-o", str(out), "--set", "physics", "--count", "12"]) == 0
     assert "12 pictures, 28 features each (physics, difference)" in capsys.readouterr().out
-    assert store.read(out).values.shape == (12, 28)
+    assert feature_table.read(out).values.shape == (12, 28)

@@ -8,11 +8,15 @@ import bpy
 import numpy as np
 import pytest
 
-from generator import extract, planning, plans, probing, simplify, spec, stage
-from generator.dataset import Dataset
-from generator.plans import Effect, Plan
-from generator.spec import NlosError
-from generator.transport.partial import PATCH, SHADOW
+from generator.blender.engines import extract, simplify
+from generator.blender.measure import paired, planning
+from generator.blender.scene import stage
+from generator.measure import plan_file
+from generator.measure.plan_file import Effect, Plan
+from generator.model import spec
+from generator.model.spec import NlosError
+from generator.sets.dataset import Dataset
+from generator.transport.left_out import PATCH, SHADOW
 
 
 def built(target="sphere", order=3, ambient=0.0):
@@ -128,7 +132,7 @@ def test_shares_are_seen_through_noise():
     for trial in range(200):
         wholes = [noisy(signal, 1.0, 1000 * trial + k) for k in range(6)]
         errors = [noisy(0.1 * signal, 0.3, 1000 * trial + 100 + k) for k in range(6)]
-        value, low, high = probing.share(errors, wholes)
+        value, low, high = paired.share(errors, wholes)
         held += low <= 0.1 <= high
         widths.append(high - low)
         assert low <= value <= high
@@ -139,7 +143,7 @@ def test_shares_are_seen_through_noise():
 def test_noise_that_hides_the_whole_decides_nothing():
     wholes = [noisy(np.zeros((2, 16)), 1.0, k) for k in range(4)]
     errors = [noisy(np.zeros((2, 16)), 1e-6, k) for k in range(4)]
-    value, low, high = probing.share(errors, wholes)
+    value, low, high = paired.share(errors, wholes)
     assert np.isnan(value)
     assert (low, high) == (0.0, np.inf)
 
@@ -154,19 +158,19 @@ def test_a_plan_is_written_and_followed(tmp_path):
     ]
     settings = {"engine": "surfel", "accuracy": 0.003}
     plan = Plan(effects, ["Dust"], effects[1], settings, 0.01)
-    plans.write(tmp_path / "plan", scene, plan, "title")
+    plan_file.write(tmp_path / "plan", scene, plan, "title")
     made = tomllib.loads((tmp_path / "plan" / "plan.toml").read_text())
     assert made["effects"]["Wall"] == {"error": [0.5, 0.4, 0.6], "verdict": "needed"}
-    assert plans.read(tmp_path / "plan", scene) == {**settings, "leave_out": ["Dust"]}
-    assert plans.followed(tmp_path / "plan" / "plan.toml", scene, {"poses": 3})["poses"] == 3
+    assert plan_file.read(tmp_path / "plan", scene) == {**settings, "leave_out": ["Dust"]}
+    assert plan_file.followed(tmp_path / "plan" / "plan.toml", scene, {"poses": 3})["poses"] == 3
     with pytest.raises(NlosError, match="accuracy: follows from --plan"):
-        plans.followed(tmp_path / "plan", scene, {"accuracy": 0.1})
+        plan_file.followed(tmp_path / "plan", scene, {"accuracy": 0.1})
     scene.write_bytes(b"edited")
     with pytest.raises(NlosError, match="is a plan of another scene"):
-        plans.read(tmp_path / "plan", scene)
+        plan_file.read(tmp_path / "plan", scene)
     (tmp_path / "plan" / "plan.toml").write_text("format = 1")
     with pytest.raises(NlosError, match="is no plan of format 1"):
-        plans.read(tmp_path / "plan", scene)
+        plan_file.read(tmp_path / "plan", scene)
 
 
 def test_a_small_mirror_far_away_is_left_out_and_surfel_takes_over(tmp_path):
@@ -182,7 +186,7 @@ def test_a_small_mirror_far_away_is_left_out_and_surfel_takes_over(tmp_path):
     assert "the material 'of Speck'" in plan.dropped
     assert plan.settings["engine"] == "surfel"
     assert next(effect for effect in plan.effects if effect.name == SHADOW).name not in plan.dropped
-    more = next(effect for effect in plan.effects if effect.name == probing.order_name(4))
+    more = next(effect for effect in plan.effects if effect.name == paired.order_name(4))
     assert more.note == "not in the scene"
 
 
@@ -211,10 +215,10 @@ def test_the_denoiser_is_wrong_in_the_mean_and_its_noise_is_not_counted(tmp_path
     scene = built()
     stage.save_file(path)
     described = stage.read(scene)
-    planned = planning._planned(scene, described, "patch", probing.ROUNDS[0], 0)
-    rounds = [[p for p in planned if p.index == k] for k in range(probing.ROUNDS[0])]
-    probe = probing.Probe(path, "patch", rounds)
-    value, low, high = probing.denoiser_bias(probe, (24, 24), most=1.0)
+    planned = planning._planned(scene, described, "patch", paired.ROUNDS[0], 0)
+    rounds = [[p for p in planned if p.index == k] for k in range(paired.ROUNDS[0])]
+    probe = paired.Probe(path, "patch", rounds)
+    value, low, high = paired.denoiser_bias(probe, (24, 24), most=1.0)
     error, plain = probe.denoised((24, 24), 0)
     signal = (plain[0] * plain[1]).mean()
     assert 0.02 < value < np.sqrt((error**2).mean() / signal)
@@ -244,7 +248,7 @@ def test_from_the_shell(tmp_path, command):
     assert "nothing to do" in command(*sweep, "--plan", folder).stdout
     whole = tmp_path / "whole"
     assert command(*sweep[:4], whole, *sweep[5:], "--engine", "surfel").returncode == 0
-    from generator.tradeoff import differences
+    from generator.measure.tradeoff import differences
 
     got, wanted = differences(Dataset.open(data)), differences(Dataset.open(whole))
     error = ((got - wanted) ** 2).mean(axis=(1, 2)) / (wanted**2).mean(axis=(1, 2))

@@ -5,8 +5,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from generator import poses, spec
-from generator.spec import NlosError, Sweep, preset
+from generator.model import poses, spec
+from generator.model.spec import NlosError, Sweep, preset
 
 GRID = preset("room").grid
 SHEET = np.array([(x, 0.0, z) for x in (-0.25, 0.25) for z in (-0.25, 0.25)])

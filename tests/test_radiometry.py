@@ -8,8 +8,9 @@ import numpy as np
 import pytest
 import radiometry
 
-from generator import engines, stage
-from generator.spec import Spot, Target, Wall, preset
+from generator.blender.engines import engines
+from generator.blender.scene import stage
+from generator.model.spec import Spot, Target, Wall, preset
 
 ENGINES = ["path", "patch", "surfel"]
 
@@ -145,7 +146,7 @@ def test_engines_agree_in_the_room(target):
 
 
 def test_mirror_target_is_refused_by_neither_but_lamp_shapes_by_patch():
-    from generator.spec import NlosError
+    from generator.model.spec import NlosError
 
     blender = stage.new_file()
     stage.build(blender, radiometry.bare_scene())

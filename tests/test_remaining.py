@@ -6,9 +6,9 @@ import json
 
 import pytest
 
-from generator import journal
-from generator.cli import LineProgress
-from generator.remaining import Remaining
+from generator.cli.main import LineProgress
+from generator.jobs import journal
+from generator.jobs.remaining import Remaining
 
 
 class Clock:

@@ -10,9 +10,11 @@ import pytest
 from conftest import ROOT
 from numpy.testing import assert_array_equal
 
-from generator import check, engines, replaced, stage, worker
-from generator.dataset import Dataset, read_picture
-from generator.spec import NlosError, preset
+from generator.blender import check, worker
+from generator.blender.engines import engines
+from generator.blender.scene import replaced, stage
+from generator.model.spec import NlosError, preset
+from generator.sets.dataset import Dataset, read_picture
 
 SIZE = (12, 12)
 SAMPLES, SEED = 32, 3

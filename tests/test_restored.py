@@ -6,7 +6,9 @@ import bpy
 import numpy as np
 import pytest
 
-from generator import engines, spec, stage
+from generator.blender.engines import engines
+from generator.blender.scene import stage
+from generator.model import spec
 
 FORMATS = {
     "png": {"file_format": "PNG", "color_mode": "RGBA", "color_depth": "16", "compression": 33},

@@ -7,8 +7,8 @@ import pytest
 from classify_helpers import make_dataset
 from scipy import stats
 
-from generator.sensor import Camera, Sensor
-from generator.spec import NlosError
+from classify.pictures.sensor import Camera, Sensor
+from generator.model.spec import NlosError
 
 
 def flat(radiance, pixels=64):

@@ -7,8 +7,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from generator import spec
-from generator.spec import NlosError, Scene, VoxelGrid, preset
+from generator.model import spec
+from generator.model.spec import NlosError, Scene, VoxelGrid, preset
 
 PRESETS = ["room", "tabletop", "corridor"]
 

@@ -9,9 +9,12 @@ import numpy as np
 import pytest
 import radiometry
 
-from generator import engines, meshes, spec, stage
-from generator.clearance import clearance
-from generator.spec import NlosError, Scene, preset
+from generator.blender.engines import engines
+from generator.blender.scene import stage
+from generator.blender.scene.clearance import clearance
+from generator.files import meshes
+from generator.model import spec
+from generator.model.spec import NlosError, Scene, preset
 
 PRESETS = ["room", "tabletop", "corridor"]
 
@@ -362,7 +365,9 @@ def test_a_machine_without_a_gpu_says_so_and_one_with_it_renders_the_same_radian
 
 def test_a_mesh_whose_modifiers_leave_only_curves_has_no_surface(scene_file):
     """Blender gives no mesh at all of it."""
-    from generator import check, clearance, simplify
+    from generator.blender import check
+    from generator.blender.engines import simplify
+    from generator.blender.scene import clearance
 
     scene = stage.open_file(scene_file)
     tree = bpy.data.node_groups.new("curves", "GeometryNodeTree")

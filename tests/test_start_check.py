@@ -8,10 +8,13 @@ import bpy
 import numpy as np
 import pytest
 
-from generator import agreement, spec, stage, startcheck, worker
-from generator.bulk import Bulk
-from generator.dataset import Dataset
-from generator.spec import NlosError, read_toml
+from generator.blender import start_check, worker
+from generator.blender.scene import stage
+from generator.measure import agreement
+from generator.model import spec
+from generator.model.spec import NlosError, read_toml
+from generator.sets.bulk import Bulk
+from generator.sets.dataset import Dataset
 
 FEW = {"poses": 1, "resolution": [8, 8]}
 
@@ -187,7 +190,7 @@ CASES = [
 def test_another_picture_than_plain_cycles_makes_stops_the_sweep(
     plan, tmp_path, monkeypatch, what, engine, by_engine, by_cycles
 ):
-    monkeypatch.setattr(startcheck, "LIMITS", (60.0, 60.0, 60.0))  # it stops when it knows, on a busy machine too
+    monkeypatch.setattr(start_check, "LIMITS", (60.0, 60.0, 60.0))  # it stops when it knows, on a busy machine too
     with pytest.raises(NlosError) as error:
         plan(by_engine, by_cycles, engine)
     words = str(error.value)

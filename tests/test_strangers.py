@@ -8,11 +8,11 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from classify import cli
-from generator.bulk import Bulk
-from generator.poses import Sampler
-from generator.spec import NlosError, Sweep, VoxelGrid, preset
-from generator.strangers import DARKEST, FLAT, stranger
+from classify.cli import main
+from generator.model.poses import Sampler
+from generator.model.spec import NlosError, Sweep, VoxelGrid, preset
+from generator.sets.bulk import Bulk
+from generator.sets.unknown_objects import DARKEST, FLAT, stranger
 from generator.transport import Transport
 from generator.transport.elements import cells, is_convex_solid
 
@@ -89,16 +89,16 @@ def test_a_set_of_unknown_objects(unknown, scene_file, command):
 def test_their_atlas_from_the_shell(unknown, tmp_path, capsys):
     """A bound on the voxel and the place, and none of what is asked of one object only."""
     atlas = str(tmp_path / "any.atlas")
-    assert cli.main(["atlas", str(unknown), "-o", atlas]) == 0
+    assert main.main(["atlas", str(unknown), "-o", atlas]) == 0
     assert "45 pictures of a box" in capsys.readouterr().out
-    assert cli.main(["bound", atlas, str(unknown), "--count", "40", "--voxels", "3", "3", "2"]) == 0
+    assert main.main(["bound", atlas, str(unknown), "--count", "40", "--voxels", "3", "3", "2"]) == 0
     told = capsys.readouterr().out
     assert "median error of the position" in told
     assert "presence" not in told
     assert "\u2502 R     \u2502" in told, "eighteen voxels"
-    assert cli.main(["bound", atlas, str(unknown), "--map", str(tmp_path / "map.png")]) == 2
+    assert main.main(["bound", atlas, str(unknown), "--map", str(tmp_path / "map.png")]) == 2
     assert "draws what can be known of one object" in capsys.readouterr().err
-    assert cli.main(["atlas", str(unknown), "-o", atlas, "--unknown"]) == 2
+    assert main.main(["atlas", str(unknown), "-o", atlas, "--unknown"]) == 2
     assert "is of objects of all sizes and albedos already" in capsys.readouterr().err
-    assert cli.main(["locate", atlas, str(unknown), "--count", "18", "--voxels", "3", "3", "2"]) == 0
+    assert main.main(["locate", atlas, str(unknown), "--count", "18", "--voxels", "3", "3", "2"]) == 0
     assert "within 95 % region" in capsys.readouterr().out

@@ -9,9 +9,10 @@ import numpy as np
 import pytest
 from test_sweep import start, wait_for_pictures
 
-from generator import engines, extract, stage
-from generator.dataset import HOST, Dataset, read_picture
-from generator.spec import preset
+from generator.blender.engines import engines, extract
+from generator.blender.scene import stage
+from generator.model.spec import preset
+from generator.sets.dataset import HOST, Dataset, read_picture
 from generator.transport import Transport
 
 SMALL = ("--poses", "1", "--resolution", "8", "--workers", "1")

@@ -12,9 +12,12 @@ import numpy as np
 import pytest
 from mathutils import Matrix
 
-from generator import check, engines, extract, spec, stage, worker
-from generator.clearance import Solid, clearance
-from generator.spec import NlosError, preset
+from generator.blender import check, worker
+from generator.blender.engines import engines, extract
+from generator.blender.scene import stage
+from generator.blender.scene.clearance import Solid, clearance
+from generator.model import spec
+from generator.model.spec import NlosError, preset
 
 POSITION, ROTATION = (1.5, 1.0, 1.2), (0.0, 0.0, 20.0)
 

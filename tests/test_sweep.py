@@ -14,8 +14,8 @@ import numpy as np
 import pytest
 from conftest import ROOT, TINY
 
-from generator import sweep
-from generator.dataset import Dataset, read_picture
+from generator.jobs import sweep
+from generator.sets.dataset import Dataset, read_picture
 
 SLOW = ("--engine", "patch", "--poses", "2", "--samples", "48", "--resolution", "24", "--no-probe")
 
@@ -142,7 +142,8 @@ def test_the_noise_of_no_two_poses_is_the_same(tmp_path, scene_file, command):
 
 def test_paired_noise_is_unbiased_and_smaller(scene_file):
     """The control variate changes no mean and shrinks the error of the difference."""
-    from generator import engines, stage
+    from generator.blender.engines import engines
+    from generator.blender.scene import stage
 
     scene = stage.open_file(scene_file)
     stage.move_target(scene, (2.05, 1.65, 1.3), (0.0, 0.0, 45.0))
@@ -205,7 +206,7 @@ def test_what_was_spoilt_is_rendered_again(tmp_path, scene_file, tiny_dataset, c
 
 def test_a_worker_that_dies_is_replaced_and_a_hopeless_pose_is_listed(tmp_path, tiny_dataset, monkeypatch):
     """The first worker process dies on its first pose; one pose kills every worker."""
-    from generator import sweep
+    from generator.jobs import sweep
 
     path = copied(tiny_dataset, tmp_path)
     for label in "AB":
@@ -220,13 +221,13 @@ def test_a_worker_that_dies_is_replaced_and_a_hopeless_pose_is_listed(tmp_path, 
         "            if int(line) == 0: print('out of memory', file=sys.stderr, flush=True); os._exit(9)\n"
         "            yield line\n"
         "sys.stdin = Deadly()\n"
-        "runpy.run_module('generator.worker', run_name='__main__')\n"
+        "runpy.run_module('generator.blender.worker', run_name='__main__')\n"
     )
     real = subprocess.Popen
     started = []
 
     def popen(arguments, **options):
-        if "generator.worker" in arguments:
+        if "generator.blender.worker" in arguments:
             started.append(arguments)
             arguments = [arguments[0], str(script), *arguments[3:]]
         return real(arguments, **options)
@@ -239,7 +240,7 @@ def test_a_worker_that_dies_is_replaced_and_a_hopeless_pose_is_listed(tmp_path, 
 
 
 def test_a_hidden_target_is_refused_before_anything_is_written(tmp_path, scene_file, command):
-    from generator import stage
+    from generator.blender.scene import stage
 
     scene = stage.open_file(scene_file)
     stage.find(scene, "target").hide_render = True
@@ -253,7 +254,7 @@ def test_a_hidden_target_is_refused_before_anything_is_written(tmp_path, scene_f
 
 
 def test_a_run_can_be_stopped_and_gone_on_with(tmp_path, scene_file):
-    from generator import sweep
+    from generator.jobs import sweep
 
     stop, path = threading.Event(), tmp_path / "set"
     chosen = {"engine": "patch", "poses": 20, "samples": 512, "resolution": [4, 4]}
@@ -273,7 +274,7 @@ def test_a_run_can_be_stopped_and_gone_on_with(tmp_path, scene_file):
 
 
 def test_one_hopeless_unit_fails_alone_of_its_batch(monkeypatch):
-    from generator import sweep
+    from generator.jobs import sweep
 
     class Mortal:
         pid, done = 1, 0

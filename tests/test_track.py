@@ -13,14 +13,14 @@ from scipy.linalg import expm
 from scipy.spatial import cKDTree
 from scipy.stats import binom, multivariate_normal
 
-from classify import atlas as atlases
-from classify import pursuit
-from classify.localise import holds, locate
-from classify.track import Filter
-from generator import poses
-from generator.dataset import Dataset
-from generator.sensor import Sensor
-from generator.spec import NlosError, Sweep, VoxelGrid
+from classify.inference import atlas as atlases
+from classify.inference import sequence
+from classify.inference.posterior import holds, locate
+from classify.inference.tracker import Filter
+from classify.pictures.sensor import Sensor
+from generator.model import poses
+from generator.model.spec import NlosError, Sweep, VoxelGrid
+from generator.sets.dataset import Dataset
 
 GRID = VoxelGrid(lo=(0.0, 0.0, 0.0), hi=(1.5, 0.6, 0.2), shape=(3, 2, 1))
 
@@ -217,7 +217,7 @@ def test_a_sequence_that_grows_is_waited_for(tmp_path):
     frames = type(frames).open(frames.path)
     frames.gather()
     atlas = atlases.build(simulated, Sensor(full_well=300.0, bits=10))
-    followed = pursuit.run(atlas, frames, step=0.3, patience=0.05)
+    followed = sequence.run(atlas, frames, step=0.3, patience=0.05)
     assert len(followed.steps) == 30
 
 

@@ -5,11 +5,12 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from classify import cli as classify_cli
-from generator import cli, tradeoff
-from generator.dataset import BACKGROUND, Dataset, PoseRecord
-from generator.spec import NlosError, Sweep, preset, to_dict
-from generator.tradeoff import Cost, Rung
+from classify.cli import main as classify_cli
+from generator.cli import main as cli
+from generator.measure import tradeoff
+from generator.measure.tradeoff import Cost, Rung
+from generator.model.spec import NlosError, Sweep, preset, to_dict
+from generator.sets.dataset import BACKGROUND, Dataset, PoseRecord
 
 SHAPE = (6, 8)
 

@@ -13,7 +13,7 @@ import worlds
 from conftest import ROOT
 from scipy.spatial.transform import Rotation
 
-from generator.spec import NlosError, rotation_matrix
+from generator.model.spec import NlosError, rotation_matrix
 from generator.transport import Mesh, Sphere, Transport, kernel, picture
 
 POSES = {

@@ -12,12 +12,12 @@ import worlds
 from classify_helpers import make_bulk, make_dataset, make_seen, plain_atlas
 from scipy import stats
 
-from classify import atlas as atlases
-from classify import trial
-from classify.cli import main
-from classify.detect import Detector, detections, evidence
-from generator.sensor import Sensor
-from generator.spec import NlosError, VoxelGrid
+from classify.cli.main import main
+from classify.inference import atlas as atlases
+from classify.inference import evaluation
+from classify.inference.detect import Detector, detections, evidence
+from classify.pictures.sensor import Sensor
+from generator.model.spec import NlosError, VoxelGrid
 
 FLOOR = worlds.quad((-2.0, 0.0, -1.0), (4.0, 0.0, 0.0), (0.0, 3.0, 0.0), 0.5)
 DIM = Sensor(full_well=300.0, bits=10)
@@ -43,7 +43,7 @@ def test_a_wall_of_another_albedo_is_exposed_for(simulated, tmp_path):
         make_seen(tmp_path / name, make_bulk(tmp_path / f"b{name}", pictures=80, room=(FLOOR,), seed=3, wall=wall))
         for name, wall in (("usual", 0.8), ("dark", 0.4))
     )
-    one, other = (trial.run(atlas, seen, empty=0) for seen in (usual, dark))
+    one, other = (evaluation.run(atlas, seen, empty=0) for seen in (usual, dark))
     assert (one.level, other.level) == (1.0, pytest.approx(4.0, rel=1e-3))
     table = [[run.right.sum(), (~run.right).sum()] for run in (one, other)]
     assert stats.fisher_exact(table).pvalue > 1e-3
@@ -78,7 +78,7 @@ def test_the_evidence_is_the_best_test():
 
 def test_a_data_set_is_answered(simulated, seen):
     """Voxel, position and presence of every picture, and rates that agree with what is stated."""
-    answers = trial.run(atlases.build(simulated, DIM), seen, seed=1)
+    answers = evaluation.run(atlases.build(simulated, DIM), seen, seed=1)
     assert answers.accuracy().value > 0.6
     held = int(answers.inside.sum())
     assert answers.calibration(np.array([0.95]))[0] == pytest.approx(held / len(answers.records))
@@ -90,7 +90,7 @@ def test_a_data_set_is_answered(simulated, seen):
     written = list(csv.DictReader(answers.csv().splitlines()))
     assert len(written) == len(seen.records)
     assert {row["voxel"] for row in written} <= set(seen.grid.labels)
-    again = trial.run(atlases.build(simulated, DIM), seen, seed=1)
+    again = evaluation.run(atlases.build(simulated, DIM), seen, seed=1)
     assert again.csv() == answers.csv()
 
 

@@ -12,13 +12,15 @@ import numpy as np
 import pytest
 from classify_helpers import make_bulk, make_dataset, plain_atlas
 
-from classify import atlas as atlases
-from classify import cli as classify_cli
-from classify import store
-from classify.features import FeatureSettings
-from generator import audit, bulk, cli, seal, simulated, spec
-from generator.dataset import BACKGROUND, MANIFEST, POSES, SCENE, Dataset, read_picture, write_picture
-from generator.spec import NlosError
+from classify.cli import main as classify_cli
+from classify.inference import atlas as atlases
+from classify.pictures import feature_table
+from classify.pictures.features import FeatureSettings
+from generator.cli import main as cli
+from generator.model import spec
+from generator.model.spec import NlosError
+from generator.sets import audit, bulk, seal, simulated
+from generator.sets.dataset import BACKGROUND, MANIFEST, POSES, SCENE, Dataset, read_picture, write_picture
 
 
 @pytest.fixture
@@ -81,7 +83,7 @@ def brighter(path, name):
 def edited(path, name):
     """Change pixels below the header that vouches for them."""
     pixels, header = read_picture(path / name)
-    from generator import exr
+    from generator.files import exr
 
     planes = {c: pixels[..., i] * np.float32(2.0) for i, c in enumerate("RGB")}
     exr.write(path / name, planes, {f"nlos:{key}": value for key, value in header.items()})
@@ -491,11 +493,11 @@ def test_sets_of_different_spaces_are_not_mixed(tmp_path, capsys):
     plain, wide = make_dataset(tmp_path / "plain", n=3), make_dataset(tmp_path / "wide", n=3, colour_space="ACEScg")
     assert (plain.colour_space, wide.colour_space) == ("Rec.709", "ACEScg")
     assert not [fault for fault in wide.verify() if "the scene is missing" not in fault]
-    one, two = (store.extract(made, FeatureSettings()) for made in (plain, wide))
+    one, two = (feature_table.extract(made, FeatureSettings()) for made in (plain, wide))
     with pytest.raises(NlosError, match=r"linear Rec\.709, and those of b linear ACEScg"):
-        store.check_comparable(one, two, ("a", "b"))
+        feature_table.check_comparable(one, two, ("a", "b"))
     for name, features in (("a.h5", one), ("b.h5", two)):
-        store.write(tmp_path / name, features)
+        feature_table.write(tmp_path / name, features)
     assert (
         classify_cli.main(["compare", *(str(tmp_path / f) for f in ("a.h5", "b.h5")), "-o", str(tmp_path / "r")]) == 2
     )
@@ -512,8 +514,8 @@ def test_sets_of_different_spaces_are_not_mixed(tmp_path, capsys):
 
 
 def test_an_atlas_is_of_one_space(tmp_path):
-    from classify import trial
-    from generator.sensor import Sensor
+    from classify.inference import evaluation
+    from classify.pictures.sensor import Sensor
 
     simulated_set = make_bulk(tmp_path / "bulk", pictures=60, resolution=(12, 12))
     atlas = atlases.build(simulated_set, Sensor(full_well=300.0, bits=10))
@@ -522,14 +524,15 @@ def test_an_atlas_is_of_one_space(tmp_path):
     assert atlases.load(tmp_path / "a").colour_space == "Rec.709"
     wide = make_dataset(tmp_path / "wide", n=1, grid=simulated_set.grid, colour_space="Rec.2020")
     with pytest.raises(NlosError, match=r"linear Rec\.2020, and those of the atlas linear Rec\.709"):
-        trial.run(atlas, wide)
+        evaluation.run(atlas, wide)
 
 
 def test_a_blend_files_working_space_is_recorded(tmp_path, scene_file):
     """Blender 5 renders in the working space of the file: a red world in ACEScg has other numbers, and says so."""
     import bpy
 
-    from generator import stage, worker
+    from generator.blender import worker
+    from generator.blender.scene import stage
 
     if not hasattr(bpy.data, "colorspace"):
         pytest.skip(f"Blender {bpy.app.version_string} knows one working space")

@@ -45,7 +45,7 @@ echo "== the same command again"
 "$python" - "$1/one" "$1/eight" <<'CODE'
 import sys
 from pathlib import Path
-from generator.dataset import Dataset
+from generator.sets.dataset import Dataset
 
 one, eight = ([pose.pixel_hash for pose in Dataset.open(Path(path)).poses] for path in sys.argv[1:])
 print(f"{len(one)} pictures by one job and by eight: {sum(a != b for a, b in zip(one, eight))} differ")

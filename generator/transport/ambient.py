@@ -26,10 +26,10 @@ import numpy as np
 from numpy.polynomial.legendre import leggauss, legvander
 from numpy.typing import NDArray
 
-from generator.spec import NlosError
+from generator.model.spec import NlosError
 from generator.transport import picture
+from generator.transport.prepared import Setting
 from generator.transport.rays import Surfaces
-from generator.transport.setting import Setting
 
 Floats = NDArray[Any]
 Numbers = NDArray[np.int64]

@@ -14,6 +14,11 @@ from pathlib import Path
 _HERE = Path(__file__).resolve().parent
 
 
+def sources() -> list[Path]:
+    """Return the files whose functions are compiled, in order."""
+    return sorted(_HERE.rglob("*.py"))
+
+
 @functools.cache
 def folder() -> Path | None:
     """Return a folder that can be written, or None: functions are compiled anew by each process then.
@@ -23,7 +28,7 @@ def folder() -> Path | None:
     the cache of each state of the sources has a folder of its own.
     """
     digest = hashlib.sha256()
-    for source in sorted(_HERE.glob("*.py")):
+    for source in sources():
         digest.update(source.read_bytes())
     for parent in _parents():
         made = parent / f"numba-{digest.hexdigest()[:12]}"

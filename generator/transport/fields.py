@@ -14,10 +14,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from generator.spec import NlosError
+from generator.model.spec import NlosError
 from generator.transport import compiled, elements, integral, picture, shaded, silhouettes, traced
+from generator.transport.prepared import Setting
 from generator.transport.rays import Placed
-from generator.transport.setting import Setting
 
 Floats = NDArray[Any]
 

@@ -9,11 +9,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from generator.spec import Array, NlosError, rotation_matrix, rotation_rows
+from generator.model.spec import Array, NlosError, rotation_matrix, rotation_rows
 from generator.transport import compiled, direct, picture
 from generator.transport.ambient import Ambient, Sky
 from generator.transport.fields import Fields
-from generator.transport.setting import Setting
+from generator.transport.prepared import Setting
 from generator.transport.world import World
 
 Floats = NDArray[Any]

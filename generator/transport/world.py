@@ -10,7 +10,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from generator.spec import Array, NlosError
+from generator.model.spec import Array, NlosError
 
 
 @dataclass(frozen=True)

@@ -212,7 +212,7 @@ def build(folder: Path) -> Path:
         This Python lacks the project or the bpy wheel, or the extension cannot be built.
     """
     try:
-        from blender_addon import build as extension
+        from blender_addon.packaging import build as extension
     except ImportError as error:
         raise roots.MissingError(f"{error}; run `make setup` and use .venv/bin/python") from None
     try:

@@ -16,7 +16,7 @@ def fresh():
 
 
 def check_a_sound_scene():
-    state, levels = module("state"), module("generator.check")
+    state, levels = module("state"), module("generator.blender.check")
     bpy.context.scene.nlos.samples, bpy.context.scene.nlos.resolution = 16, (32, 32)
     result = call(bpy.ops.nlos.check)
     check(result == {"FINISHED"}, f"the check runs: {result}")
@@ -34,7 +34,7 @@ def check_a_sound_scene():
 def check_names_selects_and_mends():
     state = module("state")
     scene = bpy.context.scene
-    stage = module("generator.stage")
+    stage = module("generator.blender.scene.stage")
     stage.limit_reflections(scene, 2)
     stage.find(scene, "target").hide_render = True
     with view3d():

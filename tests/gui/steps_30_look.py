@@ -20,7 +20,7 @@ def look_image():
 
 
 def target():
-    return module("generator.stage").find(bpy.context.scene, "target")
+    return module("generator.blender.scene.stage").find(bpy.context.scene, "target")
 
 
 def overlay():
@@ -67,7 +67,7 @@ def look():
     check(not np.array_equal(look_image(), second), "and undo")
     call(bpy.ops.ed.redo)
     yield from until(lambda: np.array_equal(look_image(), second), "and redo")
-    lamp = module("generator.stage").find(bpy.context.scene, "spot")
+    lamp = module("generator.blender.scene.stage").find(bpy.context.scene, "spot")
     lamp.data.energy *= 3.0  # no step of the scale, or the colours would be the same
     yield from until(lambda: not np.array_equal(look_image(), second), "and the lamp")
     lamp.data.energy /= 3.0

@@ -61,7 +61,7 @@ def resume():
     yield from until(lambda: not job().running, "it ends", 400.0)
     check("Finished" in job().status(), job().status())
     check(all(Path(name).read_bytes() == data for name, data in memory["made"].items()), "nothing was made twice")
-    dataset = module("generator.dataset").Dataset.open(WORK / "set")
+    dataset = module("generator.sets.dataset").Dataset.open(WORK / "set")
     check(not dataset.verify(), f"the set is whole: {dataset.verify()[:3]}")
     call(bpy.ops.wm.open_mainfile, filepath=str(WORK / "room40.blend"))
     yield 1.0

@@ -22,13 +22,13 @@ def presets():
 
 
 def names():
-    target = module("generator.stage").find(bpy.context.scene, "target")
+    target = module("generator.blender.scene.stage").find(bpy.context.scene, "target")
     target.name = "Käse 🧀\nmit Löchern"
     state = module("state")
     call(bpy.ops.nlos.check)
-    check(not module("generator.check").hopeless(state.findings), f"{[f.text for f in state.findings]}")
+    check(not module("generator.blender.check").hopeless(state.findings), f"{[f.text for f in state.findings]}")
     check(roles()["target"] == [target.name], "an object may have any name")
-    module("generator.stage").find(bpy.context.scene, "target").name = "Target"
+    module("generator.blender.scene.stage").find(bpy.context.scene, "target").name = "Target"
 
 
 def search():

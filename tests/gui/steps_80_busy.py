@@ -27,7 +27,7 @@ def f12():
     invoke(bpy.ops.render.render)
     yield from until(_running, "F12 renders", 10.0)
     drawn = module("looking").pictures()
-    target = module("generator.stage").find(scene, "target")
+    target = module("generator.blender.scene.stage").find(scene, "target")
     for _ in range(10):
         target.location.z += 0.01
         yield 0.1
@@ -59,7 +59,7 @@ def undo_keeps_pictures():
     settings.samples, settings.resolution = 4, (16, 16)
     call(bpy.ops.nlos.render_wall)
     yield from until(lambda: "Mean radiance" in module("state").rendering, "the wall is rendered", 120.0)
-    target = module("generator.stage").find(bpy.context.scene, "target")
+    target = module("generator.blender.scene.stage").find(bpy.context.scene, "target")
     target.location.x += 0.1
     with view3d():
         bpy.ops.ed.undo_push(message="moved")
@@ -82,7 +82,7 @@ def look_notices():
     bpy.data.objects["Back"].hide_render = True
     redraw()
     yield from until(lambda: module("looking").pictures() > drawn, "a hidden wall is noticed")
-    target = module("generator.stage").find(scene, "target")
+    target = module("generator.blender.scene.stage").find(scene, "target")
     target.scale = (0.0, 0.0, 0.0)
     yield from until(lambda: "ms" not in module("looking").words(), "a target of no size is told")
     target.scale = (1.0, 1.0, 1.0)
@@ -98,7 +98,7 @@ def lamp_of_another_kind():
     """The overlay draws what there is."""
     session = bpy.context.window_manager.nlos
     session.overlay = True
-    lamp = module("generator.stage").find(bpy.context.scene, "spot")
+    lamp = module("generator.blender.scene.stage").find(bpy.context.scene, "spot")
     lamp.data.type = "POINT"
     redraw()
     yield 1.0

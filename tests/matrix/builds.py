@@ -92,7 +92,7 @@ def archives(tree: Path, made: Path, around: Surroundings, *kinds: str, **more: 
 
 def extension(tree: Path, made: Path, around: Surroundings, **more: str) -> Path:
     """Build the extension of a tree."""
-    _run([sys.executable, "-m", "blender_addon.build", "-o", str(made)], tree, around, **more)
+    _run([sys.executable, "-m", "blender_addon.packaging.build", "-o", str(made)], tree, around, **more)
     return next(made.glob("*.zip"))
 
 

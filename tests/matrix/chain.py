@@ -124,7 +124,7 @@ def install(run: Run, wheel: Path, wheels: Path, pins: Iterable[str], bpy: str |
     run.step("install", run.path("venv/bin/python"), "-m", "pip", "install", *flags, wanted)
     run.step("install", run.path("venv/bin/python"), "-m", "pip", "check")
     run.script("install", IMPORTED + (BLENDER if bpy else NO_BLENDER), run.path("venv"), bpy or "")
-    run.step("bill", run.path("venv/bin/python"), "-m", "blender_addon.sbom", "-o", run.path(BILL))
+    run.step("bill", run.path("venv/bin/python"), "-m", "blender_addon.packaging.sbom", "-o", run.path(BILL))
 
 
 def with_blender(run: Run) -> None:
@@ -152,7 +152,7 @@ def with_blender(run: Run) -> None:
     size = ("--pictures", "900", "--resolution", "16", "--accuracy", "3e-3", "--workers", "1")
     run.tool("bulk", "nlos-generate", "bulk", scenes["sphere"], "-o", simulated, *size)
     extension = run.path("extension")
-    run.step("extension", run.path("venv/bin/python"), "-m", "blender_addon.build", "-o", extension)
+    run.step("extension", run.path("venv/bin/python"), "-m", "blender_addon.packaging.build", "-o", extension)
     [package] = extension.glob("*.zip")
     run.script("extension", EXTENSION, package)
 

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import numpy as np
 
-from generator.dataset import Dataset
+from generator.sets.dataset import Dataset
 
 SAME = 1e-12
 """Relative to the brightest pixel, for `surfel`, which has no noise."""

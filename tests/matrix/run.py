@@ -31,8 +31,8 @@ import pictures
 import places
 from packaging.requirements import Requirement
 
-from blender_addon import sbom
-from generator.spec import NlosError
+from blender_addon.packaging import sbom
+from generator.model.spec import NlosError
 
 HERE = Path(__file__).resolve().parent
 ROOT = HERE.parents[1]

@@ -1,0 +1,41 @@
+"""What happens when another file is opened."""
+
+from typing import Any
+
+import bpy
+from bpy.app.handlers import persistent
+
+from .session import background, state
+from .view import images, live, overlay
+
+
+@persistent  # type: ignore[untyped-decorator]
+def _before(*_: Any) -> None:
+    """Nothing that follows a scene may outlive it."""
+    manager = bpy.context.window_manager
+    live.switch(False)
+    overlay.switch(False)
+    if manager is not None:
+        manager.nlos.look = manager.nlos.overlay = False
+
+
+@persistent  # type: ignore[untyped-decorator]
+def _after(*_: Any) -> None:
+    background.drop()  # what they would find is not true of this file
+    images.captions.clear()
+    state.forget()
+    session = bpy.context.window_manager.nlos
+    # Blender may have taken the switches over from the file that was open.
+    session.look = session.overlay = False
+
+
+def register() -> None:
+    """Watch files being opened."""
+    bpy.app.handlers.load_pre.append(_before)
+    bpy.app.handlers.load_post.append(_after)
+
+
+def unregister() -> None:
+    """Watch no more."""
+    bpy.app.handlers.load_post.remove(_after)
+    bpy.app.handlers.load_pre.remove(_before)

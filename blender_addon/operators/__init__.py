@@ -1,0 +1,1 @@
+"""Operators: thin, one file a panel."""

@@ -1,0 +1,211 @@
+"""Asks a trained model in which voxel the object stands: in a Python of its own, for Blender's lacks scikit-learn."""
+
+# mypy: disable-error-code="valid-type,misc"
+
+from __future__ import annotations
+
+import contextlib
+import json
+import os
+import subprocess
+import threading
+import time
+from pathlib import Path
+from typing import Any
+
+import bpy
+from bpy.props import StringProperty
+
+from generator.blender import worker
+from generator.model.spec import NlosError
+from generator.sets import dataset
+
+from ..session import background, state
+from ..view import overlay
+
+_PATIENCE = 120.0
+"""Seconds for a Python to start, import what it needs, and answer."""
+
+_TEST = "import classify.classifiers.models, sys; print('.'.join(map(str, sys.version_info[:3])))"
+
+
+class NlosPreferences(bpy.types.AddonPreferences):
+    """What depends on the machine, not on the scene."""
+
+    bl_idname = __package__ or "nlos_lab"
+
+    python: StringProperty(
+        name="Python",
+        description="The Python of an environment that has NLOS Lab's command line installed, such as "
+        ".venv/bin/python. Only answers of trained models need it",
+        subtype="FILE_PATH",
+    )
+
+    def draw(self, context: Any) -> None:
+        """Draw the path and its test."""
+        layout = self.layout
+        layout.use_property_split = True
+        layout.prop(self, "python")
+        row = layout.row()
+        row.alignment = "RIGHT"
+        row.operator("nlos.test_environment", icon="CHECKMARK")
+        if state.environment_words:
+            layout.label(text=state.environment_words, translate=False)
+
+
+def named() -> str:
+    """Return what the preferences name; empty if nothing."""
+    addon = bpy.context.preferences.addons.get(__package__)
+    return str(bpy.path.abspath(addon.preferences.python)) if addon else ""
+
+
+def python() -> str:
+    """Return the Python that the preferences name.
+
+    Raises
+    ------
+    NlosError
+        They name none, or one that is not there.
+    """
+    path = named()
+    if not path:
+        raise NlosError(
+            "Answers need a Python with NLOS Lab's command line: make one with 'make setup' in its folder, "
+            "and name its .venv/bin/python in Preferences > Add-ons > NLOS Lab"
+        )
+    if not os.path.isfile(path):  # of a name that no file can have, too
+        raise NlosError(f"{path} (Preferences > Add-ons > NLOS Lab) is no file; name the Python of an environment")
+    return path
+
+
+def run(arguments: list[str], stop: threading.Event) -> str:
+    """Run that Python, away from Blender's own modules, and return what it prints; end it when asked to stop.
+
+    Raises
+    ------
+    NlosError
+        It cannot be started, takes too long, or fails; with its last words.
+    """
+    try:
+        # -E: Blender's PYTHONPATH and PYTHONHOME are not for it. -P would keep the current folder out, but is young.
+        process = subprocess.Popen(
+            [arguments[0], "-E", *arguments[1:]],
+            stdin=subprocess.DEVNULL,
+            stdout=subprocess.PIPE,
+            stderr=subprocess.PIPE,
+            encoding="utf-8",
+            errors="replace",
+            cwd=str(Path(arguments[0]).parent),
+        )
+    except OSError as error:
+        raise NlosError(f"{arguments[0]} cannot be run ({error.strerror or error})") from None
+    late = time.monotonic() + _PATIENCE
+    while not stop.is_set() and time.monotonic() < late:
+        with contextlib.suppress(subprocess.TimeoutExpired):
+            said, complaints = process.communicate(timeout=0.2)
+            break
+    else:
+        process.kill()
+        process.communicate()
+        raise NlosError(f"{arguments[0]} did not answer within {_PATIENCE:.0f} seconds")
+    if process.returncode:
+        lines = [line for line in complaints.splitlines() if line.strip()]
+        raise NlosError(lines[-1].removeprefix("error: ") if lines else f"exit code {process.returncode}")
+    return said
+
+
+def _probabilities(said: str) -> dict[str, float]:
+    """Voxels and their probabilities, of what the command line printed."""
+    try:
+        found = {str(label): float(p) for label, p in json.loads(said)["probability"].items()}
+        if found and all(0.0 <= p <= 1.0 for p in found.values()):
+            return found
+        raise ValueError
+    except (ValueError, KeyError, TypeError, AttributeError):
+        raise NlosError(f"the Python in the preferences printed no answer but {said.strip()[:80]!r}") from None
+
+
+class NLOS_OT_test_environment(bpy.types.Operator):
+    """Start the Python named above and see whether it can read trained models"""
+
+    bl_idname = "nlos.test_environment"
+    bl_label = "Test"
+
+    def execute(self, context: Any) -> set[str]:
+        """Start it, away from Blender's thread."""
+        try:
+            interpreter = python()
+        except NlosError as error:
+            state.environment_words = str(error)
+            self.report({"ERROR"}, str(error))
+            return {"CANCELLED"}
+        state.environment_words = "Testing ..."
+
+        def then(task: background.Task) -> None:
+            works = f"It works: Python {str(task.result).strip()} can read trained models"
+            lacks = f"It cannot read trained models: {task.error}"
+            state.environment_words = lacks if task.error else works
+
+        asked = [interpreter, "-c", _TEST]
+        background.Task(lambda task: run(asked, task.stop), then, topic="environment").settle()
+        return {"FINISHED"}
+
+
+class NLOS_OT_answer(bpy.types.Operator):
+    """Ask the model in which voxel the object stands, by the picture that was rendered last"""
+
+    bl_idname = "nlos.answer"
+    bl_label = "Where Is It?"
+
+    def execute(self, context: Any) -> set[str]:
+        """Write the picture, ask, and show the answer when it comes."""
+        settings = context.scene.nlos
+        try:
+            interpreter = python()
+            if not settings.model:
+                raise NlosError("Choose a model, trained by nlos-classify train (.skops)")
+            model = Path(bpy.path.abspath(settings.model)).absolute()
+            if not os.path.isfile(model):
+                raise NlosError(f"{model} is no such file; choose a model, trained by nlos-classify train")
+            if state.shown is None:
+                raise NlosError("There is no picture yet: render the wall first")
+            files = [background.folder() / f"{name}.exr" for name in ("asked", "asked-background")]
+            for path, picture in zip(files, (state.shown.wall, state.shown.background), strict=True):
+                dataset.write_picture(path, picture, {"colour_space": worker.colour_space()})
+        except NlosError as error:
+            self.report({"ERROR"}, str(error))
+            return {"CANCELLED"}
+        arguments = ["-m", "classify.cli", "predict", str(model), str(files[0]), "--background", str(files[1])]
+        state.answer_words = "Asking the model ..."
+
+        def then(task: background.Task) -> None:
+            state.answer.clear()
+            if task.error:
+                state.answer_words = task.error
+            else:
+                state.answer.update(task.result)
+                label = max(state.answer, key=lambda v: state.answer[v])
+                state.answer_words = f"Voxel {label}, with a probability of {state.answer[label]:.0%}"
+            overlay.changed()
+
+        asked = [interpreter, *arguments, "--json"]
+        background.Task(lambda task: _probabilities(run(asked, task.stop)), then, topic="answer").settle()
+        return {"FINISHED"}
+
+
+class NLOS_OT_forget_answer(bpy.types.Operator):
+    """Take the probabilities out of the overlay"""
+
+    bl_idname = "nlos.forget_answer"
+    bl_label = "Clear"
+
+    def execute(self, context: Any) -> set[str]:
+        """Forget."""
+        state.answer.clear()
+        state.answer_words = ""
+        overlay.changed()
+        return {"FINISHED"}
+
+
+_CLASSES = (NlosPreferences, NLOS_OT_test_environment, NLOS_OT_answer, NLOS_OT_forget_answer)
+register, unregister = bpy.utils.register_classes_factory(_CLASSES)

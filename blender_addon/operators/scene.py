@@ -1,0 +1,385 @@
+"""Operators: each calls `generator` and says what came of it."""
+
+# mypy: disable-error-code="misc"
+
+import json
+from typing import Any, cast
+
+import bpy
+from bpy.props import EnumProperty, IntProperty, StringProperty
+
+from generator.blender import check
+from generator.blender.engines import engines
+from generator.blender.scene import adopt, stage
+from generator.model import spec
+from generator.sets.dataset import read_picture
+
+from ..session import background, state
+from ..ui import properties
+from ..view import images, live
+
+_ROLE_WORDS = {
+    "relay_wall": ("Relay Wall", "What lamp and camera look at"),
+    "target": ("Target", "What hides; its children move with it"),
+    "spot": ("Spot", "The lamp"),
+    "camera": ("Camera", "Which of the cameras watches the wall"),
+    "room": ("Room", "A surface that reflects. Only a name: whatever is rendered reflects"),
+    "partition": ("Partition", "What hides the target. Only a name: whatever is rendered hides what is behind it"),
+    "": ("No Role", "Take the role away"),
+}
+
+
+class _Task:
+    """What the operators have in common: work that reports itself, or tells bad input in one sentence."""
+
+    bl_options = frozenset({"REGISTER", "UNDO"})
+
+    @classmethod
+    def poll(cls: Any, context: Any) -> bool:
+        """Only in Object Mode: in Edit Mode the meshes are out of reach. And not while Blender renders."""
+        if state.rendering_now():
+            cls.poll_message_set("Wait for the render to end")
+            return False
+        cls.poll_message_set("Go to Object Mode first")
+        return bool(context.mode == "OBJECT")
+
+    def execute(self: Any, context: Any) -> set[str]:
+        """Do the work, or report why not and cancel."""
+        try:
+            kind, message = self.work(context.scene)
+        except spec.NlosError as error:
+            self.report({"ERROR"}, str(error))
+            return {"CANCELLED"}
+        self.report({kind}, message)
+        live.changed()
+        return {"FINISHED"}
+
+
+class NLOS_OT_build_scene(_Task, bpy.types.Operator):
+    """Build the preset with the figures below, in place of an earlier one. Objects of your own stay"""
+
+    bl_idname = "nlos.build_scene"
+    bl_label = "Build Scene"
+
+    def work(self, scene: Any) -> tuple[str, str]:
+        """Build; return what to report."""
+        wanted = properties.spec_of(scene.nlos)
+        stage.build(scene, wanted)
+        done = f"Built the {wanted.preset} with {wanted.grid.n_voxels} voxels"
+        others = stage.others(scene)
+        if others:  # such as the cube and the lamp that Blender starts with
+            return (
+                "WARNING",
+                f"{done}. Also rendered: {', '.join(others)}; delete what is not meant",
+            )
+        return "INFO", done
+
+
+class NLOS_OT_apply(_Task, bpy.types.Operator):
+    """Write light, voxels, reflections and resolution into the scene as it stands. Nothing is built or removed: target, ambient light and preset change with Build Scene"""  # noqa: E501
+
+    bl_idname = "nlos.apply"
+    bl_label = "Apply to Scene"
+
+    def work(self, scene: Any) -> tuple[str, str]:
+        """Apply; return what to report."""
+        settings = scene.nlos
+        grid, lamp = properties.grid(settings), stage.find(scene, "spot")
+        if lamp.type != "LIGHT" or lamp.data.type != "SPOT":
+            raise spec.NlosError(f"the spot {lamp.name!r} must be a spot lamp")
+        stage.write_grid(scene, grid)
+        stage.limit_reflections(scene, settings.reflection_order)
+        scene.render.resolution_x, scene.render.resolution_y = settings.resolution
+        scene.render.resolution_percentage = 100
+        # The lamp may have a colour or an exposure of its own, which the power in watts includes.
+        lamp.data.energy = 1.0
+        lamp.data.energy = settings.light_power / (stage.lamp_power(lamp.data) or 1.0)
+        lamp.data.spot_size = 2.0 * settings.light_half_angle
+        return "INFO", f"Applied; light is followed over {settings.reflection_order} reflections"
+
+
+class NLOS_OT_read_scene(_Task, bpy.types.Operator):
+    """Set the figures below to those of the scene, as edited by hand"""
+
+    bl_idname = "nlos.read_scene"
+    bl_label = "Read from Scene"
+
+    def work(self, scene: Any) -> tuple[str, str]:
+        """Read; return what to report."""
+        found = stage.read(scene)
+        properties.fill(scene.nlos, found)
+        if found.target.albedo is None:
+            return "WARNING", "The target's material is not plainly diffuse, so its albedo was not read"
+        return "INFO", "Read the scene"
+
+
+class NLOS_OT_adopt(_Task, bpy.types.Operator):
+    """Give the selected objects a part in the experiment: your own wall, target, lamp or camera"""
+
+    bl_idname = "nlos.adopt"
+    bl_label = "Use Selected As"
+
+    role: EnumProperty(  # type: ignore[valid-type]
+        name="Role", items=[(role or "none", *words) for role, words in _ROLE_WORDS.items()], default="target"
+    )
+
+    @classmethod
+    def description(cls, context: Any, properties: Any) -> str:
+        """Return the tooltip of one role."""
+        return _ROLE_WORDS["" if properties.role == "none" else properties.role][1]
+
+    def work(self, scene: Any) -> tuple[str, str]:
+        """Assign; return what to report."""
+        role = "" if self.role == "none" else self.role
+        chosen = bpy.context.selected_objects
+        active = bpy.context.active_object
+        if role in stage.SINGLE_ROLES and active in chosen:
+            chosen = [active]  # as everywhere in Blender, the active one of many is the one that is meant
+        adopt.assign(scene, role, chosen)
+        done = f"{', '.join(o.name for o in chosen)}: {_ROLE_WORDS[role][0].lower()}"
+        complete = all(stage.players(scene, each) for each in stage.SINGLE_ROLES)
+        if complete and stage.GRID_SHAPE not in scene:
+            grid = adopt.fit_grid(scene)
+            done += f". Voxels {grid.labels[0]} to {grid.labels[-1]} were laid around the target"
+        return "INFO", done
+
+
+class NLOS_OT_check(_Task, bpy.types.Operator):
+    """Look for what would spoil a sweep, and measure signal, noise, time and disk by a few quick renders beside"""
+
+    bl_idname = "nlos.check"
+    bl_label = "Check Scene"
+
+    def work(self, scene: Any) -> tuple[str, str]:
+        """Find; return what to report."""
+        _forget_checks()
+        state.findings[:] = check.findings(scene, engine=scene.nlos.engine)
+        worst = [f for f in state.findings if f.level == check.ERROR]
+        if worst:
+            return "WARNING", worst[0].text
+        state.checking = True
+        arguments = [str(background.snapshot("check.blend")), json.dumps(properties.sweep_of(scene.nlos))]
+        background.ask(["generator.blender.worker", "check", *arguments], _checked).settle()
+        return "INFO", "Nothing stands in the way of a sweep; signal and noise are being measured"
+
+
+def _forget_checks() -> None:
+    """What an earlier check has still to say is true of an earlier scene."""
+    background.drop("check")
+    state.checking = False
+
+
+def _checked(task: background.Task) -> None:
+    state.checking = False
+    if task.error:
+        state.findings.insert(0, check.Finding(check.ERROR, task.error))
+    else:
+        state.findings[:] = [check.Finding(**fields) for fields in task.result["findings"]]
+
+
+class NLOS_OT_fix(_Task, bpy.types.Operator):
+    """Mend what the check has found"""
+
+    bl_idname = "nlos.fix"
+    bl_label = "Fix"
+
+    fix: StringProperty(options={"SKIP_SAVE"})  # type: ignore[valid-type]
+
+    def work(self, scene: Any) -> tuple[str, str]:
+        """Mend, and look again."""
+        _forget_checks()
+        check.mend(scene, self.fix)
+        state.findings[:] = check.findings(scene, engine=scene.nlos.engine)
+        return "INFO", f"{check.FIXES[self.fix]}: done"
+
+
+class NLOS_OT_select(_Task, bpy.types.Operator):
+    """Select the object that is meant, and make it the active one"""
+
+    bl_idname = "nlos.select"
+    bl_label = "Select"
+
+    name: StringProperty(options={"SKIP_SAVE"})  # type: ignore[valid-type]
+
+    def work(self, scene: Any) -> tuple[str, str]:
+        """Select."""
+        obj = scene.objects.get(self.name)
+        layer = bpy.context.view_layer
+        if obj is None or obj.name not in layer.objects:
+            raise spec.NlosError(f"there is no object {self.name!r} in this view layer; check again")
+        for other in bpy.context.selected_objects:
+            other.select_set(False)
+        obj.hide_set(False)
+        obj.select_set(True)
+        layer.objects.active = obj
+        return "INFO", f"{self.name} is selected"
+
+
+class NLOS_OT_render_wall(_Task, bpy.types.Operator):
+    """Render what the camera sees on the relay wall, as float radiance, into the image 'NLOS wall'. Another Blender does it, without a window"""  # noqa: E501
+
+    bl_idname = "nlos.render_wall"
+    bl_label = "Render Wall"
+
+    def work(self, scene: Any) -> tuple[str, str]:
+        """Start; return what to report."""
+        settings = scene.nlos
+        described = stage.read(scene)  # what is wrong is said now, not by the other Blender later
+        engines.refuse_hidden(scene)
+        chosen = {
+            name: value for name, value in properties.sweep_of(settings).items() if name not in ("poses", "inside")
+        }
+        difference, reference = settings.difference, described.reference_radiance
+        width = described.camera.x[1] - described.camera.x[0]
+        folder = background.folder()
+        arguments = [
+            str(background.snapshot("picture.blend")),
+            str(folder),
+            json.dumps(chosen),
+            "denoise" if settings.denoise else "plain",
+        ]
+
+        def then(task: background.Task) -> None:
+            state.rendering = ""
+            if task.error:
+                state.rendering = task.error
+                return
+            wall, without = (read_picture(folder / f"{name}.exr")[0] for name in ("wall", "background"))
+            state.shown = state.Shown(wall, without)
+            images.store(images.WALL, wall)
+            state.rendering = f"Mean radiance {wall.mean():.4g} W/m²/sr"
+            if difference:
+                shown = wall - without
+                images.store(images.DIFFERENCE, shown)
+                images.show(images.coloured(images.PREVIEW, shown, reference, width))
+                if wall.any():
+                    state.rendering += f", of which the object adds {shown.mean() / wall.mean():.2%}"
+            else:
+                images.show(images.preview(wall))
+            state.remember("Render Wall")  # else the next undo takes the pictures away
+
+        state.rendering = "Rendering ..."
+        task = background.ask(["generator.blender.worker", "picture", *arguments], then).settle()
+        if task.error:
+            raise spec.NlosError(task.error)
+        return "INFO", state.rendering
+
+
+class NLOS_OT_experiment(_Task, bpy.types.Operator):
+    """Difference pictures of the paper's experiment, from the object's place: what a movement along each axis, or a turn about it, changes"""  # noqa: E501
+
+    bl_idname = "nlos.experiment"
+    bl_label = "Experiment"
+
+    number: IntProperty(name="Number", min=1, max=3, default=1)  # type: ignore[valid-type]
+
+    @classmethod
+    def description(cls, context: Any, properties: Any) -> str:
+        """Return the tooltip of one experiment."""
+        done = ("A sphere is moved along x, y and z", "A square sheet is moved along x, y and z")
+        turned = "The sheet is turned about x, y and z"
+        return f"{(*done, turned)[properties.number - 1]}: a row of difference pictures for each axis"
+
+    def work(self, scene: Any) -> tuple[str, str]:
+        """Start; return what to report."""
+        reference, number = stage.read(scene).reference_radiance, self.number
+        file = background.folder() / "experiment.exr"
+        source = background.snapshot("experiment.blend")
+
+        def then(task: background.Task) -> None:
+            state.experiment = task.error
+            if not task.error:
+                image = images.coloured(images.EXPERIMENT.format(number), read_picture(file)[0], reference, 0.0)
+                images.show(image)
+                state.remember("Experiment")
+
+        state.experiment = "Drawing the pictures ..."
+        task = background.ask(
+            ["generator.blender.worker", "experiment", str(source), str(file), str(number)], then
+        ).settle()
+        if task.error:
+            raise spec.NlosError(task.error)
+        turned = "turned about" if number == 3 else "moved along"
+        return "INFO", f"{images.EXPERIMENT.format(number)}: {turned} x, y and z, a row each"
+
+
+class NLOS_OT_open_image_editor(bpy.types.Operator):
+    """Cut an Image Editor off the 3D view, for the pictures"""
+
+    bl_idname = "nlos.open_image_editor"
+    bl_label = "Open Image Editor"
+
+    @classmethod
+    def poll(cls: Any, context: Any) -> bool:
+        """Only in a 3D view that does not fill the window."""
+        cls.poll_message_set("Needs a 3D view that is not maximised")
+        inside = context.area is not None and context.area.type == "VIEW_3D"
+        return bool(inside and bpy.ops.screen.area_split.poll())
+
+    def execute(self: Any, context: Any) -> set[str]:
+        """Split the area."""
+        before = set(context.screen.areas)
+        bpy.ops.screen.area_split(direction="VERTICAL", factor=0.4)
+        [made] = set(context.screen.areas) - before or [None]
+        if made is None:
+            self.report({"ERROR"}, "The 3D view is too small to be split")
+            return {"CANCELLED"}
+        made.type = "IMAGE_EDITOR"
+        shown = next((i for n in (images.LOOK, images.PREVIEW) if (i := bpy.data.images.get(n))), None)
+        if shown is not None:
+            made.spaces.active.image = shown
+        return {"FINISHED"}
+
+
+class NLOS_OT_new_room(bpy.types.Operator):
+    """Start a new file with a ready room: wall, partition, lamp, camera, a hidden sheet"""
+
+    bl_idname = "nlos.new_room"
+    bl_label = "NLOS Room"
+
+    @classmethod
+    def poll(cls: Any, context: Any) -> bool:
+        """Not while Blender renders, and not without Cycles: the file that is open would be lost for nothing."""
+        cls.poll_message_set("Wait for the render to end, and enable Cycles")
+        return hasattr(context.scene, "cycles") and not state.rendering_now()
+
+    def invoke(self: Any, context: Any, event: Any) -> set[str]:
+        """Ask before what is not saved is lost."""
+        if bpy.data.is_dirty:
+            answer: set[str] = context.window_manager.invoke_confirm(
+                self, event, title="Start a new room?", message="What is not saved is lost.", confirm_text="New Room"
+            )
+            return answer
+        return cast("set[str]", self.execute(context))
+
+    def execute(self: Any, context: Any) -> set[str]:
+        """Open Blender's own start-up file, empty it and build."""
+        bpy.ops.wm.read_homefile(app_template="")
+        scene = bpy.context.scene
+        for obj in list(scene.objects):
+            bpy.data.objects.remove(obj)
+        bpy.ops.outliner.orphans_purge(do_recursive=True)
+        try:
+            stage.build(scene, properties.spec_of(scene.nlos))
+        except spec.NlosError as error:
+            self.report({"ERROR"}, str(error))
+            return {"CANCELLED"}
+        state.remember("New Room")
+        return {"FINISHED"}
+
+
+_CLASSES = (
+    NLOS_OT_build_scene,
+    NLOS_OT_apply,
+    NLOS_OT_read_scene,
+    NLOS_OT_adopt,
+    NLOS_OT_check,
+    NLOS_OT_fix,
+    NLOS_OT_select,
+    NLOS_OT_render_wall,
+    NLOS_OT_experiment,
+    NLOS_OT_open_image_editor,
+    NLOS_OT_new_room,
+)
+
+register, unregister = bpy.utils.register_classes_factory(_CLASSES)

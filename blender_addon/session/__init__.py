@@ -1,0 +1,1 @@
+"""What the extension knows while Blender runs: its state and its processes."""

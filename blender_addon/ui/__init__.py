@@ -1,0 +1,1 @@
+"""Settings, panels, menus and translations."""

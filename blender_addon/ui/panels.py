@@ -1,0 +1,349 @@
+"""The NLOS tab of the 3D Viewport's sidebar. Nothing is computed here."""
+
+# mypy: disable-error-code="misc"
+
+from typing import Any
+
+import bpy
+from bl_ui.utils import PresetPanel
+
+from generator.blender import check
+from generator.blender.scene import stage
+
+from ..operators import answer, dataset
+from ..session import state
+from ..view import live
+from . import menus
+
+_ICONS = {check.GOOD: "CHECKMARK", check.NOTE: "INFO", check.WARNING: "ERROR", check.ERROR: "CANCEL"}
+_LETTER = 6.3
+"""Width of a letter, on average and at Blender's own scale, pixels."""
+
+
+class _Tab:
+    bl_space_type = "VIEW_3D"
+    bl_region_type = "UI"
+    bl_category = "NLOS"
+
+
+def _split(layout: Any) -> None:
+    layout.use_property_split = True
+    layout.use_property_decorate = False
+
+
+def _sentence(context: Any, layout: Any, text: str, icon: str = "NONE") -> None:
+    """Draw a sentence over as many lines as it takes: labels do not wrap."""
+    letters = context.region.width / (_LETTER * context.preferences.system.ui_scale)
+    longest = max(16, int(letters) - (8 if icon == "NONE" else 12))
+    column = layout.column(align=True)
+    column.scale_y = 0.8
+    line = ""
+    for word in text.split():
+        if line and len(line) + len(word) >= longest:
+            column.label(text=line, icon=icon, translate=False)
+            line, icon = "", "BLANK1" if icon != "NONE" else "NONE"
+        line = f"{line} {word}".lstrip()
+    column.label(text=line, icon=icon, translate=False)
+
+
+class NLOS_PT_presets(PresetPanel, bpy.types.Panel):
+    """The user's own presets."""
+
+    bl_label = "NLOS Presets"
+    preset_subdir = menus.PRESETS
+    preset_operator = "script.execute_preset"
+    preset_add_operator = "nlos.preset_add"
+
+
+class NLOS_PT_scene(_Tab, bpy.types.Panel):
+    """What to build, and who plays which part."""
+
+    bl_label = "Scene"
+
+    def draw_header_preset(self, context: Any) -> None:
+        """Draw the menu of presets."""
+        NLOS_PT_presets.draw_panel_header(self.layout)
+
+    def draw(self, context: Any) -> None:
+        """Draw the preset and what to do with it."""
+        layout, settings = self.layout, context.scene.nlos
+        _split(layout)
+        layout.prop(settings, "preset")
+        column = layout.column()
+        column.scale_y = 1.4
+        column.operator("nlos.build_scene", icon="SCENE_DATA")
+        row = layout.row(align=True)
+        row.operator("nlos.read_scene", text="Read", icon="IMPORT")
+        row.operator("nlos.apply", text="Apply", icon="EXPORT")
+        row = layout.row(align=True)
+        row.use_property_split = False
+        session = context.window_manager.nlos
+        row.prop(session, "overlay", toggle=True, icon="OVERLAY")
+        row.popover("NLOS_PT_overlay", text="", icon="DOWNARROW_HLT")
+
+
+class NLOS_PT_overlay(bpy.types.Panel):
+    """What the overlay shows."""
+
+    bl_label = "NLOS Overlay"
+    bl_space_type = "VIEW_3D"
+    bl_region_type = "HEADER"
+
+    def draw(self, context: Any) -> None:
+        """Draw the switches."""
+        layout, session = self.layout, context.window_manager.nlos
+        layout.active = session.overlay
+        for name in ("show_voxels", "show_patches", "show_legs", "show_poses"):
+            layout.prop(session, name)
+
+
+class NLOS_PT_roles(_Tab, bpy.types.Panel):
+    """Who plays which part."""
+
+    bl_label = "Adopt My Objects"
+    bl_parent_id = "NLOS_PT_scene"
+    bl_options = {"DEFAULT_CLOSED"}  # noqa: RUF012
+
+    def draw(self, context: Any) -> None:
+        """Draw each part with its player."""
+        layout = self.layout
+        for role in stage.SINGLE_ROLES:
+            players = stage.players(context.scene, role)
+            row = layout.row(align=True)
+            words = role.replace("_", " ").title()
+            row.operator("nlos.adopt", text=words).role = role
+            if len(players) == 1:
+                row.operator(
+                    "nlos.select", text=players[0].name, translate=False, icon="RESTRICT_SELECT_OFF"
+                ).name = players[0].name
+            else:
+                row.label(text="nobody yet" if not players else f"{len(players)} objects", icon="ERROR")
+        row = layout.row(align=True)
+        for role in ("room", "partition", "none"):
+            row.operator("nlos.adopt", text="No Role" if role == "none" else role.title()).role = role
+
+
+class NLOS_PT_target(_Tab, bpy.types.Panel):
+    """What hides."""
+
+    bl_label = "Target"
+    bl_options = {"DEFAULT_CLOSED"}  # noqa: RUF012
+
+    def draw(self, context: Any) -> None:
+        """Draw the target's figures."""
+        layout, settings = self.layout, context.scene.nlos
+        _split(layout)
+        layout.prop(settings, "target_kind")
+        if settings.target_kind == "mesh":
+            layout.prop(settings, "target_mesh")
+        layout.prop(settings, "target_size")
+        layout.prop(settings, "target_albedo")
+
+
+class NLOS_PT_light(_Tab, bpy.types.Panel):
+    """What shines."""
+
+    bl_label = "Light"
+    bl_options = {"DEFAULT_CLOSED"}  # noqa: RUF012
+
+    def draw(self, context: Any) -> None:
+        """Draw the spot's figures."""
+        layout, settings = self.layout, context.scene.nlos
+        _split(layout)
+        layout.prop(settings, "light_power")
+        layout.prop(settings, "light_half_angle")
+
+
+class NLOS_PT_ambient(_Tab, bpy.types.Panel):
+    """What shines from all around."""
+
+    bl_label = "Ambient Light"
+    bl_parent_id = "NLOS_PT_light"
+    bl_options = {"DEFAULT_CLOSED"}  # noqa: RUF012
+
+    def draw_header(self, context: Any) -> None:
+        """Draw the switch."""
+        self.layout.prop(context.scene.nlos, "use_ambient", text="")
+
+    def draw(self, context: Any) -> None:
+        """Draw the radiance."""
+        layout, settings = self.layout, context.scene.nlos
+        _split(layout)
+        layout.active = settings.use_ambient
+        layout.prop(settings, "ambient_radiance")
+
+
+class NLOS_PT_voxels(_Tab, bpy.types.Panel):
+    """Where it may hide."""
+
+    bl_label = "Hidden Voxels"
+    bl_options = {"DEFAULT_CLOSED"}  # noqa: RUF012
+
+    def draw(self, context: Any) -> None:
+        """Draw the grid."""
+        layout, settings = self.layout, context.scene.nlos
+        _split(layout)
+        for name in ("grid_counts", "grid_lo", "grid_hi"):
+            layout.column().prop(settings, name)
+
+
+class NLOS_PT_rendering(_Tab, bpy.types.Panel):
+    """How to render it."""
+
+    bl_label = "Rendering"
+
+    def draw(self, context: Any) -> None:
+        """Draw the renderer's figures and its button."""
+        layout, settings = self.layout, context.scene.nlos
+        _split(layout)
+        layout.prop(settings, "engine")
+        layout.prop(settings, "reflection_order")
+        if settings.engine != "surfel":
+            layout.prop(settings, "samples")
+            layout.prop(settings, "seed")
+        if settings.engine in ("surfel", "auto"):
+            layout.prop(settings, "accuracy")
+        layout.prop(settings, "quality")
+        if settings.quality != "figures":
+            layout.prop(settings, "minutes" if settings.quality == "time" else "error")
+        column = layout.column(align=True)
+        column.prop(settings, "resolution", index=0, text="Resolution X")
+        column.prop(settings, "resolution", index=1, text="Y")
+        layout.prop(settings, "difference")
+        if settings.engine != "surfel":
+            layout.prop(settings, "denoise")
+        column = layout.column()
+        column.scale_y = 1.4
+        column.operator("nlos.render_wall", icon="RENDER_STILL")
+        if state.rendering:
+            _sentence(context, layout, state.rendering)
+
+
+class NLOS_PT_check(_Tab, bpy.types.Panel):
+    """What would spoil a sweep."""
+
+    bl_label = "Check"
+
+    def draw(self, context: Any) -> None:
+        """Draw what was found."""
+        layout = self.layout
+        layout.operator("nlos.check", icon="VIEWZOOM")
+        for found in state.findings:
+            box = layout.box()
+            _sentence(context, box, found.text, _ICONS[found.level])
+            if found.object or found.fix:
+                row = box.row(align=True)
+                if found.object:
+                    row.operator(
+                        "nlos.select", text=found.object, translate=False, icon="RESTRICT_SELECT_OFF"
+                    ).name = found.object
+                if found.fix:
+                    row.operator("nlos.fix", text=check.FIXES[found.fix], icon="TOOL_SETTINGS").fix = found.fix
+        if state.checking:
+            layout.label(text="Measuring signal and noise ...", icon="SORTTIME")
+
+
+class NLOS_PT_look(_Tab, bpy.types.Panel):
+    """What the object does to the wall, live."""
+
+    bl_label = "Look"
+
+    def draw(self, context: Any) -> None:
+        """Draw the switch, its settings and the experiments."""
+        layout, settings, session = self.layout, context.scene.nlos, context.window_manager.nlos
+        row = layout.row(align=True)
+        row.scale_y = 1.4
+        row.prop(session, "look", toggle=True, icon="HIDE_OFF" if session.look else "HIDE_ON")
+        row.operator("nlos.open_image_editor", text="", icon="IMAGE_DATA")
+        column = layout.column()
+        _split(column)
+        column.prop(settings, "look_resolution")
+        column.prop(settings, "look_shadows")
+        if session.look and live.words():
+            _sentence(context, layout, live.words())
+        layout.label(text="The paper's experiments")
+        row = layout.row(align=True)
+        for number, words in ((1, "Sphere"), (2, "Sheet"), (3, "Turned")):
+            row.operator("nlos.experiment", text=f"{number} {words}").number = number
+        if state.experiment:
+            _sentence(context, layout, state.experiment)
+
+
+class NLOS_PT_dataset(_Tab, bpy.types.Panel):
+    """Pictures by the hundred."""
+
+    bl_label = "Data Set"
+
+    def draw(self, context: Any) -> None:
+        """Draw its figures, its buttons, how far it is."""
+        layout, settings, job = self.layout, context.scene.nlos, dataset.job
+        column = layout.column()
+        _split(column)
+        column.prop(settings, "dataset")
+        column.prop(settings, "poses")
+        column.prop(settings, "inside")
+        column.prop(settings, "workers")
+        if job is not None and job.running:
+            layout.progress(factor=job.done / job.total if job.total else 0.0, text=job.status())
+            layout.operator("nlos.sweep_cancel", icon="CANCEL")
+        else:
+            row = layout.row(align=True)
+            row.scale_y = 1.4
+            row.operator("nlos.sweep_start", icon="RENDER_ANIMATION")
+            row.operator("nlos.sweep_resume", icon="PLAY")
+            if job is not None:
+                _sentence(context, layout, job.status())
+        if job is not None and job.choice:
+            _sentence(context, layout, job.choice)
+        layout.operator("nlos.open_folder", icon="FILE_FOLDER")
+
+
+class NLOS_PT_answer(_Tab, bpy.types.Panel):
+    """Where a trained model thinks it is."""
+
+    bl_label = "Answer"
+    bl_options = {"DEFAULT_CLOSED"}  # noqa: RUF012
+
+    def draw(self, context: Any) -> None:
+        """Draw the model, the question and the answer."""
+        layout, settings = self.layout, context.scene.nlos
+        column = layout.column()
+        _split(column)
+        column.prop(settings, "model")
+        layout.operator("nlos.answer", icon="QUESTION")
+        if state.answer_words:
+            _sentence(context, layout, state.answer_words)
+        if state.answer:
+            column = layout.column(align=True)
+            likely = sorted(state.answer.items(), key=lambda item: -item[1])[:_MOST_LIKELY]
+            for label, probability in likely:
+                column.progress(factor=probability, text=f"{label}  {probability:.0%}")
+            layout.operator("nlos.forget_answer", icon="X")
+        if not answer.named():
+            _sentence(
+                context,
+                layout,
+                "Answers need a Python with scikit-learn: name one in the add-on's preferences",
+                "INFO",
+            )
+
+
+_MOST_LIKELY = 5
+
+_CLASSES = (
+    NLOS_PT_presets,
+    NLOS_PT_overlay,
+    NLOS_PT_scene,
+    NLOS_PT_roles,
+    NLOS_PT_target,
+    NLOS_PT_light,
+    NLOS_PT_ambient,
+    NLOS_PT_voxels,
+    NLOS_PT_rendering,
+    NLOS_PT_check,
+    NLOS_PT_look,
+    NLOS_PT_dataset,
+    NLOS_PT_answer,
+)
+
+register, unregister = bpy.utils.register_classes_factory(_CLASSES)

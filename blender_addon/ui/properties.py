@@ -1,0 +1,466 @@
+"""What the panel shows: a draft of a scene's figures, kept with the Blender scene.
+
+The draft decides nothing by itself: `spec_of` turns it into a spec that an operator writes into the scene, and `fill`
+brings it in line with a spec that was read from the scene.
+"""
+
+# Blender reads the calls below, in the place of types, as the properties' definitions.
+# mypy: disable-error-code="valid-type,misc"
+
+import math
+from dataclasses import replace
+from typing import Any
+
+import bpy
+from bpy.props import (
+    BoolProperty,
+    EnumProperty,
+    FloatProperty,
+    FloatVectorProperty,
+    IntProperty,
+    IntVectorProperty,
+    PointerProperty,
+    StringProperty,
+)
+
+from generator.blender import worker
+from generator.blender.scene import stage
+from generator.model import spec
+
+from ..view import live, overlay
+
+_ROOM = spec.preset("room")
+
+_PRESETS = (
+    ("room", "Room", "A room 5 m wide with a matt black partition that hides the object"),
+    ("tabletop", "Tabletop", "2 m x 2 m of wall seen orthographically, a small object half a metre from it"),
+    ("corridor", "Corridor", "An L-shaped corridor at building scale; the object is behind the corner"),
+)
+_KINDS = (
+    ("sheet", "Sheet", "A square sheet, two-sided; unrotated it faces the wall"),
+    ("sphere", "Sphere", "A sphere"),
+    ("mesh", "Mesh File", "A mesh from an OBJ, PLY or STL file"),
+)
+_ENGINES = (
+    (
+        "patch",
+        "Lit Patch",
+        "Start from the patch of wall that the lamp lights, as an emitter. Far less noise; needs a diffuse wall",
+    ),
+    (
+        "path",
+        "Full Path",
+        "Follow all light from the lamp itself. Honours any material, but finds the small lit patch by chance only",
+    ),
+    (
+        "surfel",
+        "Integral",
+        "Sum the three reflections themselves, without noise. Plain diffuse scenes; the first picture of a furnished "
+        "room may take a minute",
+    ),
+    ("auto", "Automatic", "The cheapest of the three that the scene allows; says what asked for a dearer one"),
+)
+
+
+def _preset_changed(settings: Any, _: Any) -> None:
+    kind = settings.target_kind
+    fill(settings, spec.preset(settings.preset, "sheet" if kind == "mesh" else kind), target=kind != "mesh")
+
+
+def _kind_changed(settings: Any, _: Any) -> None:
+    if settings.target_kind == "mesh":
+        settings.target_size = 0.0
+    else:
+        target = spec.preset(settings.preset, settings.target_kind).target
+        settings.target_size, settings.target_albedo = target.size, target.albedo
+
+
+def _redraw(_: Any, context: Any) -> None:
+    overlay.changed()
+
+
+class NlosSettings(bpy.types.PropertyGroup):
+    """The draft."""
+
+    preset: EnumProperty(
+        name="Preset",
+        description="Scene to start from. Choosing one sets all figures below to its own",
+        items=_PRESETS,
+        update=_preset_changed,
+    )
+    target_kind: EnumProperty(
+        name="Kind", description="What hides around the corner", items=_KINDS, update=_kind_changed
+    )
+    target_size: FloatProperty(
+        name="Size",
+        description="Edge of the sheet, diameter of the sphere, longest edge of the mesh's bounding box; "
+        "for a mesh, 0 keeps the file's own size",
+        default=_ROOM.target.size,
+        min=0.0,
+        soft_max=10.0,
+        step=1,
+        precision=3,
+        subtype="DISTANCE",
+        unit="LENGTH",
+    )
+    target_albedo: FloatProperty(
+        name="Albedo",
+        description="Fraction of the light that the target reflects, alike in all directions (Lambertian)",
+        default=_ROOM.target.albedo,
+        min=0.0,
+        max=1.0,
+        precision=3,
+        subtype="FACTOR",
+    )
+    target_mesh: StringProperty(name="File", description="Mesh file: OBJ, PLY or STL", subtype="FILE_PATH")
+    light_power: FloatProperty(
+        name="Power",
+        description="Power of the spot lamp. Its radiant intensity is power / 4 pi inside the cone, whatever the "
+        "cone's angle; radiance grows in proportion",
+        default=_ROOM.spot.power,
+        min=0.0,
+        soft_max=1e5,
+        subtype="POWER",
+        unit="POWER",
+    )
+    light_half_angle: FloatProperty(
+        name="Half Angle",
+        description="Between the lamp's axis and the edge of its cone: how wide a patch of wall it lights",
+        default=math.radians(_ROOM.spot.half_angle),
+        min=math.radians(0.001),
+        max=math.radians(89.0),
+        soft_min=math.radians(0.1),
+        soft_max=math.radians(30.0),
+        step=10,
+        precision=3,
+        subtype="ANGLE",
+        unit="ROTATION",
+    )
+    use_ambient: BoolProperty(
+        name="Ambient Light", description="Light the scene uniformly from all around; a closed room loses its ceiling"
+    )
+    ambient_radiance: FloatProperty(
+        name="Radiance",
+        description="Radiance of the surroundings, W/m²/sr. The hidden object's signal is usually far weaker",
+        default=0.01,
+        min=0.0,
+        soft_max=10.0,
+        step=0.1,
+        precision=5,
+    )
+    grid_counts: IntVectorProperty(
+        name="Voxels",
+        description="How many voxels the hidden volume is cut into along each axis. They are named A, B, C and so "
+        "on, along X first, then Y, then Z",
+        size=3,
+        default=_ROOM.grid.shape,
+        min=1,
+        soft_max=10,
+        subtype="XYZ",
+    )
+    grid_lo: FloatVectorProperty(
+        name="From",
+        description="Corner of the hidden volume with the smallest coordinates",
+        size=3,
+        default=_ROOM.grid.lo,
+        step=1,
+        precision=3,
+        subtype="XYZ_LENGTH",
+        unit="LENGTH",
+    )
+    grid_hi: FloatVectorProperty(
+        name="To",
+        description="Corner of the hidden volume with the largest coordinates",
+        size=3,
+        default=_ROOM.grid.hi,
+        step=1,
+        precision=3,
+        subtype="XYZ_LENGTH",
+        unit="LENGTH",
+    )
+    reflection_order: IntProperty(
+        name="Reflections",
+        description="How many diffuse reflections light may make on its way. "
+        "Three are: wall, hidden object, wall again",
+        default=_ROOM.reflection_order,
+        min=1,
+        max=1024,
+        soft_max=8,
+    )
+    engine: EnumProperty(name="Engine", description="How the light is followed", items=_ENGINES, default=spec.AUTO)
+    samples: IntProperty(
+        name="Samples",
+        description="Rays per pixel. Four times as many halve the noise",
+        default=512,
+        min=1,
+        max=2**24,
+        soft_max=8192,
+    )
+    accuracy: FloatProperty(
+        name="Accuracy",
+        description="Error of the integral's picture, relative to the hidden object's light",
+        default=1e-2,
+        min=1e-8,
+        max=0.3,
+        soft_min=1e-4,
+        precision=4,
+    )
+    quality: EnumProperty(
+        name="Data Set",
+        description="What decides how many samples a data set takes, or how exact the integral is",
+        items=(
+            ("figures", "As Above", "The samples and the accuracy above"),
+            ("time", "In a Time", "As many as there is time for: a few pictures are rendered first to find out"),
+            ("error", "At an Error", "As many as that takes: a few pictures are rendered first to find out"),
+        ),
+    )
+    minutes: FloatProperty(
+        name="Minutes",
+        description="In which the data set is to be rendered",
+        default=10.0,
+        min=0.1,
+        soft_max=1440.0,
+        precision=1,
+    )
+    error: FloatProperty(
+        name="Error",
+        description="Of what the object changes, in the middling pose; noise and all",
+        default=50.0,
+        min=0.01,
+        max=99.0,
+        subtype="PERCENTAGE",
+        precision=1,
+    )
+    resolution: IntVectorProperty(
+        name="Resolution",
+        description="Width and height of the picture in pixels; pixels must be square on the wall",
+        size=2,
+        default=_ROOM.resolution,
+        min=1,
+        max=65536,
+        soft_max=512,
+    )
+    seed: IntProperty(
+        name="Seed",
+        description="Of the noise: the same seed gives the same picture",
+        default=0,
+        min=0,
+    )
+    denoise: BoolProperty(
+        name="Denoise",
+        description="Clean this picture with Open Image Denoise: smooth to look at, biased by about half a percent. "
+        "Data sets are never denoised",
+    )
+    difference: BoolProperty(
+        name="Difference",
+        description="Also render the scene without the hidden object, and subtract: the object's own doing is left",
+        default=True,
+    )
+    look_resolution: EnumProperty(
+        name="Pixels",
+        description="Width of the live picture; more pixels take longer",
+        items=[(str(n), f"{n} x {n}", "") for n in (32, 64, 128, 256)],
+        default="64",
+        update=lambda settings, context: live.changed(),
+    )
+    look_shadows: BoolProperty(
+        name="Shadows",
+        description="Subtract the light of the room that the object keeps from the wall. In a furnished room that "
+        "takes much longer, so it is done once the object is at rest",
+        default=True,
+        update=lambda settings, context: live.changed(),
+    )
+    dataset: StringProperty(
+        name="Folder",
+        description="Where the data set goes: a new or empty folder, or the one of a set to go on with",
+        subtype="DIR_PATH",
+        default="//dataset",
+    )
+    poses: IntProperty(
+        name="Poses",
+        description="Pictures per voxel, each with the object at another place in it, turned another way",
+        default=spec.Sweep().poses,
+        min=1,
+        max=1_000_000,
+        soft_max=1000,
+    )
+    inside: EnumProperty(
+        name="Inside",
+        description="What of the object must lie in its voxel",
+        items=(
+            ("whole", "Whole Object", "Every point of it"),
+            ("centre", "Its Centre", "Its origin only: it may reach into the next voxel"),
+        ),
+    )
+    workers: IntProperty(
+        name="Processes",
+        description="Blenders that render side by side, without windows; 0 is one per core",
+        default=0,
+        min=0,
+        soft_max=64,
+    )
+    model: StringProperty(
+        name="Model", description="Trained by nlos-classify train (.skops)", subtype="FILE_PATH", default=""
+    )
+
+
+def sweep_of(settings: Any) -> dict[str, Any]:
+    """Return what the draft says of a sweep: fields of `spec.Sweep`, those that mean something to its engine."""
+    chosen = {
+        "engine": settings.engine,
+        "samples": settings.samples,
+        "accuracy": settings.accuracy,
+        "resolution": list(settings.resolution),
+        "poses": settings.poses,
+        "seed": settings.seed,
+        "inside": settings.inside,
+    }
+    idle = () if settings.engine == "auto" else spec.Sweep.idle(settings.engine)
+    if settings.quality != "figures":
+        idle = ("samples", "accuracy")
+    return {name: value for name, value in chosen.items() if name not in idle}
+
+
+def wished(settings: Any) -> dict[str, float]:
+    """Return the time and error that decide on a data set, as `budget.choose` takes them; nothing if none does."""
+    if settings.quality == "time":
+        return {"budget": 60.0 * settings.minutes}
+    return {"accuracy": settings.error / 100.0} if settings.quality == "error" else {}
+
+
+def resolved_sweep(scene: Any) -> spec.Sweep:
+    """Return the sweep that the draft describes, as far as it decides the poses.
+
+    Raises
+    ------
+    NlosError
+        The scene cannot be read, or a figure cannot be.
+    """
+    chosen = sweep_of(scene.nlos)
+    if chosen["engine"] == "auto":  # which it will be decides nothing about them
+        chosen["engine"] = "patch"
+    made: spec.Sweep = spec.from_dict(spec.Sweep, worker.with_defaults(stage.read(scene), chosen), "")
+    return made
+
+
+def spec_of(settings: Any) -> spec.Scene:
+    """Return the scene that the draft describes: the preset with the draft's figures in place of its own.
+
+    Raises
+    ------
+    NlosError
+        The figures contradict each other, or a mesh target has no file.
+    """
+    kind, mesh = settings.target_kind, ""
+    if kind == "mesh":
+        if not settings.target_mesh:
+            raise spec.NlosError("target: choose a mesh file (OBJ, PLY or STL)")
+        mesh = spec.Target.named(bpy.path.abspath(settings.target_mesh)).mesh
+    base = spec.preset(settings.preset)
+    wanted = replace(
+        base,
+        target=spec.Target(
+            kind=kind, size=stage.short(settings.target_size), albedo=stage.short(settings.target_albedo), mesh=mesh
+        ),
+        spot=replace(base.spot, power=stage.short(settings.light_power), half_angle=half_angle(settings)),
+        grid=grid(settings),
+        reflection_order=settings.reflection_order,
+        resolution=tuple(settings.resolution),
+    )
+    return wanted.with_ambient(stage.short(settings.ambient_radiance) if settings.use_ambient else 0.0)
+
+
+def grid(settings: Any) -> spec.VoxelGrid:
+    """Return the draft's voxel grid.
+
+    Raises
+    ------
+    NlosError
+        A corner is not below the other.
+    """
+    return spec.VoxelGrid(
+        lo=stage.vector(settings.grid_lo), hi=stage.vector(settings.grid_hi), shape=tuple(settings.grid_counts)
+    )
+
+
+def half_angle(settings: Any) -> float:
+    """Return the half angle of the lamp's cone, degrees."""
+    return stage.short(math.degrees(settings.light_half_angle))
+
+
+def fill(settings: Any, scene: spec.Scene, *, target: bool = True) -> None:
+    """Set the draft to a scene's figures; what it says on rendering stays.
+
+    Parameters
+    ----------
+    settings : NlosSettings
+    scene : spec.Scene
+        A preset of no known name and albedos of None leave the draft's own.
+    target : bool
+        The target's figures too.
+    """
+    known = scene.preset in {name for name, *_ in _PRESETS}
+    if known and settings.preset != scene.preset:
+        settings.preset = scene.preset  # fills in the preset's figures, so it comes first
+    if target:
+        settings.target_kind = scene.target.kind
+        settings.target_size = scene.target.size
+        if scene.target.albedo is not None:
+            settings.target_albedo = scene.target.albedo
+    settings.light_power = scene.spot.power
+    settings.light_half_angle = math.radians(scene.spot.half_angle)
+    settings.use_ambient = scene.ambient > 0
+    if scene.ambient > 0:
+        settings.ambient_radiance = scene.ambient
+    settings.grid_counts = scene.grid.shape
+    settings.grid_lo, settings.grid_hi = scene.grid.lo, scene.grid.hi
+    settings.reflection_order = scene.reflection_order
+    settings.resolution = scene.resolution
+
+
+class NlosSession(bpy.types.PropertyGroup):
+    """What is switched on in this window manager. Not kept with the file: a file that opens starts nothing."""
+
+    look: BoolProperty(
+        name="Live Look",
+        description="Show what the hidden object does to the wall, and follow it as it is moved",
+        options={"SKIP_SAVE"},
+        update=lambda session, context: live.switch(session.look),
+    )
+    overlay: BoolProperty(
+        name="Overlay",
+        description="Show in the 3D views what belongs to the experiment but is no object",
+        options={"SKIP_SAVE"},
+        update=lambda session, context: overlay.switch(session.overlay),
+    )
+    show_voxels: BoolProperty(
+        name="Voxels", description="The hidden volume, with its letters", default=True, update=_redraw
+    )
+    show_patches: BoolProperty(
+        name="Patches", description="What the lamp lights and what the camera watches", default=True, update=_redraw
+    )
+    show_legs: BoolProperty(
+        name="Light Legs",
+        description="Lamp to wall, wall to object, object to wall, wall to camera",
+        default=True,
+        update=_redraw,
+    )
+    show_poses: BoolProperty(
+        name="Poses", description="Where the object will stand in the first pictures of a sweep", update=_redraw
+    )
+
+
+def register() -> None:
+    """Give every scene a draft."""
+    bpy.utils.register_class(NlosSettings)
+    bpy.utils.register_class(NlosSession)
+    bpy.types.Scene.nlos = PointerProperty(type=NlosSettings, name="NLOS")
+    bpy.types.WindowManager.nlos = PointerProperty(type=NlosSession, name="NLOS")
+
+
+def unregister() -> None:
+    """Take it away."""
+    del bpy.types.WindowManager.nlos
+    del bpy.types.Scene.nlos
+    bpy.utils.unregister_class(NlosSession)
+    bpy.utils.unregister_class(NlosSettings)

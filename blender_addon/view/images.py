@@ -1,0 +1,148 @@
+"""Pictures as Blender images: float, non-colour data, bottom row first as Blender has it."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import Any
+
+import bpy
+import numpy as np
+
+from generator.sets.dataset import Picture
+
+WALL = "NLOS wall"
+DIFFERENCE = "NLOS difference"
+PREVIEW = "NLOS preview"
+LOOK = "NLOS look"
+EXPERIMENT = "NLOS experiment {}"
+
+_STOPS = np.array([[0.0, 0.0, 0.0], [0.9, 0.35, 0.05], [1.0, 0.95, 0.75]])
+"""Colours of 0, half and all of the scale where the object brightens the wall; where it darkens it, blue for red."""
+
+
+@dataclass(frozen=True)
+class Caption:
+    """What the colours and pixels of an image stand for.
+
+    Attributes
+    ----------
+    top : float
+        Radiance of the brightest colour, W/m^2/sr.
+    amplification : float
+        By how much the light is brightened: 1 shows the lit patch as the brightest colour.
+    width : float
+        Of the image on the wall, metres; 0 if it holds several pictures.
+    """
+
+    top: float
+    amplification: float
+    width: float
+
+
+captions: dict[str, Caption] = {}
+"""By the image's name."""
+
+
+def store(name: str, picture: Picture, *, keep: bool = True) -> Any:
+    """Put a picture into the image of that name, made if need be, and return the image.
+
+    Parameters
+    ----------
+    name : str
+    picture : ndarray of shape (height, width, 3), float32
+        Row 0 is the top.
+    keep : bool
+        In the file too: without, it is gone when the file is saved and opened again, but is stored far faster.
+    """
+    height, width = picture.shape[:2]
+    old = bpy.data.images.get(name)
+    image = old
+    if old is None or tuple(old.size) != (width, height) or not old.is_float:
+        image = bpy.data.images.new(name, width, height, alpha=False, float_buffer=True, is_data=True)
+        if old is not None:
+            old.user_remap(image)
+            bpy.data.images.remove(old)
+            image.name = name
+    rgba = np.ones((height, width, 4), dtype=np.float32)
+    rgba[..., :3] = picture[::-1]
+    image.pixels.foreach_set(rgba.ravel())
+    image.update()
+    if keep:
+        image.use_fake_user = True
+        image.pack()
+    return image
+
+
+def preview(picture: Picture) -> Any:
+    """Store a picture scaled so that light of any strength can be seen, and return the image.
+
+    White is what 1 % of the values exceed: a single bright pixel, which is noise as a rule, does not darken the rest.
+    """
+    captions.pop(PREVIEW, None)
+    white = float(np.quantile(picture, 0.99)) or float(picture.max())
+    return store(PREVIEW, np.clip(picture / white, 0.0, 1.0) if white > 0 else np.zeros_like(picture))
+
+
+def look(picture: Picture, watched: Any, reference: float) -> Any:
+    """Store a difference picture in the colours of `signed`, with its caption, and return the image.
+
+    Parameters
+    ----------
+    picture : ndarray of shape (height, width, 3)
+        Radiance, W/m^2/sr.
+    watched : Watched
+        The part of the wall that it shows.
+    reference : float
+        Radiance of the lit patch, W/m^2/sr.
+    """
+    ends = watched.points(np.array([[0.0, 0.5], [1.0, 0.5]]))
+    image = coloured(LOOK, picture, reference, float(np.linalg.norm(ends[1] - ends[0])), keep=False)
+    # Undo takes the image away with what was done before it was made.
+    if any(area.spaces.active.image is None for _, area in _editors()):
+        show(image)
+    return image
+
+
+def coloured(name: str, picture: Picture, reference: float, width: float, *, keep: bool = True) -> Any:
+    """Store a difference picture in colours, with its caption, and return the image; see `look`."""
+    level = picture.mean(axis=2)
+    top = round_up(float(np.quantile(np.abs(level), 0.995)) or float(np.abs(level).max()))
+    captions[name] = Caption(top, reference / top if top else 0.0, width)
+    return store(name, signed(level / top if top else level), keep=keep)
+
+
+def signed(values: Picture) -> Picture:
+    """Return colours (..., 3) of values from -1 to 1: warm above zero, cold below, black at it."""
+    x = np.clip(np.abs(values), 0.0, 1.0)
+    places = np.linspace(0.0, 1.0, len(_STOPS))
+    warm = np.stack([np.interp(x, places, _STOPS[:, c]) for c in range(3)], axis=-1)
+    made: Picture = np.where((values < 0.0)[..., None], warm[..., ::-1], warm)
+    return made
+
+
+def round_up(value: float) -> float:
+    """Return the next of 1, 2, 5, 10, 20 ...: a scale that stays while the object is moved a little."""
+    if not value > 0.0 or not math.isfinite(value):
+        return 0.0
+    power = 10.0 ** math.floor(math.log10(value))
+    return next((step * power for step in (1.0, 2.0, 5.0) if value <= step * power), 10.0 * power)
+
+
+def show(image: Any) -> bool:
+    """Show an image in the first Image Editor that is open; return whether one is."""
+    for window, area in _editors()[:1]:
+        before, area.spaces.active.image = area.spaces.active.image, image
+        if before is None or before == image or tuple(before.size) != tuple(image.size):
+            region = next(r for r in area.regions if r.type == "WINDOW")
+            with bpy.context.temp_override(window=window, area=area, region=region):
+                bpy.ops.image.view_all(fit_view=True)
+        area.tag_redraw()
+        return True
+    return False
+
+
+def _editors() -> list[tuple[Any, Any]]:
+    """Every Image Editor that is open, and the window that it is in."""
+    windows = bpy.context.window_manager.windows
+    return [(w, a) for w in windows for a in w.screen.areas if a.type == "IMAGE_EDITOR"]

@@ -1,0 +1,235 @@
+"""The live look: what the hidden object does to the wall, drawn anew as it is moved.
+
+Handlers only take note of what has changed; a timer draws, between two of Blender's events. What a picture needs of
+the scene is read anew only when something besides the object's pose has changed, and then when it has come to rest.
+"""
+
+from __future__ import annotations
+
+import math
+import time
+from dataclasses import dataclass, field
+from typing import Any
+
+import bpy
+import numpy as np
+from bpy.app.handlers import persistent
+
+from generator.blender.engines import engines, extract
+from generator.blender.scene import stage
+from generator.model import spec
+from generator.model.spec import NlosError
+from generator.transport import Transport
+from generator.transport.compiled import COMPILED
+
+from ..session import state
+from . import images
+
+ACCURACY = 1e-2
+"""Of the live picture: below what one sees."""
+
+_REST = 0.4
+"""Seconds after the last change until what takes longer is done."""
+
+_TIMES = 400
+
+
+@dataclass
+class _Look:
+    """What is kept from picture to picture."""
+
+    transport: Transport | None = None
+    reference: float = 0.0
+    scene: str = ""
+    around: tuple[Any, ...] = ()
+    exact: bool = False
+    world_changed: bool = True
+    last_change: float = 0.0
+    busy: bool = False
+    shadows: bool = False
+    words: str = ""
+    pose: tuple[tuple[float, ...], tuple[float, ...]] | None = None
+    seconds: list[float] = field(default_factory=list)
+    pictures: int = 0
+
+
+_look = _Look()
+
+
+def words() -> str:
+    """Return what the panel says: why there is no picture, or how long the last one took."""
+    return _look.words
+
+
+def pictures() -> int:
+    """Return how many pictures were drawn since it was switched on."""
+    return _look.pictures
+
+
+def seconds() -> list[float]:
+    """Return how long the last pictures took while the object was moved, from the change to the image."""
+    return list(_look.seconds)
+
+
+def switch(on: bool) -> None:
+    """Start or stop to follow."""
+    global _look
+    handlers = _handlers()
+    running = _noted in handlers[0][0]
+    if on and not running:
+        _look = _Look()
+        for some, function in handlers:
+            some.append(function)
+        changed()
+    elif not on and running:
+        for some, function in handlers:
+            some.remove(function)
+        if bpy.app.timers.is_registered(_draw):
+            bpy.app.timers.unregister(_draw)
+        _look = _Look()
+
+
+def _handlers() -> list[tuple[Any, Any]]:
+    every = bpy.app.handlers
+    return [(every.depsgraph_update_post, _noted), (every.undo_post, _restored), (every.redo_post, _restored)]
+
+
+def changed() -> None:
+    """Something besides the pose is another: read the scene anew."""
+    if _noted in bpy.app.handlers.depsgraph_update_post:
+        _look.world_changed, _look.last_change = True, time.monotonic() - _REST
+        state.once(_draw)
+
+
+@persistent  # type: ignore[untyped-decorator]
+def _restored(*_: Any) -> None:
+    changed()
+
+
+@persistent  # type: ignore[untyped-decorator]
+def _noted(scene: Any, depsgraph: Any) -> None:
+    """Take note of an update of the scene."""
+    if _look.busy:
+        return
+    players = stage.players(scene, "target")
+    moved = False
+    for update in depsgraph.updates:
+        thing = update.id.original
+        if isinstance(thing, bpy.types.Object):
+            # Selecting is an update too, of neither kind.
+            if update.is_updated_geometry or (update.is_updated_transform and thing not in players):
+                _look.world_changed = True
+            moved = moved or update.is_updated_transform or update.is_updated_geometry
+        elif isinstance(thing, bpy.types.Mesh | bpy.types.Material | bpy.types.Light | bpy.types.Camera):
+            _look.world_changed = moved = True
+    if moved:
+        _look.last_change = time.monotonic()
+    state.once(_draw)
+
+
+def _around(scene: Any) -> tuple[Any, ...]:
+    """What changes a picture and is told by no update of an object: cheap to compare."""
+    layers: list[Any] = [layer.layer_collection for layer in scene.view_layers]
+    shown = []
+    while layers:
+        layer = layers.pop()
+        shown.append((layer.name, layer.exclude, layer.collection.hide_render))
+        layers += layer.children
+    objects = tuple((o.name, o.hide_render, len(o.constraints), o.get(stage.ROLE)) for o in scene.objects)
+    cycles = getattr(scene, "cycles", None)
+    bounces = (cycles.max_bounces, cycles.diffuse_bounces) if cycles else ()
+    return objects, tuple(shown), bounces, stage.ambient(scene), scene.camera and scene.camera.name
+
+
+def _draw() -> float | None:
+    """Draw what has changed; return in how many seconds to come again."""
+    manager = bpy.context.window_manager
+    scene = bpy.context.scene
+    if manager is None or scene is None:  # for a moment, while a file opens
+        return _REST
+    if not manager.nlos.look:
+        return None
+    if state.rendering_now():
+        return _REST
+    start = time.perf_counter()
+    rest = time.monotonic() - _look.last_change
+    _look.busy = True  # reading the scene moves the target and puts it back
+    try:
+        place, turn, scale = _pose(scene)
+        around = (*_around(scene), *(f"{s:.5g}" for s in scale))  # a turn changes its last digits
+        if _look.scene != scene.name or _look.around != around:
+            _look.world_changed, _look.around = True, around
+        if _look.transport is None and _look.pose != (place, turn):
+            _look.world_changed = True
+        if _look.world_changed:
+            if _look.transport is not None and rest < _REST:
+                return _REST
+            _look.pose = place, turn  # of what cannot be read, until it is elsewhere
+            _read(scene)
+        if _look.transport is None:
+            return None
+        exact = scene.nlos.look_shadows and (_look.shadows or rest >= _REST)
+        again = scene.nlos.look_shadows and not exact
+        if (place, turn) == _look.pose and (_look.exact or not exact):
+            return None if _look.exact else _REST
+        picture = _look.transport.difference(place, turn, shadows=exact)
+        _look.pose, _look.exact = (place, turn), exact or not again
+        images.look(picture.astype(np.float32), _look.transport.world.watched, _look.reference)
+        took = time.perf_counter() - start
+        if again or exact == _look.shadows:  # those at rest keep nobody waiting
+            _look.seconds = [*_look.seconds[-_TIMES:], took]
+        _look.pictures += 1
+        _look.words = f"{1e3 * took:.0f} ms" + (", shadows follow" if again else "")
+        state.redraw("IMAGE_EDITOR", "VIEW_3D")
+        return _REST if again else None
+    except NlosError as error:
+        if _look.words != str(error):
+            _look.words = str(error)
+            state.redraw("VIEW_3D")
+        return None
+    finally:
+        bpy.context.view_layer.update()
+        _look.busy = False
+
+
+def _pose(scene: Any) -> tuple[tuple[float, ...], tuple[float, ...], tuple[float, ...]]:
+    """Where the target stands: metres; degrees about x, then y, then z; and how it is scaled."""
+    place, turn, scale = stage.find(scene, "target").matrix_world.decompose()
+    return tuple(place), tuple(math.degrees(angle) for angle in turn.to_euler("XYZ")), tuple(scale)
+
+
+def _instead(scene: Any, found: extract.Survey) -> str:
+    """What can show a scene that the look cannot, if anything does."""
+    if found.never:
+        return ""
+    able, _ = engines.choose(scene, found)
+    engine = scene.nlos.engine
+    chosen = engine == spec.AUTO or not found.reasons(engine)
+    return ". Render Wall can show it" if chosen else f". Render Wall can show it by the engine {able}"
+
+
+def _read(scene: Any) -> None:
+    """Read what a picture needs besides the pose."""
+    _look.world_changed, _look.transport = False, None
+    pixels = int(scene.nlos.look_resolution)
+    _look.scene = scene.name
+    described = stage.read(scene)
+    width, height = described.resolution
+    size = (pixels, max(1, round(pixels * height / width)))
+    found = extract.survey(scene, resolution=size)
+    world = found.world
+    if world is None:
+        raise NlosError(f"No live picture: {found.reasons('surfel')[0]}{_instead(scene, found)}")
+    _look.transport, _look.pose = Transport(world, accuracy=ACCURACY), None
+    _look.reference = described.reference_radiance
+    # With nothing to be shadowed, or the compiler at hand, shadows cost next to nothing.
+    _look.shadows = not world.room or bool(COMPILED)
+
+
+def register() -> None:
+    """Nothing runs until it is switched on."""
+
+
+def unregister() -> None:
+    """Leave nothing that runs."""
+    switch(False)

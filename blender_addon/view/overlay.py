@@ -1,0 +1,212 @@
+"""Draws in the 3D views what belongs to the experiment but is no object. Nothing runs while it is off."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import blf
+import bpy
+import gpu
+import numpy as np
+from bpy.app.handlers import persistent
+from bpy_extras.view3d_utils import location_3d_to_region_2d
+from gpu_extras.batch import batch_for_shader
+from mathutils import Vector
+
+from generator.blender.scene import outlines, stage
+from generator.model.spec import NlosError
+
+from ..session import state
+
+_COLOURS = {
+    "voxels": (0.35, 0.75, 1.0, 0.75),
+    "lit": (1.0, 0.85, 0.2, 1.0),
+    "watched": (0.4, 1.0, 0.5, 1.0),
+    "legs": (1.0, 0.55, 0.15, 0.9),
+    "poses": (1.0, 0.35, 0.6, 0.9),
+}
+_LETTERS = (1.0, 1.0, 1.0, 1.0)
+_PROBABLE = (1.0, 0.3, 0.1)
+_MOST_LETTERS = 200
+"""More would hide the scene."""
+_SETTLED = 0.15
+"""Seconds from a change until poses are planned: changes that come together are planned for once."""
+
+_handles: list[Any] = []
+_lines: dict[str, Any] | None = None
+_poses: tuple[Any, Any] | None = None
+
+
+def switch(on: bool) -> None:
+    """Start or stop to draw."""
+    if on and not _handles:
+        add, region = bpy.types.SpaceView3D.draw_handler_add, "WINDOW"
+        _handles.extend([add(_draw_lines, (), region, "POST_VIEW"), add(_draw_letters, (), region, "POST_PIXEL")])
+        for handlers in _watched():
+            handlers.append(_scene_changed)
+    elif not on and _handles:
+        for handle in _handles:
+            bpy.types.SpaceView3D.draw_handler_remove(handle, "WINDOW")
+        _handles.clear()
+        for handlers in _watched():
+            handlers.remove(_scene_changed)
+    changed()
+
+
+def _watched() -> list[Any]:
+    handlers = bpy.app.handlers
+    return [handlers.depsgraph_update_post, handlers.frame_change_post, handlers.undo_post, handlers.redo_post]
+
+
+def changed() -> None:
+    """Draw anew what may have moved."""
+    global _lines
+    _lines = None
+    state.redraw("VIEW_3D")
+
+
+@persistent  # type: ignore[untyped-decorator]
+def _scene_changed(*_: Any) -> None:
+    global _lines
+    _lines = None
+
+
+def _measure(scene: Any, session: Any) -> dict[str, Any]:
+    """Everything to draw of a scene as it stands: lines (2 n, 3) by name, and letters with their places."""
+    found: dict[str, Any] = {"letters": [], "boxes": []}
+    grid = _grid(scene)
+    if grid is not None and session.show_voxels:
+        found["voxels"], centres = outlines.voxels(grid)
+        if len(centres) <= _MOST_LETTERS:
+            found["letters"] = list(zip(grid.labels, centres, strict=True))
+    if grid is not None and state.answer:
+        found["boxes"] = [
+            (state.answer.get(label, 0.0), triangles)
+            for label, triangles in zip(grid.labels, outlines.boxes(grid), strict=True)
+        ]
+    try:
+        if session.show_patches:
+            found["lit"] = outlines.closed(outlines.lit_patch(stage.find(scene, "spot")))
+            found["watched"] = outlines.closed(outlines.watched(scene))
+        if session.show_legs:
+            way = outlines.legs(scene)
+            found["legs"] = np.repeat(way, 2, axis=0)[1:-1]
+        if session.show_poses:
+            found["poses"] = _crosses(scene)
+    except NlosError:  # a role is not filled: the Check panel says so
+        pass
+    return found
+
+
+def _grid(scene: Any) -> Any:
+    try:
+        return stage.read_grid(scene)
+    except NlosError:
+        return None
+
+
+def _crosses(scene: Any) -> Any:
+    """A small cross for each pose; none until they are planned, which drawing does not wait for."""
+    key = _deciding(scene)
+    if _poses is None or _poses[0] != key:
+        state.once(_plan, after=_SETTLED)
+        return np.empty((0, 3))
+    places = _poses[1]
+    arm = 0.05 * min(key[0].size)
+    return np.concatenate([np.stack([places - arm * e, places + arm * e], axis=1) for e in np.eye(3)]).reshape(-1, 3)
+
+
+def _deciding(scene: Any) -> tuple[Any, ...]:
+    """What decides where the poses are, as far as it can be told while drawing, when nothing may be rendered."""
+    from ..ui import properties
+
+    others = tuple(
+        (o.name, o.hide_render, tuple(map(tuple, o.matrix_world)))
+        for o in scene.objects
+        if o.type in ("MESH", "LIGHT", "CAMERA")
+    )
+    target = stage.find(scene, "target")
+    around = tuple(other for other in others if other[0] != target.name)
+    corners = stage.evaluated_vertices(target) @ np.diag(target.matrix_world.to_scale())
+    chosen = sorted((name, str(value)) for name, value in properties.sweep_of(scene.nlos).items())
+    return stage.read_grid(scene), tuple(chosen), corners.tobytes(), around
+
+
+def _plan() -> float | None:
+    """Plan the poses from the event loop: clearance takes longer than a frame may."""
+    global _poses
+    context: Any = bpy.context
+    if not _handles or not context.window_manager.nlos.show_poses:
+        return None
+    if state.rendering_now():
+        return _SETTLED
+    try:
+        from ..ui import properties
+
+        key = _deciding(context.scene)
+        _poses = key, np.empty((0, 3))  # where nothing fits, it is not tried again until something changes
+        _poses = key, outlines.sampled(context.scene, properties.resolved_sweep(context.scene))
+    except NlosError:  # the Check panel says why
+        pass
+    changed()
+    return None
+
+
+def _draw_lines() -> None:
+    global _lines
+    context = bpy.context
+    if _lines is None:
+        _lines = {"letters": [], "boxes": []}  # should measuring fail, it is told once and not with every redraw
+        _lines = _measure(context.scene, context.window_manager.nlos)
+    gpu.state.blend_set("ALPHA")
+    gpu.state.depth_test_set("LESS_EQUAL")
+    filled = gpu.shader.from_builtin("UNIFORM_COLOR")
+    for probability, triangles in _lines["boxes"]:
+        filled.bind()
+        filled.uniform_float("color", (*_PROBABLE, 0.4 * probability))
+        batch_for_shader(filled, "TRIS", {"pos": triangles.astype(np.float32)}).draw(filled)
+    shader = gpu.shader.from_builtin("POLYLINE_UNIFORM_COLOR")
+    region = context.region
+    # Once through everything, faintly: a room's own walls stand in front of all of it.
+    for depth_test, strength in (("NONE", 0.35), ("LESS_EQUAL", 1.0)):
+        gpu.state.depth_test_set(depth_test)
+        for name, (red, green, blue, alpha) in _COLOURS.items():
+            ends = _lines.get(name)
+            if ends is None or not len(ends):
+                continue
+            shader.bind()
+            shader.uniform_float("viewportSize", (region.width, region.height))
+            shader.uniform_float("lineWidth", 1.5 if name == "voxels" else 2.0)
+            shader.uniform_float("color", (red, green, blue, alpha * strength))
+            batch_for_shader(shader, "LINES", {"pos": ends.astype(np.float32)}).draw(shader)
+    gpu.state.depth_test_set("NONE")
+    gpu.state.blend_set("NONE")
+
+
+def _draw_letters() -> None:
+    context = bpy.context
+    if not _lines:
+        return
+    scale = context.preferences.system.ui_scale
+    font = 0
+    blf.size(font, 15 * scale)
+    blf.color(font, *_LETTERS)
+    for label, centre in _lines["letters"]:
+        at = location_3d_to_region_2d(context.region, context.region_data, Vector(centre))
+        if at is None:
+            continue
+        text = label
+        if state.answer:
+            text = f"{label} {state.answer.get(label, 0.0):.0%}"
+        width, height = blf.dimensions(font, text)
+        blf.position(font, at.x - width / 2.0, at.y - height / 2.0, 0.0)
+        blf.draw(font, text)
+
+
+def register() -> None:
+    """Nothing runs until it is switched on."""
+
+
+def unregister() -> None:
+    """Leave nothing that draws."""
+    switch(False)

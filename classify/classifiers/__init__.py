@@ -1,0 +1,1 @@
+"""Classifiers of voxels, their evaluation and learning curves."""

@@ -1,0 +1,187 @@
+"""What more pictures to train on are worth: accuracy against their number."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import joblib
+import numpy as np
+from matplotlib import pyplot as plt
+from numpy.typing import NDArray
+from sklearn.model_selection import train_test_split
+
+from classify.classifiers import models
+from classify.classifiers.evaluate import Interval, fit_and_test, wilson
+from classify.classifiers.models import Settings
+from classify.pictures.feature_table import Features, check_comparable
+from generator.measure import figures
+from generator.model.spec import NlosError
+
+HELD_OUT = 0.2
+"""Of a set that is tested on itself."""
+
+_LADDER = [n * 10**k for k in range(1, 7) for n in (1, 3)]
+
+
+@dataclass(frozen=True)
+class Point:
+    """A classifier, trained on so many pictures.
+
+    Attributes
+    ----------
+    classifier : str
+    count : int
+    accuracy : Interval
+    train_seconds, predict_seconds : float
+        Of the fit, and per picture.
+    size : int
+        Bytes of the trained model.
+    unconverged : bool
+        Whether the fit ended before it converged.
+    """
+
+    classifier: str
+    count: int
+    accuracy: Interval
+    train_seconds: float
+    predict_seconds: float
+    size: int
+    unconverged: bool
+
+
+def curves(
+    train: Features,
+    test: Features | None = None,
+    *,
+    classifiers: Sequence[str] = tuple(models.NAMES),
+    settings: Settings = "paper",
+    counts: Sequence[int] = (),
+    seed: int = 0,
+    names: tuple[str, str] = ("training set", "test set"),
+    progress: Callable[[int, int, str], None] = lambda done, total, what: None,
+) -> list[Point]:
+    """Train classifiers on more and more pictures of a set, the fewer being among the more, and test each.
+
+    Parameters
+    ----------
+    train : Features
+    test : Features, optional
+        Of other pictures; without it, a fifth of the set is held out.
+    classifiers : sequence of str
+    settings : {"paper", "tuned"}
+    counts : sequence of int
+        How many pictures to train on; left out, all of 10, 30, 100, ... that give every class two, and all there are.
+    seed : int
+        Of the order of the pictures and of the classifiers.
+    names : (str, str)
+        Of both sets, for messages.
+    progress : callable
+        Is told how many fits are done, of how many, and which comes next.
+
+    Raises
+    ------
+    NlosError
+        The sets do not belong together, there is but one class, or a number cannot be.
+    """
+    models.check_seed(seed)
+    models.check_varied(train)
+    tested = train if test is None else test
+    if test is not None:
+        check_comparable(train, test, names)
+        if train.provenance.get("fingerprint") == test.provenance.get("fingerprint"):
+            raise NlosError(f"{names[1]}: shows the pictures of {names[0]}; leave it out to hold some of them out")
+    order, held = _order(train, seed, hold=test is None)
+    rows = np.arange(len(tested.labels)) if test is not None else held
+    classes = len(np.unique(train.labels))
+    need = models.INNER_FOLDS if settings == "tuned" else 2
+    if not counts:
+        counts = sorted({n for n in (*_LADDER, len(order)) if need * classes <= n <= len(order)})
+    for count in counts:
+        if not need * classes <= count <= len(order):
+            raise NlosError(
+                f"{count} pictures: {names[0]} has {len(order)} to train on, and {classes} classes need {need} each"
+            )
+    jobs = [(name, count) for count in counts for name in classifiers]
+    points = []
+    with joblib.Parallel(n_jobs=-1, return_as="generator") as parallel:
+        fits = parallel(
+            joblib.delayed(fit_and_test)(
+                models.make(name, settings, train.settings.set, count, seed=seed),
+                train.values[order[:count]],
+                train.labels[order[:count]],
+                tested.values[rows],
+                tested.labels[rows],
+            )
+            for name, count in jobs
+        )
+        for done, ((name, count), fit) in enumerate(zip(jobs, fits, strict=True)):
+            progress(done + 1, len(jobs), f"{name}, {count} pictures")
+            right = int((fit["truth"] == fit["predicted"]).sum())
+            points.append(
+                Point(
+                    classifier=name,
+                    count=count,
+                    accuracy=wilson(right, len(rows)),
+                    train_seconds=fit["train_seconds"],
+                    predict_seconds=fit["predict_seconds"] / len(rows),
+                    size=fit["bytes"],
+                    unconverged=bool(fit["unconverged"]),
+                )
+            )
+    return points
+
+
+def _order(features: Features, seed: int, *, hold: bool) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+    """Numbers of the pictures to train on, in an order whose every beginning has all classes, and of those held."""
+    every = np.arange(len(features.labels))
+    models.check_classes(features.labels, 3)
+    held = every[:0]
+    if hold:
+        count = max(math.ceil(HELD_OUT * len(every)), len(np.unique(features.labels)))  # of every class one at least
+        every, held = train_test_split(every, test_size=count, stratify=features.labels, random_state=seed)
+    rng = np.random.default_rng([seed, 8])
+    shuffled = rng.permutation(every)
+    turn = np.zeros(len(shuffled), dtype=np.int64)
+    for label in np.unique(features.labels):
+        mine = features.labels[shuffled] == label
+        turn[mine] = np.arange(mine.sum())
+    return shuffled[np.argsort(turn, kind="stable")], held
+
+
+def rows(points: Sequence[Point]) -> list[tuple[str, ...]]:
+    """Return a table: a row for each classifier and number."""
+    ordered = sorted(points, key=lambda point: (list(models.ALL).index(point.classifier), point.count))
+    return [
+        (
+            p.classifier,
+            str(p.count),
+            p.accuracy.percent() + (" (not converged)" if p.unconverged else ""),
+            f"{p.train_seconds:.3g} s",
+            f"{1e6 * p.predict_seconds:.3g} us",
+            f"{p.size / 1e3:.3g} kB",
+        )
+        for p in ordered
+    ]
+
+
+HEADINGS = ("classifier", "trained on", "right voxel", "training", "answer, each", "model")
+
+
+def draw(path: Path, points: Sequence[Point], title: str) -> None:
+    """Write a picture: accuracy against the number of pictures, and against the time that training took."""
+    figure, axes = plt.subplots(1, 2, figsize=(11.0, 4.4), layout="constrained", sharey=True)
+    for name in dict.fromkeys(p.classifier for p in points):
+        own = sorted((p for p in points if p.classifier == name), key=lambda p: p.count)
+        value, low, high = (np.array([100.0 * getattr(p.accuracy, k) for p in own]) for k in ("value", "low", "high"))
+        for axis, x in zip(axes, ([p.count for p in own], [max(p.train_seconds, 1e-4) for p in own]), strict=True):
+            axis.errorbar(x, value, yerr=[value - low, high - value], marker="o", ms=3, lw=1.2, capsize=2, label=name)
+    for axis, label in zip(axes, ("pictures to train on", "seconds that training took"), strict=True):
+        axis.set_xscale("log")
+        axis.set_xlabel(label)
+    axes[0].set_ylabel("right voxel, %")
+    axes[0].legend(fontsize=8)
+    figure.suptitle(title, fontsize=10)
+    figures.save(path, figure)

@@ -1,0 +1,273 @@
+"""Folds, scenarios, and metrics with confidence intervals."""
+
+from __future__ import annotations
+
+import math
+import pickle
+import time
+import warnings
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field
+from typing import Any
+
+import joblib
+import numpy as np
+from numpy.typing import NDArray
+from sklearn.exceptions import ConvergenceWarning
+from sklearn.metrics import confusion_matrix
+from sklearn.model_selection import StratifiedKFold
+
+from classify.classifiers import models
+from classify.classifiers.models import Settings
+from classify.pictures.feature_table import Features, check_comparable
+from generator.model.spec import NlosError
+
+Array = NDArray[np.float64]
+
+_RESAMPLES = 2000
+_Z95 = 1.959963984540054
+
+
+@dataclass(frozen=True)
+class Interval:
+    """A figure with its 95 % confidence interval."""
+
+    value: float
+    low: float
+    high: float
+
+    def percent(self) -> str:
+        """Return a proportion as text."""
+        return f"{100 * self.value:.1f} % ({100 * self.low:.1f} to {100 * self.high:.1f})"
+
+    def centimetres(self) -> str:
+        """Return a length in metres as text."""
+        return f"{100 * self.value:.2f} cm ({100 * self.low:.2f} to {100 * self.high:.2f})"
+
+
+@dataclass(frozen=True)
+class Result:
+    """One classifier in one scenario.
+
+    Attributes
+    ----------
+    train, test : str
+        The targets it was trained and tested on.
+    classifier, settings : str
+    labels : list of str
+        The classes, in voxel order.
+    confusion : ndarray of shape (n_classes, n_classes)
+        Rows are the truth, columns the prediction.
+    folds : list of float
+        Accuracy per fold; one entry where all of one set was tested.
+    accuracy, precision, recall, f1 : Interval
+        The last three are means over the classes.
+    train_seconds : float
+        Per fit, the search included.
+    predict_seconds : float
+        Per picture.
+    chosen : list of dict
+        What the search settled on, per fit.
+    unconverged : int
+        Fits that ended before they converged.
+    """
+
+    train: str
+    test: str
+    classifier: str
+    settings: str
+    labels: list[str]
+    confusion: NDArray[np.int64]
+    folds: list[float]
+    accuracy: Interval
+    precision: Interval
+    recall: Interval
+    f1: Interval
+    train_seconds: float
+    predict_seconds: float
+    chosen: list[dict[str, str]] = field(default_factory=list)
+    unconverged: int = 0
+
+    @property
+    def scenario(self) -> str:
+        """The scenario in words."""
+        return self.train if self.train == self.test else f"{self.train} -> {self.test}"
+
+
+def wilson(successes: int, trials: int) -> Interval:
+    """Return a proportion with its 95 % score interval (Wilson 1927)."""
+    p, z2 = successes / trials, _Z95**2
+    centre = (p + z2 / (2 * trials)) / (1 + z2 / trials)
+    half = _Z95 / (1 + z2 / trials) * math.sqrt(p * (1 - p) / trials + z2 / (4 * trials**2))
+    return Interval(p, max(0.0, centre - half), min(1.0, centre + half))
+
+
+def macro_scores(confusion: Array) -> Array:
+    """Return precision, recall and F1, each averaged over the classes (paper, eq. 1 to 3).
+
+    Parameters
+    ----------
+    confusion : ndarray of shape (..., n_classes, n_classes)
+        Rows are the truth. A class that is never predicted has precision 0.
+
+    Returns
+    -------
+    ndarray of shape (3, ...)
+    """
+    hits = np.diagonal(confusion, axis1=-2, axis2=-1)
+    predicted, true = confusion.sum(axis=-2), confusion.sum(axis=-1)
+    precision = hits / np.maximum(predicted, 1)
+    recall = hits / np.maximum(true, 1)
+    f1 = 2 * hits / np.maximum(predicted + true, 1)
+    present = np.maximum((true > 0).sum(axis=-1), 1)
+    scores: Array = np.stack([(s * (true > 0)).sum(axis=-1) / present for s in (precision, recall, f1)])
+    return scores
+
+
+def intervals(confusion: NDArray[np.int64], seed: int = 0) -> list[Interval]:
+    """Return macro precision, recall and F1 with 95 % percentile intervals of a stratified bootstrap.
+
+    Drawing a class's pictures anew is drawing its row of the confusion matrix anew.
+    """
+    rng = np.random.default_rng(seed)
+    drawn = np.zeros((_RESAMPLES, *confusion.shape), dtype=np.int64)
+    for i, row in enumerate(confusion):
+        if row.sum():
+            drawn[:, i] = rng.multinomial(row.sum(), row / row.sum(), size=_RESAMPLES)
+    values = macro_scores(confusion.astype(np.float64))
+    low, high = np.percentile(macro_scores(drawn.astype(np.float64)), [2.5, 97.5], axis=1)
+    return [Interval(float(v), float(a), float(b)) for v, a, b in zip(values, low, high, strict=True)]
+
+
+def compare(
+    sets: Sequence[Features],
+    names: Sequence[str],
+    *,
+    classifiers: Sequence[str] = tuple(models.NAMES),
+    settings: Sequence[Settings] = ("paper", "tuned"),
+    folds: int = 10,
+    seed: int = 0,
+    progress: Callable[[int, int, str], None] = lambda done, total, what: None,
+) -> list[Result]:
+    """Compare the classifiers in every scenario that one or two data sets allow.
+
+    Parameters
+    ----------
+    sets : sequence of one or two Features
+    names : sequence of str
+        Of their files, for messages.
+    classifiers, settings : sequence of str
+    folds : int
+        Stratified; the scaler and the search see the training part of each alone.
+    seed : int
+        Of the folds, the classifiers and the bootstrap.
+    progress : callable
+        Is told how many classifiers are done, of how many, and which comes next.
+
+    Returns
+    -------
+    list of Result
+        Each set by itself, cross-validated; then all of one trained on and all of the other tested, both ways.
+
+    Raises
+    ------
+    NlosError
+        The sets do not belong together or are the same file, a class has too few samples for the folds, all
+        features are constant, or the seed is out of range.
+    """
+    models.check_seed(seed)
+    if len(sets) == 2:
+        if names[0] == names[1]:
+            raise NlosError(f"{names[0]}: is the same file twice; name one, or two different ones")
+        check_comparable(sets[0], sets[1], (names[0], names[1]))
+    for features, name in zip(sets, names, strict=True):
+        try:
+            models.check_folds(features.labels, folds, settings)
+            models.check_varied(features)
+        except NlosError as error:
+            raise NlosError(f"{name}: {error}") from None
+    pairs = [(i, i) for i in range(len(sets))] + [
+        (i, j) for i in range(len(sets)) for j in range(len(sets)) if i != j
+    ]
+    kinds = target_names(sets, names)
+    jobs = [(i, j, c, s) for i, j in pairs for c in classifiers for s in settings]
+    results = []
+    with joblib.Parallel(n_jobs=-1) as parallel:
+        for done, (i, j, classifier, setting) in enumerate(jobs):
+            progress(done, len(jobs), f"{kinds[i]} -> {kinds[j]}: {classifier}, {setting}")
+            train, test = sets[i], sets[j]
+            if i == j:
+                folder = StratifiedKFold(folds, shuffle=True, random_state=seed)
+                splits = list(folder.split(train.values, train.labels))
+            else:
+                splits = [(np.arange(len(train.labels)), np.arange(len(test.labels)))]
+            fits = parallel(
+                joblib.delayed(fit_and_test)(
+                    models.make(classifier, setting, train.settings.set, len(a), seed=seed),
+                    train.values[a],
+                    train.labels[a],
+                    test.values[b],
+                    test.labels[b],
+                )
+                for a, b in splits
+            )
+            results.append(_summarise(fits, kinds[i], kinds[j], classifier, setting, _classes(train, test), seed))
+    progress(len(jobs), len(jobs), "done")
+    return results
+
+
+def target_names(sets: Sequence[Features], names: Sequence[str]) -> list[str]:
+    """Return what to call the sets: their targets, or their files where those are the same."""
+    kinds = [features.target for features in sets]
+    return kinds if len(set(kinds)) == len(kinds) else list(names)
+
+
+def _classes(*sets: Features) -> list[str]:
+    present = set().union(*(set(map(str, f.labels)) for f in sets))
+    return [label for label in sets[0].grid.labels if label in present]
+
+
+def fit_and_test(model: Any, x: Array, y: Any, x_test: Array, y_test: Any) -> dict[str, Any]:
+    """Fit a classifier to some pictures and ask it about others; return both, the times, and what the fit chose."""
+    with warnings.catch_warnings(record=True) as caught:
+        warnings.simplefilter("always")
+        start = time.perf_counter()
+        model.fit(x, y)
+        fitted = time.perf_counter()
+        predicted = model.predict(x_test)
+        end = time.perf_counter()
+    return {
+        "truth": y_test,
+        "predicted": predicted,
+        "train_seconds": fitted - start,
+        "predict_seconds": end - fitted,
+        "bytes": len(pickle.dumps(model)),
+        "chosen": models.chosen(model),
+        "unconverged": sum(issubclass(w.category, ConvergenceWarning) for w in caught),
+    }
+
+
+def _summarise(
+    fits: list[dict[str, Any]], train: str, test: str, classifier: str, settings: str, labels: list[str], seed: int
+) -> Result:
+    truth = np.concatenate([f["truth"] for f in fits])
+    predicted = np.concatenate([f["predicted"] for f in fits])
+    confusion = confusion_matrix(truth, predicted, labels=labels)
+    precision, recall, f1 = intervals(confusion, seed)
+    return Result(
+        train=train,
+        test=test,
+        classifier=classifier,
+        settings=settings,
+        labels=labels,
+        confusion=confusion,
+        folds=[float(np.mean(f["truth"] == f["predicted"])) for f in fits],
+        accuracy=wilson(int(np.trace(confusion)), int(confusion.sum())),
+        precision=precision,
+        recall=recall,
+        f1=f1,
+        train_seconds=float(np.mean([f["train_seconds"] for f in fits])),
+        predict_seconds=float(sum(f["predict_seconds"] for f in fits) / len(truth)),
+        chosen=[f["chosen"] for f in fits if f["chosen"]],
+        unconverged=sum(f["unconverged"] for f in fits),
+    )

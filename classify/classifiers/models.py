@@ -1,0 +1,438 @@
+"""Seven classifiers and a small neural network: with the paper's settings, and tuned inside the training data."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Iterable, Iterator, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Literal
+
+import numpy as np
+import skops.io
+from numpy.typing import NDArray
+from sklearn.base import clone
+from sklearn.calibration import CalibratedClassifierCV
+from sklearn.discriminant_analysis import LinearDiscriminantAnalysis
+from sklearn.ensemble import RandomForestClassifier
+from sklearn.linear_model import LogisticRegression
+from sklearn.model_selection import GridSearchCV, StratifiedKFold
+from sklearn.naive_bayes import GaussianNB
+from sklearn.neighbors import BallTree, KDTree, KNeighborsClassifier
+from sklearn.neural_network import MLPClassifier
+from sklearn.pipeline import Pipeline
+from sklearn.preprocessing import MinMaxScaler, StandardScaler
+from sklearn.svm import SVC
+from sklearn.tree import DecisionTreeClassifier
+from sklearn.tree._tree import Tree
+
+from classify.pictures.feature_table import Features
+from classify.pictures.features import FeatureSettings, describe, feature_names
+from generator.files.limits import check_archive
+from generator.model.spec import NlosError, VoxelGrid, from_dict, to_dict
+from generator.sets.dataset import COLOUR_SPACE, Picture, atomic
+
+Settings = Literal["paper", "tuned"]
+
+NAMES = {
+    "LR": "logistic regression",
+    "LDA": "linear discriminant analysis",
+    "KNN": "k nearest neighbours",
+    "CART": "decision tree",
+    "RF": "random forest",
+    "SVM": "support vector machine",
+    "NB": "Gaussian naive Bayes",
+}
+
+ALL = {**NAMES, "MLP": "small neural network"}
+"""The paper's, and what needs more pictures than the paper had."""
+
+FORMAT = 1
+INNER_FOLDS = 3
+_DEPTH = 30
+"""Of what a classifier holds."""
+_MANY = 3000
+
+_SCALERS = [MinMaxScaler(), StandardScaler()]
+_GRIDS: dict[str, dict[str, list[Any]]] = {
+    "LR": {"scale": [StandardScaler()], "classify__C": [0.1, 1.0, 10.0, 100.0]},
+    "LDA": {
+        "scale": [StandardScaler()],
+        "classify__solver": ["lsqr"],
+        "classify__shrinkage": ["auto", 1e-3, 1e-2, 0.1, 0.5],
+    },
+    "KNN": {
+        "scale": _SCALERS,
+        "classify__n_neighbors": [1, 3, 5, 9, 15],
+        "classify__weights": ["uniform", "distance"],
+    },
+    "CART": {"classify__min_samples_leaf": [1, 3, 10], "classify__max_features": [None, 0.5]},
+    "RF": {"classify__max_features": ["sqrt", 0.3]},
+    "SVM": {
+        "scale": _SCALERS,
+        "classify__C": [1.0, 10.0, 100.0, 1000.0],
+        "classify__gamma": ["scale", 1e-3, 1e-2, 0.1],
+    },
+    "NB": {"scale": [StandardScaler()], "classify__var_smoothing": [1e-9, 1e-6, 1e-3, 1e-1, 1.0]},
+    "MLP": {"scale": [StandardScaler()], "classify__alpha": [1e-2, 1.0, 30.0]},
+}
+
+
+def make(name: str, settings: Settings, feature_set: str, n_samples: int, *, seed: int = 0) -> Any:
+    """Return an unfitted classifier, its scaler inside.
+
+    Parameters
+    ----------
+    name : {"LR", "LDA", "KNN", "CART", "RF", "SVM", "NB", "MLP"}
+    settings : {"paper", "tuned"}
+        The paper gives an RBF kernel, C = 100 and gamma = 0.001 for the SVM on global features (6) and a linear one
+        on the others (4), after scaling to [0, 1]; for the rest it names none, so they have scikit-learn's defaults.
+        The network, which it has not, has two layers of 64.
+        Tuned is a grid search by 3 stratified folds of whatever it is fitted to.
+    feature_set : {"global", "spatial-hog"}
+    n_samples : int
+        How many it will be fitted to; no more neighbours are asked than there are.
+    seed : int
+    """
+    if name not in ALL:
+        raise NlosError(f"classifier {name!r}: there is none; choose from {', '.join(ALL)}")
+    kernel = "rbf" if settings == "tuned" or feature_set == "global" else "linear"
+    estimators = {
+        "LR": LogisticRegression(max_iter=5000),
+        "LDA": LinearDiscriminantAnalysis(),
+        "KNN": KNeighborsClassifier(n_neighbors=min(5, n_samples)),
+        "CART": DecisionTreeClassifier(random_state=seed),
+        "RF": RandomForestClassifier(n_estimators=100, random_state=seed),
+        "SVM": SVC(kernel=kernel, C=100.0, gamma=0.001, random_state=seed),
+        "NB": GaussianNB(),
+        # Where there are enough pictures, a tenth says when to stop; of fewer it would hold out too much.
+        "MLP": MLPClassifier(
+            (64, 64),
+            alpha=1.0,
+            max_iter=2000,
+            early_stopping=n_samples >= _MANY,
+            n_iter_no_change=20,
+            random_state=seed,
+        ),
+    }
+    scaler = StandardScaler() if name == "MLP" else MinMaxScaler()  # a network's steps want inputs of one spread
+    pipeline = Pipeline([("scale", scaler), ("classify", estimators[name])])
+    if settings == "paper":
+        return pipeline
+    folds = StratifiedKFold(INNER_FOLDS, shuffle=True, random_state=seed)
+    grid = dict(_GRIDS[name])
+    if name == "KNN":
+        most = max(1, n_samples - -(-n_samples // INNER_FOLDS) - 1)
+        grid["classify__n_neighbors"] = [k for k in grid["classify__n_neighbors"] if k <= most]
+    return GridSearchCV(pipeline, grid, cv=folds, error_score="raise")
+
+
+def chosen(fitted: Any) -> dict[str, str]:
+    """Return the settings that a search settled on; empty for one without a search."""
+    if not isinstance(fitted, GridSearchCV):
+        return {}
+    return {key.removeprefix("classify__"): str(value) for key, value in fitted.best_params_.items()}
+
+
+@dataclass(frozen=True)
+class Model:
+    """A trained classifier and what it needs to read a picture.
+
+    Attributes
+    ----------
+    estimator : scikit-learn classifier
+        Fitted, with ``predict_proba``.
+    settings : FeatureSettings
+    background : ndarray of shape (height, width, 3), float32
+        Of the scene it was trained in, W/m^2/sr.
+    reference_radiance : float
+        W/m^2/sr.
+    grid : VoxelGrid
+    about : dict
+        Classifier, its settings, the target, provenance of the features.
+    """
+
+    estimator: Any
+    settings: FeatureSettings
+    background: Picture
+    reference_radiance: float
+    grid: VoxelGrid
+    about: dict[str, Any]
+
+    @property
+    def colour_space(self) -> str:
+        """The linear space that the channels of the pictures it was trained on are of."""
+        provenance = self.about.get("provenance")
+        return str(provenance.get("colour_space", COLOUR_SPACE)) if isinstance(provenance, dict) else COLOUR_SPACE
+
+    def probabilities(
+        self, picture: Picture, *, background: Picture | None = None, name: str = "picture"
+    ) -> dict[str, float]:
+        """Return the probability of each voxel for one picture, (height, width, 3), W/m^2/sr."""
+        row = describe(
+            picture,
+            self.settings,
+            reference=self.reference_radiance,
+            background=self.background if background is None else background,
+            name=name,
+        )
+        values = _answer(self.estimator, row, name)
+        return {str(label): float(p) for label, p in zip(self.estimator.classes_, values, strict=True)}
+
+
+def train(features: Features, name: str, settings: Settings, *, seed: int = 0) -> Model:
+    """Fit a classifier to all of a data set's features.
+
+    Raises
+    ------
+    NlosError
+        There is but one class, or a class has too few samples to search and calibrate with.
+    """
+    labels, counts = np.unique(features.labels, return_counts=True)
+    unfitted = make(name, settings, features.settings.set, len(features.labels), seed=seed)
+    check_seed(seed)
+    check_classes(features.labels, INNER_FOLDS)
+    check_varied(features)
+    fitted = unfitted.fit(features.values, features.labels)
+    picked = chosen(fitted)
+    estimator = fitted.best_estimator_ if isinstance(fitted, GridSearchCV) else fitted
+    if not hasattr(estimator, "predict_proba"):
+        estimator = CalibratedClassifierCV(clone(estimator), cv=INNER_FOLDS, ensemble=False)
+        estimator.fit(features.values, features.labels)
+    return Model(
+        estimator=estimator,
+        settings=features.settings,
+        background=features.background,
+        reference_radiance=features.reference_radiance,
+        grid=features.grid,
+        about={
+            "classifier": name,
+            "settings": settings,
+            "chosen": picked,
+            "target": features.target,
+            "samples": dict(zip(map(str, labels), map(int, counts), strict=True)),
+            "provenance": features.provenance,
+        },
+    )
+
+
+def check_classes(labels: NDArray[np.str_], folds: int) -> None:
+    """Raise NlosError unless there are two classes or more, each with a sample for every fold."""
+    classes, counts = np.unique(labels, return_counts=True)
+    if len(classes) < 2:
+        raise NlosError(f"only one class ({', '.join(classes)}); telling voxels apart needs two or more")
+    if counts.min() < folds:
+        fewest = classes[counts.argmin()]
+        raise NlosError(
+            f"class {fewest} has {counts.min()} samples, fewer than the {folds} folds; render more poses or ask for "
+            "fewer folds"
+        )
+
+
+def check_folds(labels: NDArray[np.str_], folds: int, settings: Sequence[Settings]) -> None:
+    """Raise NlosError unless what a fold leaves for training is enough to fit, and to search where asked."""
+    check_classes(labels, folds)
+    classes, counts = np.unique(labels, return_counts=True)
+    fewest, least = classes[counts.argmin()], int(counts.min())
+    left = least - -(-least // folds)
+    need = INNER_FOLDS if "tuned" in settings else 2
+    if left < need:
+        way_out = ", ask for more folds" if least - 1 >= need else ""  # at most a fold per sample
+        way_out += ", or use --settings paper" if left >= 2 else ""
+        raise NlosError(
+            f"class {fewest} has {least} samples, which leaves {left} to train on beside a test fold, and "
+            f"{'the search for settings' if need == INNER_FOLDS else 'training'} needs {need}; render more poses"
+            f"{way_out}"
+        )
+
+
+def check_varied(features: Features) -> None:
+    """Raise NlosError if nothing tells the pictures apart, or those of each voxel are copies of one another."""
+    values, labels = features.values, features.labels
+    if not np.ptp(values, axis=0).any():
+        raise NlosError("every picture has the same features, so nothing tells the voxels apart")
+    if not any(np.ptp(values[labels == label], axis=0).any() for label in np.unique(labels)):
+        raise NlosError("the pictures of each voxel all have the same features, so how they vary cannot be learnt")
+
+
+def check_seed(seed: int) -> None:
+    """Raise NlosError unless scikit-learn takes the seed."""
+    if not 0 <= seed < 2**32:
+        raise NlosError(f"seed {seed}: must be from 0 to 2^32 - 1")
+
+
+def save(path: Path, model: Model) -> None:
+    """Write a model by temporary name and rename."""
+    bundle = {
+        "format": FORMAT,
+        "estimator": model.estimator,
+        "background": model.background,
+        "reference_radiance": model.reference_radiance,
+        "settings": model.settings.to_json(),
+        "grid": json.dumps(to_dict(model.grid)),
+        "about": json.dumps(model.about),
+    }
+    with atomic(path) as temporary:
+        skops.io.dump(bundle, temporary)
+
+
+# What scikit-learn's fitted classifiers hold besides the types that skops trusts by itself.
+_TRUSTED = {
+    "sklearn.calibration._CalibratedClassifier",
+    "sklearn.calibration._SigmoidCalibration",
+    "sklearn.metrics._dist_metrics.EuclideanDistance64",
+    "sklearn.neighbors._kd_tree.KDTree",
+    "sklearn.neighbors._ball_tree.BallTree",
+    "sklearn.neural_network._stochastic_optimizers.AdamOptimizer",
+    "sklearn.tree._tree.Tree",
+}
+
+
+def load(path: Path) -> Model:
+    """Read a model; nothing in the file is run.
+
+    Raises
+    ------
+    NlosError
+        The file is missing, no model, of a newer format, or holds a type that no model of ours has.
+    """
+    if not path.is_file():
+        raise NlosError(f"{path}: no such model file")
+    try:
+        check_archive(path)
+        unknown = sorted(set(skops.io.get_untrusted_types(file=path)) - _TRUSTED)
+    except Exception as error:  # zip, JSON and key errors of many kinds
+        raise NlosError(f"{path}: is not a model file ({type(error).__name__}: {error})") from None
+    if unknown:
+        raise NlosError(
+            f"{path}: holds the unknown type {unknown[0]}, which no model of this software has; not loaded"
+        )
+    try:
+        bundle = skops.io.load(path, trusted=sorted(_TRUSTED))
+        version = bundle["format"]
+        newer = version > FORMAT
+    except Exception as error:
+        raise NlosError(f"{path}: is not a model file ({type(error).__name__}: {error})") from None
+    if newer:
+        raise NlosError(f"{path}: has model format {version}; this software reads up to {FORMAT}, so update it")
+    try:
+        model = Model(
+            estimator=bundle["estimator"],
+            settings=FeatureSettings.from_json(bundle["settings"]),
+            background=np.asarray(bundle["background"], dtype=np.float32),
+            reference_radiance=float(bundle["reference_radiance"]),
+            grid=from_dict(VoxelGrid, json.loads(bundle["grid"]), "grid."),
+            about=json.loads(bundle["about"]),
+        )
+        width = int(model.estimator.n_features_in_)
+        _check_inside(model.estimator, width)
+    except Exception as error:  # whatever is wrong with what the file says, and NlosError is a ValueError
+        raise NlosError(f"{path}: is not a model file ({type(error).__name__}: {error})") from None
+    given = len(feature_names(model.settings))
+    if width != given:
+        raise NlosError(f"{path}: was trained on {width} features, but its settings give {given}")
+    if model.background.ndim != 3 or model.background.shape[2] != 3 or not np.isfinite(model.background).all():
+        raise NlosError(f"{path}: holds no background picture of shape (height, width, 3) without NaN")
+    if not (isinstance(model.about, dict) and 0.0 <= model.reference_radiance < np.inf):
+        raise NlosError(f"{path}: does not tell its origin, or has no reference radiance of 0 or more")
+    _answer(model.estimator, np.zeros(width), str(path))  # what is wrong inside shows when it answers
+    if not set(map(str, model.estimator.classes_)) <= set(model.grid.labels):
+        raise NlosError(f"{path}: answers by other voxels than its grid has")
+    return model
+
+
+def _answer(estimator: Any, row: NDArray[np.float64], name: str) -> NDArray[np.float64]:
+    """Return a classifier's probabilities (n_classes,), or say that it has none: it may come from elsewhere."""
+    try:
+        with np.errstate(all="ignore"):
+            made = np.asarray(estimator.predict_proba(row[None, :]), dtype=np.float64)
+        sound = made.shape == (1, len(estimator.classes_)) and bool(np.isfinite(made).all())
+    except Exception as error:
+        raise NlosError(f"{name}: the model does not answer ({type(error).__name__}: {error})") from None
+    if not sound:
+        raise NlosError(f"{name}: the model's answer is no list of probabilities")
+    answer: NDArray[np.float64] = made[0]
+    return answer
+
+
+def _check_inside(estimator: Any, width: int) -> None:
+    """Raise ValueError unless the numbers inside are what scikit-learn's compiled code takes for granted."""
+    for part in _parts(estimator):
+        if isinstance(part, Tree):
+            _check_tree(part, width)
+        elif isinstance(part, KDTree | BallTree):
+            _check_search(part, width)
+        elif isinstance(part, KNeighborsClassifier) and hasattr(part, "_fit_X"):
+            _check_neighbours(part, width)
+        elif isinstance(part, SVC) and hasattr(part, "support_vectors_"):  # fitted
+            _check_vectors(part, width)
+
+
+def _parts(value: Any, depth: int = 0) -> Iterator[Any]:
+    """A fitted classifier and all that it holds."""
+    if depth > _DEPTH:
+        raise ValueError("it is nested too deeply")
+    yield value
+    inside: Iterable[Any] = ()
+    if isinstance(value, list | tuple | set) or (isinstance(value, np.ndarray) and value.dtype == object):
+        inside = value
+    elif isinstance(value, dict):
+        inside = value.values()
+    elif type(value).__module__.startswith("sklearn."):
+        inside = vars(value).values() if hasattr(value, "__dict__") else ()
+    for part in inside:
+        if not isinstance(part, str | bytes | int | float | np.generic):
+            yield from _parts(part, depth + 1)
+
+
+def _check_tree(tree: Any, width: int) -> None:
+    count = tree.node_count
+    left, right, feature = tree.children_left, tree.children_right, tree.feature
+    inner = left != -1
+    numbers = np.arange(count)
+    # A child comes after its parent, as they grow.
+    below = all(((child[inner] > numbers[inner]) & (child[inner] < count)).all() for child in (left, right))
+    asked = feature[inner]
+    known = (asked >= 0).all() and (asked < width).all()
+    if not (count and below and (right[~inner] == -1).all() and known):
+        raise ValueError("a decision tree in it leads nowhere")
+    if tree.value.shape != (count, tree.n_outputs, tree.max_n_classes):
+        raise ValueError("a decision tree in it lacks answers")
+
+
+def _check_search(tree: Any, width: int) -> None:
+    data, index, nodes, _ = tree.get_arrays()
+    first, last = nodes["idx_start"], nodes["idx_end"]
+    count = len(data)
+    whole = (
+        data.ndim == 2
+        and data.shape[1] == width
+        and len(index) == count
+        and np.array_equal(np.sort(index), np.arange(count))
+    )
+    if not (whole and (first >= 0).all() and (first <= last).all() and (last <= count).all()):
+        raise ValueError("a tree of neighbours in it leads nowhere")
+
+
+def _check_neighbours(machine: Any, width: int) -> None:
+    known, labels, most = machine._fit_X, machine._y, len(machine.classes_)
+    if known.ndim != 2 or known.shape[1] != width or known.dtype != np.float64 or labels.shape != (len(known),):
+        raise ValueError("its neighbours do not fit together")
+    if labels.dtype.kind not in "iu" or labels.min() < 0 or labels.max() >= most:
+        raise ValueError("its neighbours are of no class")
+    if not 1 <= machine.n_neighbors <= len(known) or machine.effective_metric_ not in ("euclidean", "minkowski"):
+        raise ValueError("its neighbours cannot be asked")
+
+
+def _check_vectors(machine: Any, width: int) -> None:
+    vectors, counts = machine.support_vectors_, machine._n_support
+    classes = len(machine.classes_)
+    n = len(vectors)
+    if machine.kernel not in ("rbf", "linear") or machine._impl != "c_svc" or machine.support_.shape != (n,):
+        raise ValueError("it is no support vector machine of this software")
+    pairs = classes * (classes - 1) // 2
+    shapes = [vectors.shape, counts.shape, machine._dual_coef_.shape, machine._intercept_.shape]
+    if shapes != [(n, width), (classes,), (classes - 1, n), (pairs,)] or counts.min() < 0 or counts.sum() != n:
+        raise ValueError("its support vectors do not fit together")
+    if {len(machine._probA), len(machine._probB)} - {0, pairs} or len(machine._probA) != len(machine._probB):
+        raise ValueError("its probabilities do not fit together")

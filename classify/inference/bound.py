@@ -1,0 +1,287 @@
+"""How well a picture can be answered at all: what noise leaves of it, whoever looks.
+
+The paper asks "under which conditions is the effect significant enough to be detected" (section 1). For small changes
+the answer is the Fisher information of the picture about the pose; for voxels, and wherever noise is so large that a
+pose may be anywhere, it is Bayes' rule with the engine's own pictures, which no method can surpass.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from matplotlib import pyplot as plt
+from matplotlib.colors import LogNorm
+from scipy.stats import norm
+
+from classify.classifiers.evaluate import Interval, wilson
+from classify.inference.atlas import Atlas
+from classify.inference.posterior import Synthesis, locate
+from generator.measure import figures
+from generator.model.spec import Array, NlosError
+
+_RESAMPLES = 2000
+
+
+@dataclass(frozen=True)
+class Reachable:
+    """What the best of all methods answers, on poses like the atlas'.
+
+    Attributes
+    ----------
+    accuracy : Interval
+        Share of pictures that it puts into the right voxel.
+    by_voxel : list of Interval
+    error : Interval
+        Median distance of its position from the true one, metres.
+    count : int
+        Pictures.
+    """
+
+    accuracy: Interval
+    by_voxel: list[Interval]
+    error: Interval
+    count: int
+
+
+def reachable(
+    atlas: Atlas, *, count: int = 3000, seed: int = 0, progress: Callable[[int, int], None] = lambda done, total: None
+) -> Reachable:
+    """Return what Bayes' rule makes of pictures of the atlas' own poses, each left out while it is asked about.
+
+    No decision between voxels errs less often (Duda, Hart and Stork 2001, section 2.2), and the posterior's mean has
+    the least mean squared error (Kay 1993, section 10.4), for poses that are as likely as the atlas has them.
+
+    Parameters
+    ----------
+    atlas : Atlas
+    count : int
+        Pictures, at most as many as the atlas has.
+    seed : int
+        Of their choice and their noise.
+    progress : callable
+        Is told how many pictures are done, and of how many.
+    """
+    rng = np.random.default_rng([seed, 2])
+    chosen = rng.choice(len(atlas.codes), size=min(count, len(atlas.codes)), replace=False)
+    right, errors = np.zeros(len(chosen), dtype=bool), np.zeros(len(chosen))
+    for done, pose in enumerate(chosen):
+        code = atlas.example(int(pose), rng) + rng.normal(size=atlas.codes.shape[1])
+        found = locate(atlas, code.astype(np.float32), without=int(pose))
+        right[done] = found.voxels.argmax() == atlas.voxels[pose]
+        errors[done] = np.linalg.norm(found.position - atlas.positions[pose])
+        progress(done + 1, len(chosen))
+    voxels = atlas.voxels[chosen]
+    by_voxel = [right[voxels == v] for v in range(atlas.grid.n_voxels)]
+    return Reachable(
+        accuracy=wilson(int(right.sum()), len(right)),
+        by_voxel=[wilson(int(r.sum()), len(r)) if len(r) else Interval(math.nan, 0.0, 1.0) for r in by_voxel],
+        error=median(errors, seed),
+        count=len(chosen),
+    )
+
+
+def median(values: Array, seed: int = 0) -> Interval:
+    """Return the median with its 95 % percentile interval of a bootstrap (Efron 1979)."""
+    rng = np.random.default_rng([seed, 3])
+    drawn = np.median(rng.choice(values, size=(_RESAMPLES, len(values))), axis=1)
+    low, high = np.percentile(drawn, [2.5, 97.5])
+    return Interval(float(np.median(values)), float(low), float(high))
+
+
+@dataclass(frozen=True)
+class Limits:
+    """What can be known of an object at a place.
+
+    Attributes
+    ----------
+    presence : float
+        Distance of its picture from the empty scene's, in standard deviations of the noise.
+    position : ndarray of shape (3,)
+        Least standard deviation along x, y and z, metres, with the rotation known.
+    turned : ndarray of shape (3,)
+        The same with the rotation unknown; infinite where it cannot be told from a turn.
+    rotation : ndarray of shape (3,)
+        Least standard deviation of the turn about x, y and z, radians, with the position known.
+    strength : float
+        Least relative standard deviation of the albedo, with the pose known.
+    movement : ndarray of shape (3,)
+        Shortest movement along x, y and z, metres, that is noticed between two pictures.
+    """
+
+    presence: float
+    position: Array
+    turned: Array
+    rotation: Array
+    strength: float
+    movement: Array
+
+
+def limits(
+    synthesis: Synthesis, position: Array, rotation: Array, *, false_alarm: float = 0.01, detection: float = 0.99
+) -> Limits:
+    """Return the bounds at a pose.
+
+    Cramer and Rao: no unbiased estimate has a smaller covariance than the inverse of the Fisher information (Kay
+    1993, theorem 3.2), which for a code of unit noise is the product of its derivatives. A movement is noticed if it
+    shifts the difference of two pictures by the sum of two normal quantiles (Kay 1998, section 4.3).
+
+    Parameters
+    ----------
+    synthesis : Synthesis
+    position, rotation : array-like of shape (3,)
+        Metres; degrees about x, then y, then z.
+    false_alarm, detection : float
+        Rates at which a movement counts as noticed.
+
+    Raises
+    ------
+    NlosError
+        No object can be there, or the engine knows no derivatives there.
+    """
+    if not (0.0 < false_alarm < 1.0 and false_alarm < detection < 1.0):
+        raise NlosError(
+            f"false alarms {false_alarm:g} and detections {detection:g}: must be 0 < false < detected < 1"
+        )
+    place, turn = np.asarray(position, float), np.asarray(rotation, float)
+    slopes = synthesis.slopes(place, turn)
+    information = slopes.T @ slopes
+    needed = norm.isf(false_alarm) + norm.ppf(detection)
+    along = np.sqrt(np.diag(information))
+    with np.errstate(divide="ignore"):
+        return Limits(
+            presence=float(np.linalg.norm(synthesis.code(place, turn))),
+            position=deviations(information[:3, :3]),
+            turned=deviations(information[:6, :6])[:3],
+            rotation=deviations(information[3:6, 3:6]),
+            strength=float(1.0 / along[6]),
+            movement=needed * math.sqrt(2.0) / along[:3],
+        )
+
+
+def deviations(information: Array) -> Array:
+    """Return the least standard deviations that Fisher information (k, k) allows; infinite where it says nothing."""
+    scale = np.sqrt(np.diag(information))
+    known = scale > 1e-9 * scale.max(initial=0.0)
+    least = np.full(len(information), np.inf)
+    if known.any():
+        some = information[np.ix_(known, known)] / np.outer(scale[known], scale[known])
+        strengths, ways = np.linalg.eigh(some)
+        shares = ways**2
+        blind = strengths < 1e-10  # along these nothing is known, and of what takes part in them neither
+        variance = (shares[:, ~blind] / strengths[~blind]).sum(axis=1)
+        variance[(shares[:, blind] > 1e-9).any(axis=1)] = np.inf
+        least[known] = np.sqrt(variance) / scale[known]
+    return least
+
+
+def rows(atlas: Atlas, best: Reachable, synthesis: Synthesis | None = None) -> list[tuple[str, ...]]:
+    """Return a table of the bounds: a row for each voxel, and one for all.
+
+    Parameters
+    ----------
+    atlas : Atlas
+    best : Reachable
+    synthesis : Synthesis, optional
+        For what can be known of the object, unturned, in the middle of each voxel.
+    """
+    grid = atlas.grid
+    made: list[tuple[str, ...]] = []
+    for voxel, label in enumerate(grid.labels):
+        if synthesis is None:
+            made.append((label, best.by_voxel[voxel].percent()))
+            continue
+        middle = np.mean(grid.bounds(voxel), axis=0)
+        try:
+            found = limits(synthesis, middle, np.zeros(3))
+            lengths = [*found.position, float(np.linalg.norm(found.turned))]
+            cells = [f"{found.presence:.1f}", *map(_short, lengths), *map(_short, found.movement)]
+        except NlosError:  # something stands in the way there
+            cells = ["-"] * 8
+        made.append((label, best.by_voxel[voxel].percent(), *cells))
+    return [*made, ("all", best.accuracy.percent(), *[""] * (8 if synthesis else 0))]
+
+
+@dataclass(frozen=True)
+class Map:
+    """The bounds over a level cut through the hidden volume.
+
+    Attributes
+    ----------
+    x, y : ndarray of shape (nx,) and (ny,)
+        Places, metres.
+    presence, position, movement : ndarray of shape (ny, nx)
+        As of `Limits`, the last two of all three directions together: root of the summed squares, and the longest,
+        metres; NaN where no object can be or the engine knows no derivatives.
+    """
+
+    x: Array
+    y: Array
+    presence: Array
+    position: Array
+    movement: Array
+
+
+def over_volume(
+    synthesis: Synthesis, *, across: int = 16, progress: Callable[[int, int], None] = lambda done, total: None
+) -> Map:
+    """Return the bounds at half the volume's height, for an object that is not turned.
+
+    Parameters
+    ----------
+    synthesis : Synthesis
+    across : int
+        Places along x, and as close along y.
+    progress : callable
+        Is told how many places are done, and of how many.
+    """
+    lo, hi = np.asarray(synthesis.atlas.grid.lo), np.asarray(synthesis.atlas.grid.hi)
+    deep = max(2, round(across * (hi[1] - lo[1]) / (hi[0] - lo[0])))
+    x, y = (a + (np.arange(n) + 0.5) / n * (b - a) for a, b, n in zip(lo[:2], hi[:2], (across, deep), strict=True))
+    presence, position, movement = np.full((3, deep, across), np.nan)
+    for row in range(deep):
+        for column in range(across):
+            place = np.array([x[column], y[row], 0.5 * (lo[2] + hi[2])])
+            try:
+                found = limits(synthesis, place, np.zeros(3))
+            except NlosError:  # something stands in the way there
+                continue
+            presence[row, column] = found.presence
+            position[row, column] = float(np.linalg.norm(found.position))
+            movement[row, column] = float(found.movement.max())
+        progress((row + 1) * across, deep * across)
+    return Map(x, y, presence, position, movement)
+
+
+def draw(path: Path, atlas: Atlas, found: Map) -> None:
+    """Write a picture of the bounds over the hidden volume, seen from above."""
+    figure, axes = plt.subplots(1, 3, figsize=(14.0, 4.3), layout="constrained")
+    panels = (
+        ("distance from the empty scene, standard deviations", found.presence, "viridis"),
+        ("least error of the position, cm", 100.0 * found.position, "viridis_r"),
+        ("least movement that is noticed, in the worst direction, cm", 100.0 * found.movement, "viridis_r"),
+    )
+    lo, hi = atlas.grid.lo, atlas.grid.hi
+    for axis, (title, values, colours) in zip(axes, panels, strict=True):
+        shown = np.where(np.isfinite(values) & (values > 0.0), values, np.nan)
+        image = axis.imshow(
+            shown, origin="lower", extent=(lo[0], hi[0], lo[1], hi[1]), cmap=colours, norm=LogNorm(), aspect="equal"
+        )
+        figure.colorbar(image, ax=axis, shrink=0.85)
+        for voxel, label in enumerate(atlas.grid.labels):
+            low, high = atlas.grid.bounds(voxel)
+            axis.text(*(0.5 * (low + high))[:2], label, ha="center", va="center", color="white", fontsize=9)
+        axis.set_title(title, fontsize=9)
+        axis.set_xlabel("x, along the wall (m)")
+    axes[0].set_ylabel("y, from the wall (m)")
+    frames = atlas.sensor.frames
+    figure.suptitle(f"What a picture can tell at most, {frames} frame{'s' if frames > 1 else ''}", fontsize=10)
+    figures.save(path, figure)
+
+
+def _short(length: float) -> str:
+    """Centimetres in three digits."""
+    return f"{100.0 * length:.3g}" if math.isfinite(length) else "unknown"

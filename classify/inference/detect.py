@@ -1,0 +1,209 @@
+"""Is something there? The evidence for an object, against a threshold that empty scenes seldom reach."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from matplotlib import pyplot as plt
+from numpy.typing import NDArray
+from scipy.special import logsumexp
+
+from classify.classifiers.evaluate import Interval, wilson
+from classify.inference.atlas import Atlas
+from generator.measure import figures
+from generator.model.spec import Array, NlosError
+
+_POSES = 8192
+"""Of the atlas, that share in the evidence: more change it by less than the noise does."""
+_EMPTY = 20_000
+_BLOCK = 256
+_TRIED = 4000
+"""Empty scenes behind a curve."""
+_MOST_LINES = 27
+
+
+def evidence(atlas: Atlas, codes: NDArray[np.float32]) -> Array:
+    """Return how much more probable pictures are with the object somewhere than without, as logarithms, (n,).
+
+    The likelihood ratio of the mixture of all poses: at a given rate of false alarms no other test finds the object
+    more often, on average over the poses (Neyman and Pearson 1933).
+
+    Parameters
+    ----------
+    atlas : Atlas
+    codes : ndarray of shape (n, k)
+        Of the pictures.
+    """
+    step = max(1, len(atlas.codes) // _POSES)
+    some = atlas.take(slice(None, None, step))
+    blocks = [codes[i : i + _BLOCK] for i in range(0, len(codes), _BLOCK)]
+    logs = [logsumexp(some.logs(block), axis=1) for block in blocks]
+    found: Array = np.concatenate(logs).astype(np.float64) - np.log(len(some.codes))
+    return found
+
+
+@dataclass(frozen=True)
+class Detector:
+    """Says whether there is something.
+
+    Attributes
+    ----------
+    atlas : Atlas
+    false_alarm : float
+        Share of empty scenes in which it says so too.
+    threshold : float
+        Of the evidence, a logarithm.
+    """
+
+    atlas: Atlas
+    false_alarm: float
+    threshold: float
+
+    @classmethod
+    def at(cls, atlas: Atlas, false_alarm: float = 0.01, *, seed: int = 0) -> Detector:
+        """Return the detector that a share of empty scenes alarms.
+
+        The threshold is the quantile of the evidence in simulated empty scenes, whose codes are unit noise.
+
+        Raises
+        ------
+        NlosError
+            The rate is none, or so low that too few of the simulated scenes would reach it.
+        """
+        least = 20.0 / _EMPTY
+        if not least <= false_alarm < 1.0:
+            raise NlosError(f"false alarms {false_alarm:g}: must be a share from {least:g} to 1")
+        rng = np.random.default_rng([seed, 4])
+        empty = rng.normal(size=(_EMPTY, atlas.codes.shape[1])).astype(np.float32)
+        return cls(atlas, false_alarm, float(np.quantile(evidence(atlas, empty), 1.0 - false_alarm)))
+
+    def __call__(self, codes: NDArray[np.float32]) -> NDArray[np.bool_]:
+        """Return whether there is something in pictures with the codes (n, k), (n,)."""
+        return evidence(self.atlas, codes) > self.threshold
+
+
+@dataclass(frozen=True)
+class Detection:
+    """How often an object is found, voxel by voxel.
+
+    Attributes
+    ----------
+    frames : int
+        That a picture averages.
+    found : list of Interval
+        Share of pictures in which something is found, a voxel each.
+    evidence : list of ndarray
+        Of each voxel's pictures.
+    empty : ndarray of shape (m,)
+        Evidence of empty scenes.
+    """
+
+    frames: int
+    found: list[Interval]
+    evidence: list[Array]
+    empty: Array
+
+    def roc(self, voxel: int) -> tuple[Array, Array]:
+        """Return false alarms and detections at every threshold, each from 0 to 1."""
+        thresholds = np.sort(self.empty)[::-1]
+        alarms = np.arange(1, len(thresholds) + 1) / len(thresholds)
+        found = 1.0 - np.searchsorted(np.sort(self.evidence[voxel]), thresholds) / len(self.evidence[voxel])
+        return alarms, found
+
+
+def detections(
+    atlas: Atlas,
+    frames: Sequence[int],
+    *,
+    false_alarm: float = 0.01,
+    count: int = 300,
+    seed: int = 0,
+    progress: Callable[[int, int], None] = lambda done, total: None,
+) -> list[Detection]:
+    """Return how often the atlas' own objects are found, for several exposures.
+
+    Parameters
+    ----------
+    atlas : Atlas
+        For the most frames, or more.
+    frames : sequence of int
+    false_alarm : float
+        Share of empty scenes in which something may be found.
+    count : int
+        Pictures in each voxel, at most as many as the atlas has.
+    seed : int
+        Of poses and noise.
+    progress : callable
+        Is told how many exposures are done, and of how many.
+
+    Raises
+    ------
+    NlosError
+        The atlas is not made for so many frames, or the rate is none.
+    """
+    made = []
+    for done, number in enumerate(frames):
+        progress(done, len(frames))
+        exposed = atlas.at(number)
+        detector = Detector.at(exposed, false_alarm, seed=seed)
+        rng = np.random.default_rng([seed, 7])
+        told, size = [], exposed.codes.shape[1]
+        for voxel in range(atlas.grid.n_voxels):
+            inside = np.flatnonzero(exposed.voxels == voxel)
+            chosen = rng.choice(inside, size=min(count, len(inside)), replace=False)
+            codes = np.array([exposed.example(int(pose), rng) for pose in chosen]).reshape(len(chosen), size)
+            told.append(evidence(exposed, (codes + rng.normal(size=codes.shape)).astype(np.float32)))
+        empty = evidence(exposed, rng.normal(size=(_TRIED, size)).astype(np.float32))
+        found = [
+            wilson(int((e > detector.threshold).sum()), len(e)) if len(e) else Interval(math.nan, 0.0, 1.0)
+            for e in told
+        ]
+        made.append(Detection(number, found, told, empty))
+    progress(len(frames), len(frames))
+    return made
+
+
+def rows(atlas: Atlas, made: Sequence[Detection]) -> list[tuple[str, ...]]:
+    """Return a table: a row for each voxel, with its distance from the wall, and a column for each exposure."""
+    table = []
+    for voxel, label in enumerate(atlas.grid.labels):
+        middle = np.mean(atlas.grid.bounds(voxel), axis=0)
+        table.append((label, f"{middle[1]:.2f} m", *(one.found[voxel].percent() for one in made)))
+    return table
+
+
+def draw(path: Path, atlas: Atlas, made: Sequence[Detection], false_alarm: float) -> None:
+    """Write a picture: detections against exposure, and how they trade for false alarms at the shortest."""
+    figure, (left, right) = plt.subplots(1, 2, figsize=(11.5, 4.4), layout="constrained")
+    labels = atlas.grid.labels
+    colours = plt.colormaps["viridis"](np.linspace(0.0, 0.95, len(labels)))
+    for voxel, label in enumerate(labels[:_MOST_LINES]):
+        values = [one.found[voxel] for one in made]
+        spread = [[v.value - v.low for v in values], [v.high - v.value for v in values]]
+        left.errorbar(
+            [one.frames for one in made],
+            [v.value for v in values],
+            np.maximum(spread, 0.0),
+            marker="o",
+            ms=3,
+            lw=1.2,
+            color=colours[voxel],
+            label=label,
+        )
+        right.plot(*made[0].roc(voxel), color=colours[voxel], lw=1.2, label=label)
+    left.set_xscale("log")
+    left.set_xlabel("frames averaged")
+    left.set_ylabel(f"found, at {100.0 * false_alarm:g} % false alarms")
+    left.axhline(0.99, color="#57606a", lw=0.8, ls=":")
+    left.set_ylim(0.0, 1.02)
+    right.set_xscale("log")
+    right.set_xlim(1e-3, 1.0)
+    right.set_ylim(0.0, 1.02)
+    right.set_xlabel(f"false alarms, {made[0].frames} frame{'s' if made[0].frames > 1 else ''}")
+    right.set_ylabel("found")
+    right.legend(fontsize=8, title="voxel", ncols=2)
+    figures.save(path, figure)

@@ -1,0 +1,120 @@
+"""Two objects at once: the light that each changes adds up, but for what one takes from the other."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from classify.inference.atlas import Atlas
+from generator.model.spec import Array, NlosError
+
+_POSES = 1500
+_STARTS, _ROUNDS = 64, 6
+_FEW = 20.0
+"""Pairs that must share in an answer (effective number), or it is improved."""
+_FAINT = 0.2
+"""Most that an object may change the square root of the empty scene's light, for two changes to add up."""
+
+
+@dataclass(frozen=True)
+class Pair:
+    """Where two objects stand, as far as a picture tells.
+
+    Attributes
+    ----------
+    voxels : ndarray of shape (n_voxels, n_voxels)
+        Probability of each pair, if there are two; symmetric, of sum 1.
+    evidence : float
+        Logarithm of how much more probable the picture is with two objects than with one.
+    """
+
+    voxels: Array
+    evidence: float
+
+    @property
+    def likeliest(self) -> tuple[int, int]:
+        """The most probable pair of voxels, the lower first."""
+        both = np.triu(self.voxels) + np.triu(self.voxels.T, 1)
+        first, second = np.unravel_index(int(both.argmax()), both.shape)
+        return int(first), int(second)
+
+
+def locate_two(atlas: Atlas, code: NDArray[np.float32], *, poses: int = _POSES, seed: int = 0) -> Pair:
+    """Return where two objects of the atlas' kind are.
+
+    With codes a and b of unit noise, the logarithm of the likelihood ratio to an empty scene is that of a, plus that
+    of b, less a b: light adds up. Every pair of some of the atlas' poses is weighed; where too few of these explain
+    the picture, the best are improved over all poses.
+
+    Parameters
+    ----------
+    atlas : Atlas
+        Of a known object.
+    code : ndarray of shape (k,)
+        Of the picture, from `Atlas.code`.
+    poses : int
+        How many of the atlas' poses to take; time and memory grow with their square.
+    seed : int
+        Of their choice.
+
+    Raises
+    ------
+    NlosError
+        The object's size and albedo are unknown, or it is so bright beside the empty scene that noise depends on it.
+    """
+    if atlas.unknown:
+        raise NlosError("two objects: are told apart by an atlas of a known object only (without --unknown)")
+    strongest = atlas.codes[np.argmax((atlas.codes**2).sum(axis=1))]
+    change = np.abs(np.linalg.pinv(atlas.basis) @ strongest)
+    if (change > _FAINT * np.abs(atlas.empty.ravel()).mean()).any():
+        raise NlosError(
+            "two objects: their light adds up only where it is faint beside the empty scene's, and here it is not"
+        )
+    rng = np.random.default_rng([seed, 9])
+    chosen = rng.choice(len(atlas.codes), size=min(poses, len(atlas.codes)), replace=False)
+    order = chosen[np.argsort(atlas.voxels[chosen], kind="stable")]
+    some = atlas.codes[order]
+    alone = _alone(some, code)
+    both = alone[:, None] + alone - some @ some.T
+    top = float(both.max())
+    weights = np.exp(both - top)
+    member = np.eye(atlas.grid.n_voxels, dtype=np.float32)[atlas.voxels[order]]
+    voxels = (member.T @ weights @ member).astype(np.float64)
+    total = float(voxels.sum())
+    shares = float(weights.sum()) ** 2 / float((weights**2).sum())
+    top_alone = float(alone.max())
+    evidence = top + math.log(total / len(order) ** 2) - top_alone - math.log(float(np.exp(alone - top_alone).mean()))
+    if shares < _FEW:
+        rows, columns = np.unravel_index(np.argsort(both, axis=None)[-_STARTS:], both.shape)
+        voxels, total = _climbed(atlas, code, order[rows], order[columns])
+    return Pair(voxels / total, evidence)
+
+
+def _alone(codes: NDArray[np.float32], code: NDArray[np.float32]) -> NDArray[np.float32]:
+    """Logarithm of the likelihood ratio of one object to an empty scene, (n,)."""
+    logs: NDArray[np.float32] = codes @ code - 0.5 * np.einsum("ij,ij->i", codes, codes)
+    return logs
+
+
+def _climbed(
+    atlas: Atlas, code: NDArray[np.float32], first: NDArray[np.int64], second: NDArray[np.int64]
+) -> tuple[Array, float]:
+    """Weights of voxel pairs (n_voxels, n_voxels), and their sum, from pairs improved over all of the atlas.
+
+    Where the best of a few poses are far from the truth, each of two is moved in turn to where it explains best what
+    the other leaves: coordinate ascent.
+    """
+    alone = _alone(atlas.codes, code)
+    for _ in range(_ROUNDS):
+        first = np.argmax(alone - atlas.codes[second] @ atlas.codes.T, axis=1)
+        second = np.argmax(alone - atlas.codes[first] @ atlas.codes.T, axis=1)
+    together = np.einsum("ij,ij->i", atlas.codes[first], atlas.codes[second])
+    logs = (alone[first] + alone[second] - together).astype(np.float64)
+    voxels = np.zeros((atlas.grid.n_voxels,) * 2)
+    found = np.unique(np.stack([first, second]), axis=1, return_index=True)[1]  # many climb to the same pair
+    weights = np.exp(logs[found] - logs.max())
+    np.add.at(voxels, (atlas.voxels[first[found]], atlas.voxels[second[found]]), weights)
+    return 0.5 * (voxels + voxels.T), float(weights.sum())

@@ -1,0 +1,254 @@
+"""Picture -> named feature vector: the paper's two sets, and one of physics.
+
+Pictures are averaged in linear light first and tone-mapped after, and the tone mapping's constants follow from the
+scene (the radiance of the directly lit patch), never from the pictures: nothing leaks from one fold into another, and
+the same constants hold for every target of that scene.
+"""
+
+from __future__ import annotations
+
+import json
+from dataclasses import asdict, dataclass
+from typing import Any, Literal
+
+import cv2
+import mahotas
+import numpy as np
+from numpy.typing import NDArray
+
+from classify.pictures import physics
+from classify.pictures.physics import Setup
+from generator.model.spec import NlosError, from_dict
+from generator.sets.dataset import Picture
+
+Array = NDArray[np.float64]
+
+HARALICK = (
+    *("angular_second_moment", "contrast", "correlation", "variance", "inverse_difference_moment", "sum_average"),
+    *("sum_variance", "sum_entropy", "entropy", "difference_variance", "difference_entropy"),
+    *("information_1", "information_2"),
+)
+
+_SPATIAL = 16
+_HOG_SIZE, _HOG_CELL, _HOG_BLOCK, _HOG_BINS = 32, 8, 16, 9
+_HU_UNIT = 1e-12
+_SMALLEST = 1e-300
+
+
+@dataclass(frozen=True, kw_only=True)
+class FeatureSettings:
+    """All that decides a picture's features; stored beside them, and in every model trained on them.
+
+    Attributes
+    ----------
+    set : {"global", "spatial-hog", "physics"}
+        Colour histogram, Hu moments and Haralick texture (paper, 5.3.1); down-sampled copy, colour histogram and HOG
+        (section 4); level, shape and the fit of an unknown target (`classify.pictures.physics`).
+    input : {"difference", "raw"}
+        Picture minus background, or the picture itself.
+    tone : {"log", "linear"}
+        Signed asinh, linear below ``floor`` and logarithmic above, so that near and far voxels both keep their
+        shades; or linear up to ``ceiling``.
+    floor, ceiling : float
+        In units of the scene's reference radiance.
+    size : int
+        Larger pictures are averaged down to this many pixels a side.
+    bins : int
+        Of the histogram, per channel.
+    levels : int
+        Grey levels of the co-occurrence matrices behind Haralick's texture.
+    setup : Setup, optional
+        Of the scene: what ``physics`` needs.
+    """
+
+    set: Literal["global", "spatial-hog", "physics"] = "global"
+    input: Literal["difference", "raw"] = "difference"
+    tone: Literal["log", "linear"] = "log"
+    floor: float = 1e-7
+    ceiling: float = 1e-3
+    size: int = 32
+    bins: int = 32
+    levels: int = 64
+    setup: Setup | None = None
+
+    def __post_init__(self) -> None:
+        if not 0.0 < self.floor < self.ceiling < float("inf"):
+            raise NlosError(f"floor {self.floor:g} and ceiling {self.ceiling:g}: must be 0 < floor < ceiling")
+        if not (1 <= self.size <= 4096 and 2 <= self.bins <= 256 and 2 <= self.levels <= 256):
+            raise NlosError("size must be 1 to 4096, bins and levels 2 to 256")
+
+    def to_json(self) -> str:
+        """Return the settings as text."""
+        return json.dumps(asdict(self), sort_keys=True)
+
+    @classmethod
+    def from_json(cls, text: str) -> FeatureSettings:
+        """Return the settings of `to_json`'s text; NlosError if it is none."""
+        try:
+            plain = json.loads(text)
+        except json.JSONDecodeError:
+            raise NlosError("feature settings: are not JSON") from None
+        settings: FeatureSettings = from_dict(cls, plain, "feature settings: ")
+        return settings
+
+
+def tone_map(light: Array, settings: FeatureSettings, reference: float) -> Array:
+    """Map radiance to shades from -1 to 1; odd, monotone, clipped at the ceiling.
+
+    Parameters
+    ----------
+    light : ndarray of any shape
+        Radiance or difference of radiances, W/m^2/sr.
+    settings : FeatureSettings
+    reference : float
+        The scene's reference radiance, W/m^2/sr.
+    """
+    with np.errstate(over="ignore"):  # without any light in the scene the scale is infinite, and clipped below
+        scaled = light / max(reference, _SMALLEST)
+        if settings.tone == "linear":
+            shades = scaled / settings.ceiling
+        else:
+            shades = np.arcsinh(scaled / settings.floor) / np.arcsinh(settings.ceiling / settings.floor)
+    clipped: Array = np.clip(shades, -1.0, 1.0)
+    return clipped
+
+
+def feature_names(settings: FeatureSettings) -> list[str]:
+    """Return the names of the features, in order."""
+    histogram = [f"histogram_{channel}_{i}" for channel in "rgb" for i in range(settings.bins)]
+    if settings.set == "physics":
+        return physics.names()
+    if settings.set == "global":
+        return [*histogram, *(f"hu_{i}" for i in range(1, 8)), *(f"haralick_{name}" for name in HARALICK)]
+    steps = (_HOG_SIZE - _HOG_BLOCK) // _HOG_CELL + 1
+    n_hog = steps**2 * (_HOG_BLOCK // _HOG_CELL) ** 2 * _HOG_BINS
+    spatial = [f"spatial_{row}_{column}" for row in range(_SPATIAL) for column in range(_SPATIAL)]
+    return [*spatial, *histogram, *(f"hog_{i}" for i in range(n_hog))]
+
+
+def describe(
+    picture: Picture,
+    settings: FeatureSettings,
+    *,
+    reference: float,
+    background: Picture | None = None,
+    name: str = "picture",
+) -> Array:
+    """Return a picture's features.
+
+    Parameters
+    ----------
+    picture : ndarray of shape (height, width, 3)
+        Scene-linear radiance, W/m^2/sr.
+    settings : FeatureSettings
+    reference : float
+        The scene's reference radiance, W/m^2/sr.
+    background : ndarray of shape (height, width, 3), optional
+        Needed where the settings ask for the difference.
+    name : str
+        For messages.
+
+    Returns
+    -------
+    ndarray of shape (n_features,)
+        Finite, whatever the picture.
+
+    Raises
+    ------
+    NlosError
+        The picture holds NaN or infinite pixels, or does not fit the background.
+    """
+    light = np.asarray(picture, dtype=np.float64)
+    _check_finite(light, name)
+    if settings.input == "difference":
+        if background is None:
+            raise NlosError(f"{name}: the features need the background picture to subtract, and there is none")
+        if background.shape != picture.shape:
+            raise NlosError(
+                f"{name}: has {picture.shape[1]} x {picture.shape[0]} pixels, but its background "
+                f"{background.shape[1]} x {background.shape[0]}"
+            )
+        _check_finite(np.asarray(background), f"{name}: its background")
+        light = light - background
+    light = _average(light, settings.size)
+    if settings.set == "physics":
+        if settings.setup is None:
+            raise NlosError(f"{name}: features of physics need to know the scene's setup, and there is none")
+        made = physics.PhysicsFeatures(settings.setup, reference, settings.floor).transform(light[None])
+        return np.asarray(made[0], dtype=np.float64)
+    histogram = _histogram(tone_map(light, settings, reference), settings.bins)
+    grey = light.mean(axis=2)
+    if settings.set == "global":
+        return np.concatenate([histogram, _hu(grey), _haralick(tone_map(grey, settings, reference), settings.levels)])
+    spatial = tone_map(cv2.resize(grey, (_SPATIAL, _SPATIAL), interpolation=cv2.INTER_AREA), settings, reference)
+    return np.concatenate([spatial.ravel(), histogram, _hog(grey)])
+
+
+def _check_finite(light: Array, name: str) -> None:
+    bad = int((~np.isfinite(light)).sum())
+    if bad:
+        raise NlosError(f"{name}: holds {bad} NaN or infinite values; render it again")
+
+
+def _average(light: Array, size: int) -> Array:
+    """Average down to at most ``size`` pixels a side; smaller pictures stay as they are."""
+    height, width = light.shape[:2]
+    if max(height, width) <= size:
+        return light
+    target = (min(width, size), min(height, size))
+    smaller = np.asarray(cv2.resize(light, target, interpolation=cv2.INTER_AREA), dtype=np.float64)
+    return smaller.reshape(target[1], target[0], -1)
+
+
+def _histogram(shades: Array, bins: int) -> Array:
+    """Share of pixels per shade, channel by channel."""
+    # OpenCV's upper limit is exclusive; a clipped white pixel belongs to the last bin all the same.
+    channels = [np.ascontiguousarray(shades[..., i], dtype=np.float32) for i in range(3)]
+    counts = [cv2.calcHist([c], [0], None, [bins], [-1.0, 1.0 + 1e-6]).ravel() for c in channels]
+    shares: Array = np.concatenate(counts).astype(np.float64) / shades[..., 0].size
+    return shares
+
+
+def _hu(grey: Array) -> Array:
+    """Hu's seven invariants of the positive light, compressed by a signed logarithm (Hu 1962, eq. 57 ff.).
+
+    They depend on shape alone: any common factor of the light drops out.
+    """
+    light = np.maximum(grey, 0.0)
+    peak = light.max()
+    if peak <= 0.0:
+        return np.zeros(7)
+    moments = cv2.HuMoments(cv2.moments((light / peak).astype(np.float32))).ravel().astype(np.float64)
+    finite = np.nan_to_num(moments, nan=0.0, posinf=0.0, neginf=0.0)
+    compressed: Array = np.sign(finite) * np.log10(1.0 + np.abs(finite) / _HU_UNIT)
+    return compressed
+
+
+def _haralick(shades: Array, levels: int) -> Array:
+    """Haralick's thirteen texture measures, averaged over the four directions (Haralick et al. 1973)."""
+    grey = np.round((shades + 1.0) / 2.0 * (levels - 1)).astype(np.uint8)
+    if min(grey.shape) < 2:  # no neighbours, so no co-occurrence: a pixel is its own
+        grey = np.pad(grey, [(0, 1 if n < 2 else 0) for n in grey.shape], mode="edge")
+    with np.errstate(all="ignore"):  # a constant picture has no correlation: 0/0, which counts as 0
+        texture = mahotas.features.haralick(grey).mean(axis=0)
+    finite: Array = np.nan_to_num(texture, nan=0.0, posinf=0.0, neginf=0.0)
+    return finite
+
+
+def _hog(grey: Array) -> Array:
+    """Histogram of oriented gradients (Dalal and Triggs 2005) of the picture stretched to its own range.
+
+    Its blocks are normalised anyway, so the level would drop out; stretched, eight bits keep the faint pictures too.
+    """
+    small = cv2.resize(grey, (_HOG_SIZE, _HOG_SIZE), interpolation=cv2.INTER_AREA)
+    low, spread = small.min(), np.ptp(small)
+    stretched = (small / 2 - low / 2) / (spread / 2) * 255.0 if spread > _SMALLEST else np.zeros_like(small)
+    cell, block = (_HOG_CELL, _HOG_CELL), (_HOG_BLOCK, _HOG_BLOCK)
+    descriptor = cv2.HOGDescriptor((_HOG_SIZE, _HOG_SIZE), block, cell, cell, _HOG_BINS)
+    gradients: Array = np.asarray(descriptor.compute(np.round(stretched).astype(np.uint8)), dtype=np.float64).ravel()
+    return gradients
+
+
+def software() -> dict[str, Any]:
+    """Return the versions of the libraries that the features come from."""
+    return {"opencv": cv2.__version__, "mahotas": mahotas.__version__, "numpy": np.__version__}

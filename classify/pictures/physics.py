@@ -1,0 +1,289 @@
+"""Picture -> what the light transport says of it: level, shape without level, and the fit of an unknown target.
+
+An object whose form nobody knows is taken for one small surface element: where it is, which way it faces, how much
+light it sends. The picture of such an element before a bare wall is one term of the paper's sum over surfels (section
+3.1), so many of them are drawn beforehand, and a picture is weighed against all. What comes out are means over what
+explains the picture, which change smoothly with it and need no start.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from functools import lru_cache
+from typing import Any
+
+import numpy as np
+from numpy.polynomial import legendre
+from numpy.typing import NDArray
+from sklearn.base import BaseEstimator, TransformerMixin
+
+from generator.model.spec import NlosError, Scene, Vector
+
+Array = NDArray[np.float64]
+
+_DEGREES = 6
+"""Polynomials along each edge of the picture: more hold nothing but noise (docs/answers.md)."""
+_SHAPE = 4
+"""Of these, the ones whose products up to this total degree make the shape."""
+_PLACES = 12, 10, 7
+_OUTSIDE = 0.15
+"""How far elements reach beyond the voxel grid, in its size: a body's bright side is not its middle."""
+_TURNS = np.radians([-60.0, -30.0, 0.0, 30.0, 60.0])
+_TILTS = np.radians([-40.0, 0.0, 40.0])
+_MISFIT = 0.03
+"""Of a picture, relative, by which no real object is an element: a likelihood sharper than that is none."""
+_USUAL, _SPREAD = 0.1, 1.5
+"""An element's usual strength: the share of a voxel's face that it fills, and the spread of its logarithm."""
+_SMALLEST = 1e-300
+
+
+@dataclass(frozen=True, kw_only=True)
+class Setup:
+    """Where light comes from, where it is seen, and where an object may be.
+
+    Attributes
+    ----------
+    lit : (float, float, float)
+        w1, metres.
+    lit_area : float
+        Of the lit patch, m^2.
+    watched : (float, float, float, float)
+        The watched rectangle of the wall: x of its right edge in the picture and of its left, z of its lower edge
+        and its upper, metres.
+    lo, hi : (float, float, float)
+        Opposite corners of the voxel grid, metres.
+    face : float
+        Smallest face of a voxel, m^2.
+    """
+
+    lit: Vector
+    lit_area: float
+    watched: tuple[float, float, float, float]
+    lo: Vector
+    hi: Vector
+    face: float
+
+    def __post_init__(self) -> None:
+        x0, x1, z0, z1 = self.watched
+        if not (x0 < x1 and z0 < z1 and all(a < b for a, b in zip(self.lo, self.hi, strict=True))):
+            raise NlosError("setup: edges of the watched rectangle and of the voxel grid must be low before high")
+        if not (self.lit_area > 0.0 and self.face > 0.0 and self.lo[1] > 0.0):
+            raise NlosError("setup: lit_area and face must be positive, and the voxel grid in front of the wall")
+
+    @classmethod
+    def of(cls, scene: Scene) -> Setup:
+        """Return the setup of a scene."""
+        spot, camera, grid = scene.spot, scene.camera, scene.grid
+        way = np.subtract(spot.location, spot.aim)
+        distance = float(np.linalg.norm(way))
+        area = math.pi * (distance * math.tan(math.radians(spot.half_angle))) ** 2 * distance / max(way[1], 1e-9)
+        x, y, z = grid.size
+        return cls(
+            lit=spot.aim,
+            lit_area=area,
+            watched=(*camera.x, *camera.z),
+            lo=grid.lo,
+            hi=grid.hi,
+            face=min(x * y, y * z, x * z),
+        )
+
+
+def names() -> list[str]:
+    """Return the names of the features, in order."""
+    shape = [f"shape_{i}_{j}" for i, j in _shapes()]
+    return ["level", "strength", *shape, *(f"fit_{what}" for what in _FITTED)]
+
+
+_FITTED = ("x", "y", "z", "normal_x", "normal_y", "normal_z", "round", "strength", "share", "spread", "evidence")
+
+
+def _shapes() -> list[tuple[int, int]]:
+    return [(i, j) for i in range(_SHAPE + 1) for j in range(_SHAPE + 1 - i)]
+
+
+class PhysicsFeatures(TransformerMixin, BaseEstimator):  # type: ignore[misc]  # scikit-learn has no types
+    """Turns difference pictures into features, as a step of any scikit-learn pipeline.
+
+    Parameters
+    ----------
+    setup : Setup
+    reference : float, default=1.0
+        The scene's reference radiance, W/m^2/sr.
+    floor : float, default=1e-7
+        In units of it: fainter levels are counted linearly, brighter ones by their logarithm.
+
+    Attributes
+    ----------
+    n_features_out_ : int
+
+    Examples
+    --------
+    >>> from sklearn.pipeline import make_pipeline
+    >>> from sklearn.svm import SVC
+    >>> setup = Setup(lit=(0.3, 0, 1.3), lit_area=0.02, watched=(-1, 0, 0.8, 1.8), lo=(0.8, 0.4, 0.4),
+    ...               hi=(2.3, 1.9, 2.2), face=0.25)
+    >>> model = make_pipeline(PhysicsFeatures(setup), SVC())
+    """
+
+    def __init__(self, setup: Setup, reference: float = 1.0, floor: float = 1e-7) -> None:
+        self.setup = setup
+        self.reference = reference
+        self.floor = floor
+
+    def fit(self, pictures: Any, y: Any = None) -> PhysicsFeatures:
+        """Learn nothing: all constants follow from the scene."""
+        self.n_features_out_ = len(names())
+        return self
+
+    def get_feature_names_out(self, input_features: Any = None) -> NDArray[np.object_]:
+        """Return the features' names."""
+        return np.array(names(), dtype=object)
+
+    def transform(self, pictures: Any) -> Array:
+        """Return features, (n, n_features), finite whatever the pictures.
+
+        Parameters
+        ----------
+        pictures : array-like of shape (n, height, width) or (n, height, width, 3)
+            Picture minus background, W/m^2/sr; row 0 is the largest z, column 0 the largest x.
+
+        Raises
+        ------
+        NlosError
+            They have another shape, or hold NaN or infinite pixels.
+        """
+        light = np.asarray(pictures, dtype=np.float64)
+        if light.ndim == 4:
+            light = light.mean(axis=3)
+        if light.ndim != 3 or not light.size:
+            raise NlosError(
+                f"pictures: must have shape (n, height, width) or (n, height, width, 3), not {np.shape(pictures)}"
+            )
+        if not np.isfinite(light).all():
+            raise NlosError("pictures: hold NaN or infinite values")
+        light = light / max(self.reference, _SMALLEST)
+        # Squares of what is above this would not be finite; no scene is brighter than its own lit patch by as much.
+        light = np.clip(light, -1e100, 1e100)
+        return np.stack([self._describe(picture) for picture in light])
+
+    def _describe(self, picture: Array) -> Array:
+        height, width = picture.shape
+        across, down = _polynomials(width), _polynomials(height)
+        found = down.T @ picture @ across / math.sqrt(picture.size)
+        energy = float((found**2).sum())
+        size = math.sqrt(energy)
+        rest = max(float((picture**2).mean()) - energy, 0.0)
+        free = picture.size - found.size
+        noise = rest / free if free > 0 else 0.0  # mean square, of one coefficient
+        coefficients = np.zeros((_DEGREES, _DEGREES))
+        coefficients[: found.shape[0], : found.shape[1]] = found
+        level = _signed_log(coefficients[0, 0] / self.floor)
+        shape = [coefficients[i, j] / max(size, _SMALLEST) for i, j in _shapes()]
+        return np.array([level, _signed_log(size / self.floor), *shape, *self._fit(found, energy, noise)])
+
+    def _fit(self, found: Array, energy: float, noise: float) -> list[float]:
+        """Means over the elements that explain a picture."""
+        drawn = _elements(self.setup, found.shape)
+        measured = found.ravel() / (math.sqrt(energy) or 1.0)
+        variance = noise / max(energy, _SMALLEST) + _MISFIT**2
+        along = drawn.pictures @ measured  # of unit pictures
+        strength = np.maximum(along, 1e-6) * math.sqrt(energy) / drawn.sizes
+        usual = _USUAL * self.setup.face * self.setup.lit_area / math.pi
+        unusual = np.log(np.maximum(strength, _SMALLEST) / usual)
+        logs = 0.5 * np.maximum(along, 0.0) ** 2 / variance - 0.5 * (unusual / _SPREAD) ** 2
+        top = float(logs.max())
+        weights = np.exp(logs - top)
+        weights /= weights.sum()
+        share = float(weights @ along**2)  # of the picture's energy
+        mean = weights @ drawn.poses
+        spread = math.sqrt(max(float(weights @ (drawn.poses[:, :3] ** 2).sum(axis=1) - (mean[:3] ** 2).sum()), 0.0))
+        log = float(weights @ unusual)
+        faint = _signed_log(energy / max(noise, _SMALLEST)) if energy else 0.0
+        return [*mean, max(log, -50.0), share, min(spread, 1e3), min(faint, 700.0)]
+
+
+@dataclass(frozen=True)
+class _Elements:
+    """Pictures of surface elements, as coefficients of polynomials.
+
+    Attributes
+    ----------
+    poses : ndarray of shape (n, 7)
+        Place, metres; normal; and 1 for one that faces all ways, as a ball does, whose normal is 0.
+    pictures : ndarray of shape (n, k)
+        Each of length 1.
+    sizes : ndarray of shape (n,)
+        By which they were divided: coefficients of an element of strength 1.
+    """
+
+    poses: Array
+    pictures: Array
+    sizes: Array
+
+
+@lru_cache(maxsize=8)
+def _elements(setup: Setup, shape: tuple[int, int]) -> _Elements:
+    """Draw the elements; ``shape`` is how many polynomials the picture can hold along its height and width."""
+    x0, x1, z0, z1 = setup.watched
+    nodes, weights = legendre.leggauss(2 * _DEGREES)
+    # Column 0 is the largest x and row 0 the largest z.
+    x = 0.5 * (x0 + x1) - 0.5 * (x1 - x0) * nodes
+    z = 0.5 * (z0 + z1) - 0.5 * (z1 - z0) * nodes
+    wall = np.stack(np.meshgrid(x, [0.0], z, indexing="ij"), axis=-1).reshape(len(x), len(z), 3)
+    lo, hi = np.array(setup.lo), np.array(setup.hi)
+    margin = _OUTSIDE * (hi - lo)
+    low, high = lo - margin, hi + margin
+    low[1] = max(low[1], 0.5 * lo[1])
+    axes = [np.linspace(a, b, n) for a, b, n in zip(low, high, _PLACES, strict=True)]
+    axes[1] = np.geomspace(low[1], high[1], _PLACES[1])  # light changes with its logarithm
+    places = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, 3)
+    turn, tilt = (a.ravel() for a in np.meshgrid(_TURNS, _TILTS, indexing="ij"))
+    normals = np.stack([np.sin(turn) * np.cos(tilt), -np.cos(turn) * np.cos(tilt), np.sin(tilt)], axis=1)
+    to_lit = np.array(setup.lit) - places
+    near = np.linalg.norm(to_lit, axis=1)
+    to_lit /= near[:, None]
+    arriving = places[:, 1] / near / near**2  # the lit patch's own cosine, and the distance
+    to_wall = wall[None] - places[:, None, None]
+    far = np.linalg.norm(to_wall, axis=3)
+    to_wall /= far[..., None]
+    leaving = places[:, 1, None, None] / far / far**2
+    both = (arriving[:, None, None] * leaving)[:, None]
+    # A sheet shines on the side that is lit: what leaves on the other has a cosine of the other sign.
+    first, second = to_lit @ normals.T, np.einsum("pxzc,nc->pnxz", to_wall, normals)
+    flat = np.maximum(first[:, :, None, None] * second, 0.0)
+    # A Lambertian ball's phase function (Schoenberg 1929), of the angle between where light comes from and goes to.
+    angle = np.arccos(np.clip(np.einsum("pc,pxzc->pxz", to_lit, to_wall), -1.0, 1.0))
+    ball = (2.0 / (3.0 * math.pi)) * (np.sin(angle) + (math.pi - angle) * np.cos(angle))
+    light = both * np.concatenate([flat, ball[:, None]], axis=1)
+    across = _at(nodes, shape[1]) * weights[:, None] / 2.0
+    down = _at(nodes, shape[0]) * weights[:, None] / 2.0
+    made = np.einsum("pnxz,zi,xj->pnij", light, down, across, optimize=True).reshape(-1, shape[0] * shape[1])
+    sizes = np.linalg.norm(made, axis=1)
+    kinds = np.concatenate([np.hstack([normals, np.zeros((len(normals), 1))]), [[0.0, 0.0, 0.0, 1.0]]])
+    poses = np.hstack([np.repeat(places, len(kinds), axis=0), np.tile(kinds, (len(places), 1))])
+    seen = sizes > 1e-9 * sizes.max()  # edge-on, an element sends nothing
+    return _Elements(poses[seen], made[seen] / sizes[seen, None], sizes[seen])
+
+
+def _at(nodes: Array, count: int) -> Array:
+    """Legendre polynomials of mean square 1 at places from -1 to 1, (n, count)."""
+    return legendre.legvander(nodes, count - 1) * np.sqrt(2.0 * np.arange(count) + 1.0)
+
+
+@lru_cache(maxsize=32)
+def _polynomials(pixels: int) -> Array:
+    """The same, averaged over each of some pixels and made orthonormal again, (pixels, count)."""
+    count = min(_DEGREES, pixels)
+    edges = np.linspace(-1.0, 1.0, pixels + 1)
+    integrals = np.stack(
+        [legendre.legval(edges, legendre.legint([0.0] * k + [math.sqrt(2.0 * k + 1.0)])) for k in range(count)]
+    )
+    averages = np.diff(integrals, axis=1).T * pixels / 2.0
+    q, r = np.linalg.qr(averages)
+    signed: Array = q * np.sign(np.diag(r))
+    return signed
+
+
+def _signed_log(value: float) -> float:
+    return float(np.arcsinh(value))

@@ -1,0 +1,326 @@
+"""The pictures and the page that a person reads."""
+
+from __future__ import annotations
+
+import base64
+import io
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+import matplotlib
+import numpy as np
+
+matplotlib.use("Agg")
+
+import jinja2
+from matplotlib import pyplot as plt
+from matplotlib.figure import Figure
+from matplotlib.lines import Line2D
+
+from classify.classifiers.evaluate import Interval, Result
+from classify.classifiers.models import NAMES
+from classify.pictures.feature_table import Features
+from generator.model.spec import VoxelGrid
+from generator.sets.dataset import atomic, csv_text, write_text
+
+# Table 1 of the paper: accuracy, precision, recall, F1. Its data set 1 is the sheet and 2 the sphere (5.2, and the
+# accuracies named in section 6); 5.3.2 says the reverse, a slip.
+PAPER: dict[str, dict[str, tuple[float, float, float, float]]] = {
+    "sheet": {
+        "LR": (0.61, 0.45, 0.53, 0.47),
+        "LDA": (0.70, 0.70, 0.67, 0.68),
+        "KNN": (0.63, 0.56, 0.55, 0.54),
+        "CART": (0.59, 0.51, 0.49, 0.50),
+        "RF": (0.60, 0.54, 0.53, 0.53),
+        "SVM": (0.78, 0.73, 0.73, 0.74),
+        "NB": (0.49, 0.49, 0.45, 0.42),
+    },
+    "sphere": {
+        "LR": (0.64, 0.60, 0.58, 0.58),
+        "LDA": (0.72, 0.72, 0.72, 0.71),
+        "KNN": (0.66, 0.65, 0.65, 0.65),
+        "CART": (0.63, 0.66, 0.65, 0.65),
+        "RF": (0.65, 0.64, 0.64, 0.64),
+        "SVM": (0.76, 0.75, 0.75, 0.73),
+        "NB": (0.40, 0.43, 0.39, 0.37),
+    },
+}
+
+_COLOURS = {"paper": "#8a8f98", "tuned": "#1f6feb"}
+_MOST_LABELS = 30
+
+
+def paper_row(result: Result) -> tuple[float, float, float, float] | None:
+    """Return the paper's accuracy, precision, recall and F1 for the same scenario, if it reports them."""
+    return PAPER.get(result.train, {}).get(result.classifier) if result.train == result.test else None
+
+
+def write(
+    folder: Path, results: Sequence[Result], sets: Sequence[Features], names: Sequence[str], folds: int
+) -> Path:
+    """Write tables, figures and the page into a folder, each file by temporary name and rename.
+
+    Parameters
+    ----------
+    folder : Path
+        Files of other names in it are left alone.
+    results : sequence of Result
+    sets : sequence of Features
+        That the results are of.
+    names : sequence of str
+        Of their files.
+    folds : int
+
+    Returns
+    -------
+    Path
+        Of the HTML page, which needs no other file.
+    """
+    write_text(folder / "results.csv", csv_text(_RESULT_COLUMNS, [_result_row(r) for r in results]))
+    write_text(
+        folder / "confusion.csv",
+        csv_text(
+            ["train", "test", "classifier", "settings", "truth", "predicted", "count"],
+            [row for r in results for row in _confusion_rows(r)],
+        ),
+    )
+    figures = {"comparison.png": comparison_figure(results)}
+    best = {}
+    for scenario in dict.fromkeys(r.scenario for r in results):
+        mine = [r for r in results if r.scenario == scenario]
+        best[scenario] = max(mine, key=lambda r: r.accuracy.value)
+        shown = {(r.classifier, r.settings): r for r in [*(r for r in mine if r.classifier == "SVM"), best[scenario]]}
+        figures[f"confusion-{_slug(scenario)}.png"] = confusion_figure(list(shown.values()))
+    images = {}
+    for name, figure in figures.items():
+        images[name] = _png(figure)
+        with atomic(folder / name) as temporary:
+            temporary.write_bytes(images[name])
+    page = _page(results, sets, names, folds, best, images)
+    write_text(folder / "report.html", page)
+    return folder / "report.html"
+
+
+def comparison_figure(results: Sequence[Result]) -> Figure:
+    """The paper's figure 6: accuracy of each classifier, fold by fold, one panel per scenario."""
+    scenarios = list(dict.fromkeys(r.scenario for r in results))
+    columns = min(2, len(scenarios))
+    rows = -(-len(scenarios) // columns)
+    figure, axes = plt.subplots(rows, columns, figsize=(6.2 * columns, 3.4 * rows), squeeze=False, sharey=True)
+    for axis in axes.flat[len(scenarios) :]:
+        axis.set_visible(False)
+    for axis, scenario in zip(axes.flat, scenarios, strict=False):
+        mine = [r for r in results if r.scenario == scenario]
+        order = [c for c in NAMES if any(r.classifier == c for r in mine)]
+        kinds = [s for s in _COLOURS if any(r.settings == s for r in mine)]
+        width = 0.8 / len(kinds)
+        for k, kind in enumerate(kinds):
+            for r in (r for r in mine if r.settings == kind):
+                x = order.index(r.classifier) + (k - (len(kinds) - 1) / 2) * width
+                _draw_accuracy(axis, x, width, r)
+        published = [(i, PAPER.get(scenario, {}).get(c)) for i, c in enumerate(order)]
+        if any(p for _, p in published):
+            axis.plot(
+                [i for i, p in published if p],
+                [p[0] for _, p in published if p],
+                "D",
+                color="#d1242f",
+                ms=5,
+                zorder=4,
+            )
+        chance = 1.0 / len(mine[0].labels)
+        axis.axhline(chance, color="#57606a", lw=0.8, ls=":")
+        axis.set_xticks(range(len(order)), order)
+        axis.set_title(
+            f"trained and tested on the {scenario}" if "->" not in scenario else _words(scenario), fontsize=10
+        )
+        axis.set_ylim(0.0, 1.0)
+        axis.grid(axis="y", color="#d0d7de", lw=0.5)
+        axis.set_axisbelow(True)
+    for row in axes:
+        row[0].set_ylabel("accuracy")
+    handles = [Line2D([], [], color=c, lw=6, label=f"{s} settings") for s, c in _COLOURS.items()]
+    handles += [
+        Line2D([], [], color="#d1242f", marker="D", ls="", label="the paper's figure"),
+        Line2D([], [], color="#57606a", ls=":", label="chance"),
+    ]
+    figure.legend(handles=handles, loc="lower center", ncols=4, frameon=False, fontsize=9)
+    figure.tight_layout(rect=(0, 0.05 if rows > 1 else 0.09, 1, 1))
+    return figure
+
+
+def _draw_accuracy(axis: Any, x: float, width: float, r: Result) -> None:
+    colour = _COLOURS[r.settings]
+    if len(r.folds) > 1:
+        box = axis.boxplot([r.folds], positions=[x], widths=width * 0.85, patch_artist=True, manage_ticks=False)
+        box["boxes"][0].set(facecolor=colour, alpha=0.55)
+        box["medians"][0].set(color="black")
+        for flier in box["fliers"]:
+            flier.set(marker=".", markersize=4)
+    else:  # one test set has no folds to spread over: its interval instead
+        a = r.accuracy
+        axis.errorbar([x], [a.value], [[a.value - a.low], [a.high - a.value]], fmt="o", color=colour, ms=4, capsize=3)
+
+
+def confusion_figure(results: Sequence[Result]) -> Figure:
+    """Confusion matrices side by side, each row in per cent of the truth."""
+    figure, axes = plt.subplots(1, len(results), figsize=(4.3 * len(results), 4.4), squeeze=False)
+    for axis, r in zip(axes[0], results, strict=True):
+        share = 100.0 * r.confusion / np.maximum(r.confusion.sum(axis=1, keepdims=True), 1)
+        axis.imshow(share, cmap="Blues", vmin=0, vmax=100)
+        n = len(r.labels)
+        if n <= _MOST_LABELS:
+            axis.set_xticks(range(n), r.labels)
+            axis.set_yticks(range(n), r.labels)
+        if n <= 12:
+            for i, j in np.argwhere(r.confusion > 0):
+                colour = "white" if share[i, j] > 55 else "black"
+                axis.text(j, i, f"{share[i, j]:.0f}", ha="center", va="center", fontsize=8, color=colour)
+        axis.set_title(
+            f"{_words(r.scenario)}: {r.classifier}, {r.settings}\naccuracy {r.accuracy.value:.1%}", fontsize=9
+        )
+        axis.set_xlabel("predicted voxel")
+    axes[0][0].set_ylabel("true voxel (rows in %)")
+    figure.tight_layout()
+    return figure
+
+
+def confusions(result: Result, grid: VoxelGrid, most: int = 5) -> list[tuple[str, str, int, str]]:
+    """Return the pairs of voxels most often taken for one another: two labels, how often, how they lie."""
+    both = np.triu(result.confusion + result.confusion.T, 1)
+    pairs = sorted(((int(both[i, j]), i, j) for i, j in np.argwhere(both > 0)), reverse=True)[:most]
+    index = {label: i for i, label in enumerate(grid.labels)}
+    return [
+        (a, b, count, _relation(grid, index[a], index[b]))
+        for count, a, b in ((count, result.labels[i], result.labels[j]) for count, i, j in pairs)
+    ]
+
+
+def _relation(grid: VoxelGrid, a: int, b: int) -> str:
+    apart = np.abs(np.subtract(grid.cell(a), grid.cell(b)))
+    words = [
+        f"{n} {'voxel' if n == 1 else 'voxels'} apart {how}"
+        for n, how in zip(apart, ("along the wall", "in distance from the wall", "in height"), strict=True)
+        if n
+    ]
+    return " and ".join(words)
+
+
+def text_table(results: Sequence[Result]) -> list[tuple[str, ...]]:
+    """Return the accuracy table as text: scenario, classifier, the paper's, ours by its settings, and tuned."""
+    rows = []
+    for scenario in dict.fromkeys(r.scenario for r in results):
+        for classifier in NAMES:
+            mine = {r.settings: r for r in results if r.scenario == scenario and r.classifier == classifier}
+            if mine:
+                published = paper_row(next(iter(mine.values())))
+                cells = [mine[s].accuracy.percent() if s in mine else "" for s in _COLOURS]
+                rows.append((_words(scenario), classifier, f"{published[0]:.0%}" if published else "-", *cells))
+    return rows
+
+
+_RESULT_COLUMNS = [
+    *("train", "test", "classifier", "settings", "accuracy", "accuracy_low", "accuracy_high"),
+    *(
+        "precision",
+        "precision_low",
+        "precision_high",
+        "recall",
+        "recall_low",
+        "recall_high",
+        "f1",
+        "f1_low",
+        "f1_high",
+    ),
+    *("paper_accuracy", "paper_precision", "paper_recall", "paper_f1"),
+    *("train_seconds", "predict_seconds_per_picture", "tested", "unconverged_fits"),
+]
+
+
+def _result_row(r: Result) -> list[object]:
+    scores = [v for i in (r.accuracy, r.precision, r.recall, r.f1) for v in (i.value, i.low, i.high)]
+    published = paper_row(r) or ("",) * 4
+    numbers = [f"{v:.4f}" for v in scores]
+    return [
+        *(r.train, r.test, r.classifier, r.settings, *numbers, *published),
+        *(f"{r.train_seconds:.4g}", f"{r.predict_seconds:.4g}", int(r.confusion.sum()), r.unconverged),
+    ]
+
+
+def _confusion_rows(r: Result) -> list[list[object]]:
+    return [
+        [r.train, r.test, r.classifier, r.settings, r.labels[i], r.labels[j], int(r.confusion[i, j])]
+        for i, j in np.argwhere(r.confusion > 0)
+    ]
+
+
+def _slug(scenario: str) -> str:
+    return "".join(c if c.isalnum() else "-" for c in scenario.replace(" -> ", "-to-"))
+
+
+def _words(scenario: str) -> str:
+    train, arrow, test = scenario.partition(" -> ")
+    return f"trained on {train}, tested on {test}" if arrow else scenario
+
+
+def _png(figure: Figure) -> bytes:
+    buffer = io.BytesIO()
+    figure.savefig(buffer, format="png", dpi=130, bbox_inches="tight", pad_inches=0.12)
+    plt.close(figure)
+    return buffer.getvalue()
+
+
+def _map(result: Result, grid: VoxelGrid) -> list[list[tuple[str, float | None]]]:
+    """Recall per voxel as seen from above, farthest row first, the layers of height averaged."""
+    recall = np.diagonal(result.confusion) / np.maximum(result.confusion.sum(axis=1), 1)
+    by_cell: dict[tuple[int, int], list[tuple[str, float]]] = {}
+    index = {label: i for i, label in enumerate(grid.labels)}
+    for label, value in zip(result.labels, recall, strict=True):
+        x, y, _ = grid.cell(index[label])
+        by_cell.setdefault((x, y), []).append((label, float(value)))
+    rows = []
+    for y in reversed(range(grid.shape[1])):
+        row: list[tuple[str, float | None]] = []
+        for x in range(grid.shape[0]):
+            cell = by_cell.get((x, y), [])
+            row.append((" ".join(c[0] for c in cell), float(np.mean([c[1] for c in cell])) if cell else None))
+        rows.append(row)
+    return rows
+
+
+def _page(
+    results: Sequence[Result],
+    sets: Sequence[Features],
+    names: Sequence[str],
+    folds: int,
+    best: dict[str, Result],
+    images: dict[str, bytes],
+) -> str:
+    loader = jinja2.FileSystemLoader(Path(__file__).parent / "templates")
+    environment = jinja2.Environment(loader=loader, autoescape=True, undefined=jinja2.StrictUndefined)
+    environment.filters["percent"] = Interval.percent
+    grid = sets[0].grid
+    sections = [
+        {
+            "title": _words(scenario),
+            "best": winner,
+            "rows": [(r, paper_row(r)) for r in results if r.scenario == scenario],
+            "crossed": winner.train != winner.test,
+            "image": f"confusion-{_slug(scenario)}.png",
+            "map": _map(winner, grid) if grid.n_voxels <= 200 else None,
+            "confused": confusions(winner, grid),
+        }
+        for scenario, winner in best.items()
+    ]
+    return environment.get_template("report.html").render(
+        sections=sections,
+        images={name: base64.b64encode(data).decode() for name, data in images.items()},
+        classifiers=NAMES,
+        chance=1.0 / len(results[0].labels),
+        folds=folds,
+        sets=list(zip(names, sets, strict=True)),
+        settings=sets[0].settings,
+        grid=grid,
+        unconverged=sum(r.unconverged for r in results),
+    )

@@ -1,0 +1,80 @@
+"""A page of answers that a person reads: what was found, figures, tables, and where it all comes from."""
+
+from __future__ import annotations
+
+import base64
+import shlex
+import sys
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict, dataclass
+from pathlib import Path
+
+import jinja2
+
+from classify.inference.atlas import Atlas
+from generator.sets.dataset import write_text
+
+
+@dataclass(frozen=True)
+class Table:
+    """A table of the page: its title, its headings, and its rows of cells."""
+
+    title: str
+    headings: Sequence[str]
+    rows: Sequence[Sequence[str]]
+
+
+def write(
+    folder: Path,
+    title: str,
+    lead: Sequence[str],
+    figures: Mapping[str, str],
+    tables: Sequence[Table],
+    sources: Mapping[str, object],
+) -> Path:
+    """Write ``report.html``, which needs no other file, by temporary name and rename.
+
+    Parameters
+    ----------
+    folder : Path
+    title : str
+    lead : sequence of str
+        What was found, a sentence each.
+    figures : mapping of str to str
+        Pictures in the folder, and what stands under each.
+    tables : sequence of Table
+    sources : mapping
+        Where the figures come from; the command line is added.
+
+    Returns
+    -------
+    Path
+        Of the page.
+    """
+    loader = jinja2.FileSystemLoader(Path(__file__).parent / "templates")
+    environment = jinja2.Environment(loader=loader, autoescape=True, undefined=jinja2.StrictUndefined)
+    command = " ".join(map(shlex.quote, [Path(sys.argv[0]).name, *sys.argv[1:]]))
+    text = environment.get_template("page.html").render(
+        title=title,
+        lead=lead,
+        figures=[
+            {"caption": caption, "data": base64.b64encode((folder / name).read_bytes()).decode()}
+            for name, caption in figures.items()
+        ],
+        tables=tables,
+        sources={**sources, "command": command},
+    )
+    write_text(folder / "report.html", text)
+    return folder / "report.html"
+
+
+def of_atlas(atlas: Atlas) -> dict[str, object]:
+    """Return what is to be known of an atlas."""
+    sensor = ", ".join(f"{name} {value:g}" for name, value in asdict(atlas.sensor).items())
+    return {
+        "simulated sets": ", ".join(atlas.about["sets"]),
+        "objects looked for": ", ".join(atlas.about["targets"])
+        + (", of unknown size and albedo" if atlas.unknown else ""),
+        "poses": len(atlas.codes),
+        "sensor": sensor,
+    }

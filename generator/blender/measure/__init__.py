@@ -1,0 +1,1 @@
+"""Measurements that need rendered pictures: paired renders, plans, experiments."""

@@ -1,0 +1,193 @@
+"""The paper's experiments 1 to 3 (section 5.1) in any scene: what a movement or a turn of the object changes."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass
+from itertools import combinations
+from typing import Any
+
+import bpy
+import numpy as np
+
+from generator.blender.engines import engines
+from generator.blender.scene import stage
+from generator.model import poses
+from generator.model.poses import Pose
+from generator.model.spec import Array, Target
+from generator.sets.dataset import Picture
+
+ACCURACY = 1e-3
+"""Of each picture. A turn about the wall's normal changes it by little more."""
+
+TURN = 15.0
+"""Degrees from one rotation to the next."""
+
+_STUDENT = {1: 12.706, 2: 4.303, 3: 3.182, 4: 2.776, 5: 2.571, 6: 2.447, 7: 2.365}
+"""Student's t, 95 %, by degrees of freedom: Blender has no SciPy."""
+
+
+@dataclass(frozen=True)
+class Experiment:
+    """Pictures of one experiment.
+
+    Attributes
+    ----------
+    number : {1, 2, 3}
+    target : {"sphere", "sheet"}
+    engine : str
+    poses : list of list of (position, rotation)
+        A row for each axis, at rest in the middle.
+    step : float
+        From one pose to the next: metres; degrees in experiment 3.
+    signals : ndarray of shape (repeats, 3, 5, height, width, 3)
+        What the object changes of the empty scene, W/m^2/sr; the same pictures with other noise.
+    """
+
+    number: int
+    target: str
+    engine: str
+    poses: list[list[Pose]]
+    step: float
+    signals: Array
+
+    @property
+    def differences(self) -> Array:
+        """Each picture less that at rest, the mean of the repeats, (3, 5, height, width, 3), W/m^2/sr."""
+        mean = self.signals.mean(axis=0)
+        apart: Array = mean - mean[:, [self._rest]]
+        return apart
+
+    @property
+    def rest(self) -> Array:
+        """What the object at rest changes of the empty scene, mean of the repeats, (height, width, 3), W/m^2/sr."""
+        still: Array = self.signals[:, 0, self._rest].mean(axis=0)
+        return still
+
+    def changes(self) -> list[tuple[float, float]]:
+        """Return by how much the signal changes along each axis, per metre or degree, and how much more it may be.
+
+        The root mean square of the central difference, relative to that of the signal at rest. Noise would add to a
+        mean square, so it is taken from products of pictures with noise of their own; the 95 % interval is the
+        jackknife's (Efron 1981), and 0 where there is no noise. NaN where noise hides the signal itself.
+        """
+        return [self._change(axis) for axis in range(3)]
+
+    def _change(self, axis: int) -> tuple[float, float]:
+        every = self.signals
+        shift = (every[:, axis, self._rest + 1] - every[:, axis, self._rest - 1]) / (2.0 * self.step)
+        rest, count = every[:, axis, self._rest], len(every)
+        square = _ratio(shift, rest)
+        value = math.sqrt(max(square, 0.0))
+        if count == 1:
+            return value, 0.0
+        left = np.array([_ratio(np.delete(shift, i, axis=0), np.delete(rest, i, axis=0)) for i in range(count)])
+        error = math.sqrt((count - 1) / count * ((left - left.mean()) ** 2).sum())
+        wide = _STUDENT[min(count - 1, max(_STUDENT))] * error
+        return (value if math.isfinite(square) else math.nan), math.sqrt(max(square + wide, wide)) - value
+
+    @property
+    def _rest(self) -> int:
+        return len(self.poses[0]) // 2
+
+
+def _ratio(shift: Array, rest: Array) -> float:
+    below = _mean_square(rest)
+    return _mean_square(shift) / below if below > 0.0 else math.nan
+
+
+def _mean_square(repeats: Array) -> float:
+    """Mean square of what repeats (n, ...) have in common."""
+    if len(repeats) == 1:
+        return float((repeats[0] ** 2).mean())
+    return float(np.mean([(repeats[i] * repeats[j]).mean() for i, j in combinations(range(len(repeats)), 2)]))
+
+
+def run(
+    scene: bpy.types.Scene,
+    number: int,
+    target: str,
+    *,
+    pixels: int = 64,
+    samples: int = 128,
+    repeats: int = 8,
+    progress: Callable[[int, int], None] = lambda done, total: None,
+) -> Experiment:
+    """Take the pictures of an experiment, by the cheapest engine that the scene allows.
+
+    Parameters
+    ----------
+    scene : bpy.types.Scene
+        The object stands where the target does, half as large as a voxel. Afterwards all is as before.
+    number : {1, 2, 3}
+        1 and 2 move the object along x, y and z; 3 turns it about them.
+    target : {"sphere", "sheet"}
+    pixels : int
+        Of a picture's side.
+    samples, repeats : int
+        Of Cycles, where the engine `surfel`, which has no noise, cannot honour the scene.
+    progress : callable
+        Is told how many pictures are taken, and of how many.
+
+    Raises
+    ------
+    NlosError
+        The scene cannot be read, or there is no such experiment.
+    """
+    size = min(stage.read(scene).grid.size) / 2.0
+    place = tuple(float(v) for v in stage.snapshot(scene).matrices["target"][:3, 3])
+    rows = poses.experiment(number, (place[0], place[1], place[2]), step=size / 4.0, turn=TURN)
+    wanted = Target(kind="sphere" if target == "sphere" else "sheet", size=size, albedo=Target.named(target).albedo)
+    with stage.stand_in(scene, wanted):
+        engine, _ = engines.choose(scene)
+        with engines.opened(scene, engine, resolution=(pixels, pixels), accuracy=ACCURACY) as renderer:
+            if isinstance(renderer, engines.SurfelRenderer):
+                taken = _exact(renderer, rows)
+            else:
+                taken = _sampled(scene, renderer, rows, samples, repeats, progress)
+    return Experiment(number, target, engine, rows, TURN if number == 3 else size / 4.0, taken)
+
+
+def draw(scene: bpy.types.Scene, number: int, *, pixels: int = 64) -> Picture:
+    """Return the difference pictures of an experiment side by side: an axis a row, the object at rest in the middle.
+
+    A sphere in experiment 1, a square sheet in 2 and 3.
+
+    Returns
+    -------
+    ndarray of shape (3 * pixels, 5 * pixels, 3), float32
+        Radiance less that with the object at rest, W/m^2/sr.
+
+    Raises
+    ------
+    NlosError
+        As `run`.
+    """
+    apart = run(scene, number, "sphere" if number == 1 else "sheet", pixels=pixels, repeats=1).differences
+    sheet: Picture = np.concatenate([np.concatenate(row, axis=1) for row in apart]).astype(np.float32)
+    return sheet
+
+
+def _exact(renderer: engines.SurfelRenderer, rows: list[list[Pose]]) -> Array:
+    return np.array([[[renderer.difference(*pose) for pose in row] for row in rows]])
+
+
+def _sampled(
+    scene: bpy.types.Scene,
+    renderer: engines.Renderer,
+    rows: list[list[Pose]],
+    samples: int,
+    repeats: int,
+    progress: Callable[[int, int], None],
+) -> Array:
+    """Pictures less the empty scene's of the same noise; each distinct pose is taken once a repeat."""
+    distinct = list(dict.fromkeys(pose for row in rows for pose in row))
+    taken: dict[Any, list[Array]] = {pose: [] for pose in distinct}
+    for seed in range(repeats):
+        empty = renderer.render(samples=samples, seed=seed, target=False).astype(np.float64)
+        for pose in distinct:
+            stage.move_target(scene, *pose)
+            taken[pose].append(renderer.render(samples=samples, seed=seed) - empty)
+            progress(sum(map(len, taken.values())), repeats * len(distinct))
+    return np.moveaxis(np.array([[taken[pose] for pose in row] for row in rows]), 2, 0)

@@ -1,0 +1,270 @@
+"""Plans what to model of a scene: measures its effects, keeps what a tolerance needs, predicts what that takes."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Sequence
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from generator.blender import worker
+from generator.blender.engines import extract, simplify
+from generator.blender.measure import paired
+from generator.blender.scene import stage
+from generator.blender.scene.clearance import clearance
+from generator.jobs import budget
+from generator.measure import effects
+from generator.measure.intervals import relative
+from generator.measure.plan_file import POSES, Effect, Plan
+from generator.model import poses
+from generator.model.spec import NlosError, Sweep
+from generator.sets.dataset import PoseRecord
+from generator.transport import Transport, World, left_out
+
+_REFERENCE = 1 / 10
+"""Accuracy of the engine that effects are measured with, in units of the tolerance."""
+_PLANNED = 1 / 3
+"""Accuracy of the planned sweep, likewise; what is left out has the rest."""
+_COARSEST = 0.1
+_ORDERS = (4, 5)
+_NOTHING = Effect("nothing", (0.0, 0.0, 0.0))
+_PIXEL_BYTES = 12
+_SKY = 0.01
+"""Accuracy of the lamp's light, beside ambient light."""
+_SMALL = (16, 16)
+"""Pixels that tell of ambient light, which has no detail."""
+
+
+def make(
+    source: Path,
+    *,
+    tolerance: float = 0.01,
+    count: int = POSES,
+    seed: int = 0,
+    most: float = 180.0,
+    workers: int = 0,
+    predict: bool = True,
+    tell: Callable[[str], None] = lambda words: None,
+) -> Plan:
+    """Measure a scene's effects, and plan a sweep of it.
+
+    What `surfel` models is measured by it, without noise. What only Cycles models - other lights, materials that are
+    not plain, further reflections - is measured by paired renders (`generator.blender.measure.paired`), and if all of
+    it may be left out, the plan is one for `surfel`.
+
+    Parameters
+    ----------
+    source : Path
+        The ``.blend``, which is opened; what was open before is lost.
+    tolerance : float
+        Error of a difference picture that is allowed, relative, root mean square over pixels and poses.
+    count : int
+        Poses per voxel that `surfel` looks at.
+    seed : int
+        Of the poses.
+    most : float
+        Seconds for Cycles' effects; 0 measures none of them, and keeps them all.
+    workers : int
+        Of the sweep that is predicted.
+    predict : bool
+        What the sweep will take, by rehearsing it; else that is left open, and a plan for Cycles has no samples.
+    tell : callable
+        Is told what is being done.
+
+    Raises
+    ------
+    NlosError
+        The scene cannot be swept.
+    """
+    scene = stage.open_file(source)
+    described = stage.read(scene)
+    pieces = simplify.found(scene)
+    _, reasons = extract.world(scene)
+    engine, order = _cycles_engine(scene), stage.reflection_order(scene)
+    planned = _planned(scene, described, engine, max(count, paired.ROUNDS[1]), seed)
+    fine = [piece for piece in pieces if piece.startswith(simplify.FINE)]  # costs Cycles nothing
+    others = [piece for piece in pieces if piece not in fine]
+    some = sorted((p for p in planned if p.index < count), key=lambda p: (p.index, p.voxel))
+    sky = ambient(source, some) if simplify.AMBIENT in others else None
+    if sky is not None:
+        others.remove(simplify.AMBIENT)
+    found = [Effect(name, (math.nan, 0.0, math.inf)) for name in others]
+    dropped: list[str] = []
+    words: list[str] = []
+    spent = _NOTHING
+    if engine == "path":
+        words.append(f"only path can render this scene, too noisily to measure anything by: {'; '.join(reasons)}")
+    elif most > 0.0:
+        orders = [more for more in _ORDERS if more > order >= extract.MAX_ORDER]
+        rounds = [[p for p in planned if p.index == k] for k in range(paired.ROUNDS[1])]
+        probe = paired.Probe(source, engine, rounds, described.resolution[0] / described.resolution[1])
+        tell(f"rendering {len(others) + len(orders)} effects that only Cycles models, for up to {most:.0f} s")
+        shares = paired.measure(probe, others, orders=orders, tolerance=tolerance, most=most, progress=tell)
+        found = [Effect(name, shares[name]) for name in others]
+        dropped, spent = _droppable(probe, found, tolerance)
+        names = map(paired.order_name, orders)
+        found += [Effect(name, shares[name], note="not in the scene") for name in names]
+    if sky is not None:
+        found.append(sky)
+        both = _joined(spent, sky)
+        if both.share[2] <= tolerance:
+            dropped, spent = [*dropped, sky.name], both
+    if dropped and not {effect.name for effect in found if not effect.note} - set(dropped):
+        _, reasons = _simplified(source, dropped)
+    if reasons:
+        if engine != "path" and most > 0.0:
+            bias = paired.denoiser_bias(probe, described.resolution, most=most / 3.0, progress=tell)
+            found.append(Effect(paired.DENOISER, bias, note="not used"))
+        words += [f"surfel cannot render this: {reason}" for reason in reasons if engine != "path"]
+        plan = Plan(_sorted(found), dropped, spent, {"engine": engine}, tolerance, words)
+    else:
+        left = tolerance - spent.share[2]
+        exact, more, together, accuracy = _exact(source, dropped, fine, some, left, tell)
+        together = _joined(together, spent)
+        settings = {"engine": "surfel", "accuracy": accuracy}
+        plan = Plan(_sorted([*found, *exact]), [*dropped, *more], together, settings, tolerance, words)
+    if not predict:
+        return plan
+    return _predicted(source, plan, described.grid.n_voxels, described.resolution, workers, tell)
+
+
+def _joined(one: Effect, other: Effect) -> Effect:
+    """Two errors that have nothing to do with each other."""
+    low, value, high = (math.hypot(one.share[k], other.share[k]) for k in (1, 0, 2))
+    return replace(one, share=(value, low, high))
+
+
+def ambient(source: Path, some: Sequence[PoseRecord]) -> Effect | None:
+    """Return what uniform ambient light contributes, as `surfel` follows it, if it knows all the rest of a scene.
+
+    Cycles' noise of a sky that every ray may find would hide it; and a few per cent of it decide on nothing.
+
+    Parameters
+    ----------
+    source : Path
+        The ``.blend``, which is opened.
+    some : sequence of PoseRecord
+        Where the object stands: round by round, in each one pose of every voxel.
+    """
+    world, _ = extract.world(stage.open_file(source), ambient=True)
+    if world is None or world.ambient is None:
+        return None
+    engine = Transport(world.seen_by(*_SMALL), accuracy=_SKY)
+    seen = [engine.render(pose.position, pose.rotation) for pose in some]
+    sky = np.array([one.ambient.mean(axis=2) for one in seen])
+    lamp = np.array([(one.added - one.hidden).mean(axis=2) for one in seen])
+    rounds = 1 + max(pose.index for pose in some)
+    error, signal = ((x**2).mean(axis=(1, 2)).reshape(rounds, -1) for x in (sky, lamp + sky))
+    return Effect(simplify.AMBIENT, relative(error, signal))
+
+
+def _exact(
+    source: Path,
+    dropped: Sequence[str],
+    fine: Sequence[str],
+    some: Sequence[PoseRecord],
+    tolerance: float,
+    tell: Callable[[str], None],
+) -> tuple[list[Effect], list[str], Effect, float]:
+    """What `surfel` models of a scene without some pieces, as `effects.measure` tells, and a sweep's accuracy."""
+    places, turns = (np.array([getattr(pose, name) for pose in some]) for name in ("position", "rotation"))
+    without = variant(source, dropped)
+    accuracy = float(f"{max(budget.FINE, min(_COARSEST, _PLANNED * tolerance)):.2g}")
+    measured = effects.measure(
+        without,
+        [*effects.parts(without(())[0], _room(source, dropped)), *fine],
+        places,
+        turns,
+        rounds=1 + max(pose.index for pose in some),
+        tolerance=tolerance,
+        accuracy=max(budget.FINE, min(accuracy, _REFERENCE * tolerance)),
+        planned=accuracy,
+        progress=lambda done, total, what: tell(f"{done} of {total} measured without noise; next: {what}"),
+    )
+    return *measured, accuracy
+
+
+def _cycles_engine(scene: Any) -> str:
+    try:
+        extract.lit_patch(scene)
+    except NlosError:
+        return "path"
+    return "patch"
+
+
+def _planned(scene: Any, described: Any, engine: str, count: int, seed: int) -> list[PoseRecord]:
+    sweep, _ = worker.settled(scene, described, {"engine": engine, "poses": count, "seed": seed})
+    # No engine but path may see the target itself, so these are places for all of them.
+    is_free = clearance(scene, described, engine="patch" if engine == "path" else engine)
+    return poses.plan(described.grid, sweep, stage.hull(scene), is_free)
+
+
+def _droppable(probe: paired.Probe, found: Sequence[Effect], tolerance: float) -> tuple[list[str], Effect]:
+    """Return which of Cycles' effects may be left out together, and the error of that."""
+    dropped: list[str] = []
+    together = _NOTHING
+    for one in sorted(found, key=lambda effect: effect.share[2]):
+        if not one.share[2] <= tolerance:
+            break
+        tried, share = [*dropped, one.name], one.share
+        if dropped:
+            share = probe.together(tried)
+        if share[2] <= tolerance:
+            dropped, together = tried, Effect(" and ".join(tried), share)
+    return dropped, together
+
+
+def variant(source: Path, always: Sequence[str]) -> effects.Variant:
+    """What a scene's world is without some pieces, besides those that are always left out."""
+
+    def without(dropped: Sequence[str]) -> tuple[World, bool]:
+        world, reasons = _simplified(source, [*always, *dropped])
+        assert world is not None, reasons
+        return left_out.without(world, dropped)
+
+    return without
+
+
+def _simplified(source: Path, dropped: Sequence[str]) -> tuple[World | None, list[str]]:
+    scene = stage.open_file(source)
+    simplify.apply(scene, dropped)
+    return extract.world(scene)
+
+
+def _room(source: Path, dropped: Sequence[str]) -> list[str]:
+    scene = stage.open_file(source)
+    simplify.apply(scene, dropped)
+    return [name for name in extract.room_names(scene) if name in scene.objects]
+
+
+def _sorted(found: Sequence[Effect]) -> list[Effect]:
+    return sorted(found, key=lambda effect: -math.inf if math.isnan(effect.share[0]) else -effect.share[0])
+
+
+def _predicted(
+    source: Path, plan: Plan, voxels: int, resolution: tuple[int, int], workers: int, tell: Callable[[str], None]
+) -> Plan:
+    """Return the plan with what a sweep of it takes, beside one that leaves nothing out at the same accuracy."""
+    pictures = voxels * Sweep.poses
+    took: dict[str, float] = {}
+    for name, settings in (
+        ("seconds", {**plan.settings, "leave_out": plan.dropped}),
+        ("seconds_full", {"engine": "auto"}),
+    ):
+        if name == "seconds_full" and not plan.dropped and plan.settings["engine"] != "surfel":
+            took[name] = took["seconds"]  # it is the same sweep
+            continue
+        tell(f"rehearsing {'the plan' if name == 'seconds' else 'the whole'}")
+        known = budget.rehearsed(source, settings, workers, force=True)
+        if known.engine == "surfel":
+            work = 1.0 / plan.settings["accuracy"]
+        else:
+            work = min(max(1.0, (known.noise / plan.tolerance) ** 2), 2.0**24)
+        if name == "seconds" and known.engine != "surfel":
+            plan.settings["samples"] = math.ceil(work)
+        took[name] = float(f"{known.total(work, pictures):.3g}")
+    size = resolution[0] * resolution[1] * _PIXEL_BYTES * pictures
+    return replace(plan, predicted={"pictures": pictures, **took, "bytes": size})

@@ -1,0 +1,182 @@
+"""Makes a scene that somebody built for its own sake one that can be swept: roles, metres, frame, voxels."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+
+import bpy
+import numpy as np
+from mathutils import Matrix, Vector
+
+from generator.blender.scene import stage
+from generator.model import spec
+from generator.model.spec import Array, NlosError
+
+ROLES = (*stage.SINGLE_ROLES, "room", "partition")
+
+_ROOMY = 1.25
+"""A voxel's edge, in the target's longest diagonal: it must be able to turn inside, and to move a little."""
+
+_LEFT_OVER = 0.02
+"""How far fitted voxels keep from the relay wall, in the height of the hidden volume."""
+
+
+def assign(scene: bpy.types.Scene, role: str, objects: Sequence[bpy.types.Object]) -> None:
+    """Let objects play a role, in place of whatever played it; only room and partition are played by many.
+
+    Parameters
+    ----------
+    scene : bpy.types.Scene
+    role : str
+        One of `ROLES`; empty takes the objects' roles away.
+    objects : sequence of bpy.types.Object
+
+    Raises
+    ------
+    NlosError
+        None or too many are given, or one is not of the type that the role needs.
+    """
+    if role not in ("", *ROLES):
+        raise NlosError(f"role {role!r}: there is none; choose from {', '.join(ROLES)}")
+    if not objects:
+        raise NlosError("no object is selected; select the one that is meant")
+    words = role.replace("_", " ")
+    if role in stage.SINGLE_ROLES and len(objects) > 1:
+        raise NlosError(f"{len(objects)} objects are selected; exactly one can be the {words}")
+    for obj in objects:
+        if obj.library or obj.override_library:
+            raise NlosError(f"{obj.name!r} is linked from another file; make it local first (Object > Relations)")
+        if role == "spot" and (obj.type != "LIGHT" or obj.data.type != "SPOT"):
+            raise NlosError(f"{obj.name!r} cannot be the spot: it is no spot lamp")
+        if role == "camera" and obj.type != "CAMERA":
+            raise NlosError(f"{obj.name!r} cannot be the camera: it is none")
+        parts = [obj, *obj.children_recursive] if role == "target" else [obj]
+        if role not in ("", "spot", "camera") and not any(len(stage.evaluated_vertices(o)) for o in parts):
+            raise NlosError(f"{obj.name!r} cannot be the {words}: it has no surface")
+    if role in stage.SINGLE_ROLES:
+        for former in stage.players(scene, role):
+            del former[stage.ROLE]
+    for obj in objects:
+        if role:
+            obj[stage.ROLE] = role
+        elif stage.ROLE in obj:
+            del obj[stage.ROLE]
+    if role == "camera":
+        scene.camera = objects[0]
+    bpy.context.view_layer.update()
+
+
+def in_metres(scene: bpy.types.Scene) -> bool:
+    """Whether one Blender unit is a metre, which light, poses and voxels count in."""
+    return scene.unit_settings.system == "NONE" or math.isclose(scene.unit_settings.scale_length, 1.0, rel_tol=1e-6)
+
+
+def to_metres(scene: bpy.types.Scene) -> None:
+    """Make one Blender unit a metre: everything keeps the size that Blender shows, and a watt its meaning.
+
+    Blender's lamps are watts per Blender unit: unless that is a metre, what is rendered is off by its square.
+    """
+    factor = scene.unit_settings.scale_length
+    scene.unit_settings.scale_length = 1.0
+    _transform(scene, Matrix.Diagonal((factor, factor, factor, 1.0)))
+    for data in {o.data for o in scene.objects if o.type in ("LIGHT", "CAMERA") and o.data}:
+        for name in ("shadow_soft_size", "size", "size_y", "ortho_scale", "clip_start", "clip_end"):
+            if hasattr(data, name):
+                setattr(data, name, getattr(data, name) * factor)
+
+
+def align(scene: bpy.types.Scene) -> None:
+    """Turn and move the whole scene so that the relay wall lies in the plane y = 0 and faces +y.
+
+    Heights stay what they are if the wall is upright.
+
+    Raises
+    ------
+    NlosError
+        There is not exactly one relay wall and one spot, or the wall is not flat.
+    """
+    wall, lamp = stage.find(scene, "relay_wall"), stage.find(scene, "spot")
+    normal, centre = _plane(wall)
+    if normal @ (stage.numbers(lamp.matrix_world.translation) - centre) < 0.0:
+        normal = -normal
+    up = np.array([0.0, 0.0, 1.0]) if abs(normal[2]) < 0.99 else np.array([0.0, 1.0, 0.0])
+    z = up - (up @ normal) * normal
+    z /= np.linalg.norm(z)
+    turn = np.stack([np.cross(normal, z), normal, z])
+    placed = np.eye(4)
+    placed[:3, :3] = turn
+    placed[:3, 3] = np.array([0.0, 0.0, centre[2]]) - turn @ centre
+    _transform(scene, Matrix(placed.tolist()))
+
+
+def fit_grid(scene: bpy.types.Scene, shape: tuple[int, int, int] = (3, 3, 1)) -> spec.VoxelGrid:
+    """Lay voxels around the target, each large enough for it to turn inside, and store them in the scene.
+
+    Raises
+    ------
+    NlosError
+        There is not exactly one target, or it has no surface.
+    """
+    seen = stage.snapshot(scene)
+    hull = stage.hull(scene, seen)
+    edge = _ROOMY * max(1e-6, 2.0 * float(np.linalg.norm(hull, axis=1).max()))
+    size = edge * np.array(shape)
+    lo = seen.matrices["target"][:3, 3] - size / 2.0
+    lo[1] = max(lo[1], _LEFT_OVER * size[2])
+    grid = spec.VoxelGrid(lo=_rounded(lo), hi=_rounded(lo + size), shape=shape)
+    stage.write_grid(scene, grid)
+    return grid
+
+
+def _rounded(values: Array) -> spec.Vector:
+    x, y, z = (round(float(v), 4) for v in values)
+    return (x, y, z)
+
+
+def _plane(wall: bpy.types.Object) -> tuple[Array, Array]:
+    """Unit normal and centre of a wall in the world."""
+    points = stage.placed_vertices(wall)
+    if len(points) < 3:
+        raise NlosError(f"the relay wall {wall.name!r} has no surface")
+    centre = (points.min(axis=0) + points.max(axis=0)) / 2.0
+    away = points - points.mean(axis=0)
+    _, spread, axes = np.linalg.svd(away, full_matrices=False)
+    if spread[2] > 1e-4 * spread[0] or spread[1] <= 1e-6 * spread[0]:
+        raise NlosError(f"the relay wall {wall.name!r} is not flat; use a flat object, or a part of it as its own")
+    normal: Array = axes[2]
+    # Its centre may be off the plane: that of a box around a slanted one is not.
+    return normal, centre - ((centre - points.mean(axis=0)) @ normal) * normal
+
+
+def _transform(scene: bpy.types.Scene, change: Matrix) -> None:
+    """Transform every object, and the voxels, in the world; lamps and cameras keep their own scale."""
+    bpy.context.view_layer.update()
+    roots = [o for o in scene.objects if o.parent is None or o.parent.name not in scene.objects]
+    for obj in roots:
+        moves = obj.animation_data is not None and (obj.animation_data.action or obj.animation_data.drivers)
+        if obj.constraints or moves or obj.library is not None:
+            why = "is linked from another file" if obj.library else "is held by constraints, drivers or animation"
+            raise NlosError(f"{obj.name!r} {why}, so it cannot be put elsewhere; nothing was changed")
+    for obj in roots:
+        # Its own, not the world's: of what no view layer shows Blender does not know where in the world it is.
+        before = obj.matrix_basis.copy() if obj.parent is None else obj.matrix_world.copy()
+        placed = change @ before
+        if obj.type in ("LIGHT", "CAMERA") and not obj.children:
+            place, turn, _ = placed.decompose()
+            placed = Matrix.LocRotScale(place, turn, before.to_scale())
+        if obj.parent is None:
+            obj.matrix_basis = placed
+        else:
+            obj.matrix_world = placed
+    if all(key in scene for key in (stage.GRID_LO, stage.GRID_HI, stage.GRID_SHAPE)):
+        lo, hi = scene[stage.GRID_LO], scene[stage.GRID_HI]
+        corners = np.array(
+            [change @ Vector((x, y, z)) for x in (lo[0], hi[0]) for y in (lo[1], hi[1]) for z in (lo[2], hi[2])],
+            dtype=np.float64,
+        )
+        scene[stage.GRID_LO], scene[stage.GRID_HI] = (
+            stage.vector(corners.min(axis=0)),
+            stage.vector(corners.max(axis=0)),
+        )
+    bpy.context.view_layer.update()

@@ -1,0 +1,169 @@
+"""Settings of a scene file that a sweep replaces by its own, and why.
+
+One table, which the engines apply, `check` tells of, `dataset.toml` records and docs/settings.md prints.
+
+What is not in it is the file's own business, and is rendered as plain Cycles renders it.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from typing import Any
+
+from generator.blender.scene import stage
+
+
+@dataclass(frozen=True)
+class Setting:
+    """A setting that every picture is rendered with, whatever the file says.
+
+    Attributes
+    ----------
+    path : str
+        From the scene, as Blender's Python spells it; ``layer`` stands for every view layer.
+    value : object
+        That a sweep has.
+    words : str
+        What it is, as Blender's interface names it; empty where another value in the file changes no pixel, since it
+        is about the file that is written, or since the sweep's own settings say it (``--samples``).
+    why : str
+        Why a sweep does not take the file's.
+    """
+
+    path: str
+    value: Any
+    words: str = ""
+    why: str = ""
+
+
+_NO_LIGHT = "what it draws is no light of the scene"
+_ALL_SAMPLES = "every pixel gets as many samples as the sweep says, from the first"
+_OWN_NOISE = "the noise of a picture follows from its own seed alone, each pixel's from that pixel"
+
+OUTPUT = (
+    Setting("render.image_settings.media_type", "IMAGE"),  # Blender 5
+    Setting("render.image_settings.file_format", "OPEN_EXR"),
+    Setting("render.image_settings.color_mode", "RGB"),
+    Setting("render.image_settings.color_depth", "32"),
+    Setting("render.image_settings.exr_codec", "NONE"),
+    Setting("render.image_settings.use_preview", False),
+    Setting(
+        "render.image_settings.color_management",
+        "FOLLOW_SCENE",
+        "colour space of the output",
+        "values are the renderer's, scene-linear",
+    ),
+    Setting("render.engine", "CYCLES", "render engine", "no other engine of Blender knows radiance"),
+    Setting("render.resolution_percentage", 100),  # what the file says is in the sweep's resolution already
+    Setting("render.pixel_aspect_x", 1.0, "pixel aspect x", "pixels are square"),
+    Setting("render.pixel_aspect_y", 1.0, "pixel aspect y", "pixels are square"),
+    Setting("render.use_border", False, "render region", "a picture is all that the camera sees"),
+    Setting("render.use_compositing", False, "compositing", "values are the renderer's, scene-linear"),
+    Setting("render.use_sequencer", False, "sequencer", "a picture is of the scene, not of its edit"),
+    # Its style modules are Python, and run though a file's scripts are off.
+    Setting("render.use_freestyle", False, "Freestyle", _NO_LIGHT),
+    Setting("render.use_stamp", False, "text burnt in", _NO_LIGHT),
+    Setting("render.use_motion_blur", False, "motion blur", "a picture is of one instant"),
+    Setting("render.use_simplify", False, "Simplify", "the scene is rendered as modelled, to its last detail"),
+    Setting("render.use_multiview", False, "stereoscopy", "the camera has one eye"),
+    Setting("render.film_transparent", False, "transparent film", "the world is in the picture where it is seen"),
+    Setting("render.use_file_extension", False),
+    Setting("render.use_overwrite", True),
+    Setting("render.use_placeholder", False),
+    Setting("render.use_render_cache", False),
+    Setting("render.use_persistent_data", True),
+)
+"""Float32 radiance straight from the renderer: of the whole view, at one instant, with nothing drawn over it."""
+
+SAMPLING = (
+    Setting("cycles.device", "CPU"),  # --device says otherwise
+    Setting("cycles.use_adaptive_sampling", False, "adaptive sampling", f"{_ALL_SAMPLES}; to stop early is biased"),
+    Setting("cycles.use_denoising", False, "denoising", "it is biased; --denoise asks for it"),
+    Setting("cycles.time_limit", 0.0, "time limit", "pixels do not depend on how fast the machine is"),
+    Setting("cycles.sample_clamp_direct", 0.0, "clamping of direct light", "it takes light away"),
+    Setting("cycles.sample_clamp_indirect", 0.0, "clamping of indirect light", "it takes light away"),
+    Setting("cycles.blur_glossy", 0.0, "Filter Glossy", "materials reflect as they are"),
+    Setting("cycles.caustics_reflective", True, "reflective caustics", "their light is there"),
+    Setting("cycles.caustics_refractive", True, "refractive caustics", "their light is there"),
+    Setting("cycles.light_sampling_threshold", 0.0, "light threshold", "faint light is what a sweep is about"),
+    Setting("cycles.pixel_filter_type", "BOX", "pixel filter", "a pixel is the mean over its own square"),
+    Setting("cycles.film_exposure", 1.0, "film exposure", "values are radiance, W/m²/sr"),
+    Setting("cycles.use_fast_gi", False, "Fast GI", "it guesses light"),
+    Setting("cycles.use_animated_seed", False, "animated seed", _OWN_NOISE),
+    Setting(
+        "cycles.use_guiding", False, "path guiding", "a picture and its own background must follow the same rays"
+    ),
+    Setting("cycles.sampling_pattern", "TABULATED_SOBOL", "sampling pattern", _OWN_NOISE),
+    Setting("cycles.scrambling_distance", 1.0, "scrambling distance", _OWN_NOISE),
+    Setting("cycles.auto_scrambling_distance", False, "automatic scrambling distance", _OWN_NOISE),
+    Setting("cycles.use_sample_subset", False, "sample subset", _ALL_SAMPLES),
+    Setting("cycles.sample_offset", 0, "sample offset", _ALL_SAMPLES),
+    Setting("layer.samples", 0),
+    Setting("layer.cycles.use_denoising", True),  # what --denoise asks for, for every layer
+)
+"""Unbiased Cycles: a fixed number of samples, nothing clamped, filtered, denoised, guessed or cut short."""
+
+
+def places(scene: Any, setting: Setting) -> Iterator[tuple[Any, str]]:
+    """Yield what holds a setting, and the attribute's name; nothing in a Blender that has no such setting."""
+    first, *middle, name = setting.path.split(".")
+    for owner in scene.view_layers if first == "layer" else (getattr(scene, first),):
+        for part in middle:
+            owner = getattr(owner, part)
+        if hasattr(owner, name):
+            yield owner, name
+
+
+def replaced(scene: Any) -> list[Setting]:
+    """Return the settings in which a file differs from a sweep, or may, and which reach the pixels."""
+    return [
+        setting
+        for setting in (*OUTPUT, *SAMPLING)
+        if setting.words
+        and any(
+            getattr(owner, name) != setting.value or stage.animating(owner, name)
+            for owner, name in places(scene, setting)
+        )
+        and (setting.path not in _AT_WORK or _AT_WORK[setting.path](scene))
+    ]
+
+
+def told(scene: Any, setting: Setting) -> str:
+    """Return in words what a file says of a setting, and what a sweep has instead."""
+    owner, name = next(places(scene, setting))
+    own = "animated" if stage.animating(owner, name) else words(getattr(owner, name))
+    return f"{setting.words} ({own} in the file, {words(setting.value)} in a sweep)"
+
+
+def is_default(scene: Any, setting: Setting) -> bool:
+    """Whether a file has of a setting what every new file of Blender has."""
+    owner, name = next(places(scene, setting))
+    default = owner.bl_rna.properties[name].default
+    return bool(getattr(owner, name) == default) and not stage.animating(owner, name)
+
+
+def words(value: Any) -> str:
+    """Return a setting's value as people say it."""
+    if isinstance(value, bool):
+        return "on" if value else "off"
+    return value if isinstance(value, str) else f"{value:g}"
+
+
+def _composites(scene: Any) -> bool:
+    if hasattr(scene, "compositing_node_group"):  # Blender 5
+        return scene.compositing_node_group is not None
+    return bool(scene.use_nodes and scene.node_tree is not None)
+
+
+def _edits(scene: Any) -> bool:
+    editor = scene.sequence_editor
+    return editor is not None and bool(len(editor.strips if hasattr(editor, "strips") else editor.sequences))
+
+
+_AT_WORK: dict[str, Callable[[Any], bool]] = {
+    "render.use_compositing": _composites,
+    "render.use_sequencer": _edits,
+    "cycles.sample_offset": lambda scene: getattr(scene.cycles, "use_sample_subset", True),
+}
+"""Of what does something only along with something else: whether it does in this file."""

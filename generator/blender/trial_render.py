@@ -1,0 +1,98 @@
+"""A few poses of a sweep rendered twice, to tell what all of it would take and how noisy it would be."""
+
+from __future__ import annotations
+
+import time
+from dataclasses import replace
+
+import bpy
+import numpy as np
+
+from generator.blender.engines import engines, simplify
+from generator.blender.scene import stage
+from generator.blender.scene.clearance import clearance
+from generator.jobs.budget import REHEARSED, Rehearsal
+from generator.model import poses
+from generator.model.spec import Array, Sweep
+from generator.sets.dataset import PoseRecord
+
+SAMPLES = (8, 48)
+ACCURACIES = (1e-1, 1e-3)
+
+
+def rehearse(scene: bpy.types.Scene, sweep: Sweep, *, share: tuple[int, int] = (0, 1), threads: int = 0) -> Rehearsal:
+    """Render one pose in each of some voxels, with little work and with more.
+
+    The error of one round is its difference from the other, of which its samples are a part: with n samples out of
+    m, its variance is 1 / n - 1 / m of that of one.
+
+    Parameters
+    ----------
+    scene : bpy.types.Scene
+    sweep : Sweep
+    share : (int, int)
+        ``(i, n)``: the i-th of n parts of the voxels.
+    threads : int
+
+    Raises
+    ------
+    NlosError
+        The scene cannot be swept so.
+    """
+    described = stage.read(scene)
+    voxels = np.unique(
+        np.linspace(0, described.grid.n_voxels - 1, min(REHEARSED, described.grid.n_voxels)).astype(int)
+    )
+    is_free = clearance(scene, described, engine=sweep.engine)
+    planned = {r.voxel: r for r in poses.plan(described.grid, replace(sweep, poses=1), stage.hull(scene), is_free)}
+    mine = [planned[int(voxel)] for voxel in voxels][share[0] :: share[1]]
+    simplify.apply(scene, sweep.leave_out)
+    if sweep.engine == "surfel":
+        work = (1.0 / ACCURACIES[0], 1.0 / ACCURACIES[1])
+        return Rehearsal(sweep.engine, described.grid.n_voxels, work, _exact(scene, sweep, mine, threads), [])
+    seconds, noise = _noisy(scene, sweep, mine, threads)
+    work = (float(SAMPLES[0]), float(SAMPLES[1]))
+    return Rehearsal(sweep.engine, described.grid.n_voxels, work, seconds, noise)
+
+
+def _exact(scene: bpy.types.Scene, sweep: Sweep, mine: list[PoseRecord], threads: int) -> tuple[float, float]:
+    took = []
+    settings = engines.settings(sweep)
+    for accuracy in ACCURACIES:
+        settings["accuracy"] = accuracy
+        with engines.opened(scene, sweep.engine, threads=threads, **settings) as renderer:
+            assert isinstance(renderer, engines.SurfelRenderer)
+            places, turns = [p.position for p in mine], [p.rotation for p in mine]
+            renderer.pictures(places, turns)  # what is compiled and made once is no part of a picture's time
+            start = time.perf_counter()
+            renderer.pictures(places, turns)
+            took.append((time.perf_counter() - start) / max(1, len(mine)))
+    return took[0], took[1]
+
+
+def _noisy(
+    scene: bpy.types.Scene, sweep: Sweep, mine: list[PoseRecord], threads: int
+) -> tuple[tuple[float, float], list[float]]:
+    share = 1.0 / SAMPLES[0] - 1.0 / SAMPLES[1]
+    took, noise = np.zeros(2), []
+    with engines.opened(scene, sweep.engine, threads=threads, **engines.settings(sweep)) as renderer:
+        assert isinstance(renderer, engines.Renderer)
+        renderer.render(samples=1, seed=0)
+        for pose in mine:
+            stage.move_target(scene, pose.position, pose.rotation)
+            seen: list[Array] = []
+            for round_, samples in enumerate(SAMPLES):
+                start = time.perf_counter()
+                picture = renderer.render(samples=samples, seed=pose.seed).astype(np.float64)
+                if sweep.paired:
+                    picture -= renderer.render(samples=samples, seed=pose.seed, target=False)
+                took[round_] += time.perf_counter() - start
+                seen.append(picture.mean(axis=2))
+            variance = float(((seen[1] - seen[0]) ** 2).mean()) / share
+            if not sweep.paired:
+                seen[1] = seen[1] - renderer.render(samples=SAMPLES[1], seed=pose.seed, target=False).mean(axis=2)
+            signal = float((seen[1] ** 2).mean()) - variance / SAMPLES[1]
+            # Where noise hides the signal, all that is known is that it is smaller.
+            noise.append(variance / max(signal, 0.1 * variance / SAMPLES[1]) if variance else 0.0)
+    each = took / max(1, len(mine))
+    return (float(each[0]), float(each[1])), noise

@@ -1,0 +1,343 @@
+"""Settings of a sweep from what it may take or how exact it must be: measured on this scene and this machine."""
+
+from __future__ import annotations
+
+import contextlib
+import json
+import math
+import re
+import threading
+import time
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from generator.jobs import sweep
+from generator.jobs.sweep import BACKGROUND_FACTOR
+from generator.model.spec import NlosError, Sweep
+
+FINE = 1e-4
+"""Of `surfel`: finer than this, float32 pictures do not hold what an object changes by a thousandth."""
+
+_COARSE = 0.3
+_FILL = 0.95
+"""Share of what is left of the budget that a sweep is planned to take; the last pictures end when they end."""
+_SWING = 4.0
+"""By what factor the samples of a picture may leave the plan to keep it, where a machine turns slow or quick."""
+_LATEST = 0.1
+"""Weight of the latest picture in what is believed of the machine's speed."""
+_MOST_SAMPLES = 2**20
+REHEARSED = 9
+"""Voxels of which one pose is rendered to learn of all, evenly spread."""
+
+_WRITING = 2e-3
+"""Seconds to write a picture and its line."""
+_UNITS = {"": 1.0, "s": 1.0, "min": 60.0, "m": 60.0, "h": 3600.0, "d": 86400.0}
+
+
+def seconds(text: str) -> float:
+    """Return a time in seconds: 90, 90s, 10min, 1.5h, 2d.
+
+    Raises
+    ------
+    NlosError
+        It is none.
+    """
+    match = re.fullmatch(r"\s*(\d+\.?\d*|\.\d+)\s*([a-z]*)\s*", text)
+    if not match or match[2] not in _UNITS or float(match[1]) <= 0.0:
+        raise NlosError(f"time {text!r}: must read like 90s, 10min, 1.5h or 2d")
+    return float(match[1]) * _UNITS[match[2]]
+
+
+def fraction(text: str) -> float:
+    """Return a relative accuracy: 0.01 or 1%.
+
+    Raises
+    ------
+    NlosError
+        It is none.
+    """
+    number, percent, rest = text.strip().partition("%")
+    try:
+        value = float(number) / (100.0 if percent else 1.0)
+    except ValueError:
+        value = math.nan
+    if rest or not 0.0 < value < 1.0:
+        raise NlosError(f"accuracy {text!r}: must be between 0 and 1, or read like 1%")
+    return value
+
+
+@dataclass(frozen=True)
+class Rehearsal:
+    """What two rounds of a few pictures took and showed: a worker's answer (`generator.blender.trial_render`).
+
+    Attributes
+    ----------
+    engine : str
+    voxels : int
+        Of the scene's grid.
+    work : two of float
+        Samples, or the inverse of the accuracy, of each round.
+    seconds : two of float
+        A picture took in each, with the one it is paired with.
+    noise : list of float
+        Of Cycles, pose by pose: variance of a difference picture of one sample over the difference's mean square.
+    """
+
+    engine: str
+    voxels: int
+    work: Sequence[float]
+    seconds: Sequence[float]
+    noise: list[float]
+
+
+@dataclass(frozen=True)
+class Measured:
+    """What a rehearsal of a scene tells of all sweeps of it with one engine.
+
+    Attributes
+    ----------
+    engine : str
+    voxels : int
+    start : float
+        Seconds before the first and after the last picture.
+    fixed, slope, power : float
+        A picture takes ``fixed + slope * work**power`` seconds, where work is the samples, or the inverse of the
+        accuracy.
+    noise : float
+        Of Cycles: relative error of a difference picture of one sample, in the median pose.
+    workers : float
+        Pictures rendered at a time.
+    """
+
+    engine: str
+    voxels: int
+    start: float
+    fixed: float
+    slope: float
+    power: float
+    noise: float
+    workers: float
+
+    def picture(self, work: float) -> float:
+        """Return the seconds that a picture takes one worker."""
+        return float(self.fixed + self.slope * work**self.power)
+
+    def total(self, work: float, pictures: int) -> float:
+        """Return the seconds that a sweep takes."""
+        background = 0.0 if self.engine == "surfel" else self.picture(BACKGROUND_FACTOR * work) / 2.0 / self.workers
+        return self.start + background + pictures * self.picture(work) / self.workers
+
+    def most(self, limit: float, pictures: int, low: float, high: float) -> float:
+        """Return the most work, between two bounds, that a sweep does in a time; the lower one if none fits."""
+        for _ in range(60):
+            middle = math.sqrt(low * high)
+            low, high = (middle, high) if self.total(middle, pictures) <= limit else (low, middle)
+        return low
+
+
+class Pace:
+    """Says how many samples the next picture of a sweep may take, so that all of them end in time.
+
+    On shared cores the same work may take twice as long a minute later, so what was measured before is not enough.
+
+    Parameters
+    ----------
+    measured : Measured
+        Of Cycles.
+    samples : int
+        As planned.
+    pictures : int
+        To be begun.
+    late : float
+        When all is to be done, on the clock.
+    clock : callable
+        Tells the time in seconds.
+    """
+
+    def __init__(
+        self,
+        measured: Measured,
+        samples: int,
+        pictures: int,
+        late: float,
+        clock: Callable[[], float] = time.monotonic,
+    ) -> None:
+        self._measured = measured
+        self._samples = samples
+        self._left = pictures
+        self._late = late
+        self._clock = clock
+        self._lock = threading.Lock()
+        self._slowness = 1.0
+        self._known = 0
+        self._begun: dict[int, tuple[float, int]] = {}
+
+    def __call__(self) -> int:
+        """Return the samples of the picture that this thread's worker is about to begin, having ended its last."""
+        with self._lock:
+            now, thread = self._clock(), threading.get_ident()
+            if thread in self._begun:  # its first may have waited for Blender to start, and tells nothing
+                start, samples = self._begun[thread]
+                if start >= 0.0:
+                    self._learn((now - start) / self._measured.picture(samples))
+                start = now
+            else:
+                start = -1.0
+            workers = self._measured.workers
+            # Those under way take half a picture more each, at the mean.
+            busy = max(0, len(self._begun) - 1) * self._measured.picture(self._samples) * self._slowness / 2.0
+            each = max(0.0, (self._late - now) * workers - busy) / max(1, self._left) / self._slowness
+            wanted = (each - self._measured.fixed) / self._measured.slope
+            low, high = max(1.0, self._samples / _SWING), self._samples * _SWING
+            samples = int(min(max(wanted, low), high))
+            self._begun[thread] = (start, samples)
+            self._left -= 1
+            return samples
+
+    def _learn(self, ratio: float) -> None:
+        self._known += 1
+        weight = max(1.0 / self._known, _LATEST)
+        self._slowness += weight * (min(max(ratio, 1.0 / _SWING), _SWING) - self._slowness)
+
+
+@dataclass(frozen=True)
+class Choice:
+    """What a rehearsal led to.
+
+    Attributes
+    ----------
+    settings : dict
+        Fields of `Sweep`.
+    pace : Pace or None
+        Keeps the budget, where it is what decides.
+    """
+
+    settings: dict[str, Any]
+    pace: Pace | None
+
+
+def choose(
+    scene: Path,
+    chosen: Mapping[str, Any],
+    *,
+    budget: float = math.inf,
+    accuracy: float = 0.0,
+    workers: int = 0,
+    tell: Callable[[str], None] = lambda words: None,
+    launch: sweep.Launch = sweep.python,
+    force: bool = False,
+) -> Choice:
+    """Return the settings of a sweep that ends in a time, or is as exact as asked for, whichever takes less.
+
+    A pose in each of some voxels is rendered twice and thrown away (`generator.blender.trial_render`); noise falls
+    with the root of the samples.
+
+    Parameters
+    ----------
+    scene : Path
+    chosen : mapping
+        Fields of `Sweep` that the user chose; the engine is ``auto`` if it is not among them.
+    budget : float
+        Seconds, from now on, the rehearsal included.
+    accuracy : float
+        Relative root mean square error of a difference picture, in the median pose; 0 is as exact as can be.
+    workers : int
+        As of `generator.jobs.sweep.run`.
+    tell : callable
+        Is told what was measured and chosen.
+    launch : callable
+        How workers are started.
+    force : bool
+        As of `generator.jobs.sweep.run`.
+
+    Raises
+    ------
+    NlosError
+        Not even the least work ends in time, samples were chosen too, or the scene cannot be swept.
+    """
+    if "samples" in chosen:
+        raise NlosError("samples: follow from --budget and --accuracy; leave them out, or leave these out")
+    begun = time.monotonic()
+    settings = {"engine": "auto", **{k: v for k, v in chosen.items() if k != "accuracy"}}
+    if words := sweep.compiling_words(str(settings["engine"])):
+        tell(words)
+    known = rehearsed(scene, settings, workers, launch, force=force)
+    pictures = int(settings.get("poses", Sweep.poses)) * known.voxels
+    surfel = known.engine == "surfel"
+    left = budget - (time.monotonic() - begun)
+    low, high = (1.0 / _COARSE, 1.0 / FINE) if surfel else (1.0, float(_MOST_SAMPLES))
+    if accuracy:
+        wanted = 1.0 / max(accuracy, FINE) if surfel else (known.noise / accuracy) ** 2
+        high = min(max(low, wanted), high)
+    work = high if known.total(high, pictures) <= left else known.most(_FILL * left, pictures, low, high)
+    least = known.total(low, pictures)
+    if least > left:
+        raise NlosError(
+            f"--budget: {pictures} pictures take {sweep.clock(least)} at the very least, and "
+            f"{sweep.clock(max(left, 0.0))} are left of it; ask for fewer poses, a lower resolution, or more time"
+        )
+    settings["engine"] = known.engine
+    pace = None
+    reason = "as exact as asked for" if accuracy and work >= high else "what the budget allows"
+    took = sweep.clock(known.total(work, pictures))
+    if surfel:
+        settings["accuracy"] = float(f"{1.0 / work:.2g}")
+        error, words = settings["accuracy"], f"accuracy {settings['accuracy']:g}"
+    else:
+        settings["samples"] = max(1, math.floor(work))
+        error, words = known.noise / math.sqrt(settings["samples"]), f"{settings['samples']} samples"
+        if work < high:
+            words = f"about {words}"
+            pace = Pace(known, settings["samples"], pictures, begun + _FILL * budget)
+    if surfel and work >= 1.0 / FINE:
+        reason = "as exact as float32 pictures can hold"
+    tell(f"{known.engine}, {words}: {reason}; about {took}, error of a difference picture {_percent(error)}")
+    return Choice(settings, pace)
+
+
+def _percent(share: float) -> str:
+    return f"{100.0 * share:.2g} %"
+
+
+def rehearsed(
+    scene: Path,
+    settings: Mapping[str, Any],
+    workers: int = 0,
+    launch: sweep.Launch = sweep.python,
+    *,
+    force: bool = False,
+) -> Measured:
+    """Rehearse a sweep, on as many workers as it will have, side by side; 0 is one per core."""
+    cores = sweep.available_cores()
+    crew = max(1, min(workers or cores, REHEARSED))
+    begun = time.monotonic()
+    arguments = ["generator.blender.worker", "rehearse", str(scene), json.dumps(settings), str(max(1, cores // crew))]
+    forced = [sweep.FORCE] if force else []
+    with contextlib.ExitStack() as stack:
+        started = [
+            stack.enter_context(sweep.Worker([*arguments, f"{i}/{crew}", *forced], launch)) for i in range(crew)
+        ]
+        told = [worker.answer() for worker in started]
+        for worker, answer in zip(started, told, strict=True):
+            if answer is None:
+                raise NlosError(f"{scene}: could not be rehearsed: {worker.last_words()}")
+    wall = time.monotonic() - begun
+    found = [Rehearsal(**answer) for answer in told if answer]
+    found = [one for one in found if one.seconds[0] > 0.0]  # of few voxels some workers had none
+    engine, work, each = found[0].engine, found[0].work, np.mean([f.seconds for f in found], axis=0)
+    shortest = 1e-4  # of what a clock may be trusted with
+    if engine == "surfel":  # all of it grows with the accuracy, slowly
+        power = max(0.0, math.log(max(each[1], shortest) / max(each[0], shortest)) / math.log(work[1] / work[0]))
+        fixed, slope, noise = _WRITING, max(float(each[1]), shortest) / work[1] ** power, 0.0
+    else:
+        power, slope = 1.0, max(float(each[1] - each[0]), shortest) / (work[1] - work[0])
+        fixed = max(0.0, float(each[0]) - slope * work[0]) + _WRITING
+        noise = math.sqrt(float(np.median([n for f in found for n in f.noise])))
+    # What was no picture is Blender's start, which a sweep waits for twice or thrice: plan, background, crew.
+    idle = max(0.0, wall - sum(found[0].seconds) * math.ceil(REHEARSED / crew))
+    starts = 2.0 if engine == "surfel" else 3.0
+    return Measured(engine, found[0].voxels, starts * idle, fixed, slope, power, noise, float(workers or cores))

@@ -1,0 +1,154 @@
+"""A sweep as an array of jobs on a cluster, by submitit: each renders a share of the poses, and all write one set."""
+
+from __future__ import annotations
+
+import subprocess
+import time
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from generator.jobs import journal, sweep
+from generator.model.spec import NlosError
+from generator.sets import links
+from generator.sets.dataset import SCENE
+
+LOGS = ".jobs"
+"""Folder of what jobs print, in the data set."""
+_EVERY = 5.0
+
+
+@dataclass
+class Share:
+    """Renders one of n shares of a data set; called anew after a job was preempted, it goes on.
+
+    Attributes
+    ----------
+    path : str
+        Of the data set, which is planned already.
+    index, count : int
+    workers : int
+        Processes; 0 is one per core that the job has.
+    """
+
+    path: str
+    index: int
+    count: int
+    workers: int = 0
+
+    def __call__(self) -> list[str]:
+        """Render what is missing of the share; return what failed."""
+        path = Path(self.path)
+        with links.trusting():  # whoever sent the job has asked
+            return sweep.run(path / SCENE, path, {}, shard=(self.index, self.count), workers=self.workers).failed
+
+    def checkpoint(self) -> Any:
+        """Return the job that goes on after this one: what is rendered lies on disk."""
+        from submitit.helpers import DelayedSubmission
+
+        return DelayedSubmission(self)
+
+
+def run(
+    scene: Path,
+    path: Path,
+    chosen: Mapping[str, Any],
+    *,
+    executor: str = "slurm",
+    shares: int = 8,
+    workers: int = 0,
+    options: Mapping[str, Any] | None = None,
+    progress: sweep.Progress = lambda done, total: None,
+    tell: Callable[[str], None] = lambda words: None,
+    force: bool = False,
+    probe: bool = True,
+) -> sweep.Outcome:
+    """Plan a data set here, let jobs render it, and wait for them.
+
+    Parameters
+    ----------
+    scene, path, chosen
+        As of `sweep.run`. The folder must be one that the jobs' machines share.
+    executor : {"slurm", "local", "debug"}
+        Slurm; processes of this machine; or, one after the other, this process.
+    shares : int
+        Jobs of the array.
+    workers : int
+        Of each.
+    options : mapping
+        Of submitit's executor: ``slurm_partition``, ``timeout_min``, ``cpus_per_task``, ...
+    progress, tell : callable
+    force, probe : bool
+        As of `sweep.run`.
+
+    Raises
+    ------
+    NlosError
+        The input is bad, submitit or Slurm is missing, or refuses an option.
+    """
+    try:
+        import submitit
+    except ImportError:
+        raise NlosError("--jobs: submitit is missing; install it with pip install 'nlos-lab[slurm]'") from None
+    outcome = sweep.begin(scene, path, chosen, tell=tell, force=force, probe=probe)
+    todo = outcome.remaining = len(sweep.pending_positions(outcome.dataset))
+    if not todo:
+        return outcome
+    try:
+        made = submitit.AutoExecutor(folder=path / LOGS / "%j", cluster=executor)
+        made.update_parameters(name="nlos", **(options or {}))
+        with made.batch():
+            jobs = [made.submit(Share(str(path.absolute()), i, shares, workers)) for i in range(shares)]
+    except (RuntimeError, ValueError, TypeError, NameError, submitit.core.utils.FailedJobError) as error:
+        raise NlosError(f"--jobs {executor}: {' '.join(str(error).split())}") from None
+    tell(
+        f"jobs {jobs[0].job_id} to {jobs[-1].job_id}; Ctrl-C leaves them running; what they print is in {path / LOGS}"
+    )
+    before = outcome.dataset.planned - todo
+    missing: set[str] = set()
+    while waiting := {job.job_id for job in jobs if not _ended(job, executor)}:
+        progress(journal.read(path)["done"] - before, todo)
+        before_that, missing = missing, waiting - _queued() if executor == "slurm" else set()
+        if waiting <= missing & before_that:
+            break  # twice not in the queue, and no result: nothing more will come
+        time.sleep(0.2 if executor == "debug" else _EVERY)
+    words = "left the queue without a result; it was killed, or ran out of time"
+    for job in jobs:
+        outcome.failed += [f"job {job.job_id}: {words}"] if job.job_id in waiting else _failures(job, executor)
+    outcome.remaining = len(outcome.dataset.gather())
+    outcome.rendered = todo - outcome.remaining
+    progress(outcome.rendered, todo)
+    if not outcome.remaining:
+        outcome.dataset.tidy()
+    return outcome
+
+
+def _ended(job: Any, executor: str) -> bool:
+    """Whether a job has come to an end; submitit itself asks Slurm's accounting, which not every cluster has."""
+    return bool(job.paths.result_pickle.exists() if executor == "slurm" else job.done())
+
+
+def _queued() -> set[str]:
+    """The jobs, and tasks of arrays, that Slurm still has to run or runs."""
+    answer = subprocess.run(["squeue", "-h", "-r", "-o", "%F_%K %i"], capture_output=True, text=True, check=False)
+    if answer.returncode:
+        raise NlosError(f"--jobs slurm: squeue does not answer ({answer.stderr.strip()}); the jobs may go on")
+    return set(answer.stdout.split())
+
+
+def _failures(job: Any, executor: str) -> Sequence[str]:
+    """What a job could not render, or how it ended itself."""
+    if executor == "slurm":
+        from submitit.core import utils
+
+        outcome, result = utils.pickle_load(job.paths.result_pickle)
+        error = result if outcome == "error" else None
+    else:
+        error = job.exception()
+        result = None if error else job.result()
+    if error is None:
+        failed: list[str] = result
+        return failed
+    lines = [line.strip() for line in str(error).splitlines() if "Error: " in line]
+    return [f"job {job.job_id}: {lines[-1].partition('Error: ')[2] if lines else type(error).__name__}"]

@@ -1,0 +1,1 @@
+"""What costs what, what matters and how sure that is, without Blender."""

@@ -1,0 +1,219 @@
+"""What a scene needs modelled: a plan, as a table, a picture, and a file that a sweep follows."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from generator.jobs.sweep import clock
+from generator.model.spec import NlosError, dump_toml, read_toml
+from generator.sets.dataset import PLAN, csv_text, scene_hash, write_text
+
+FORMAT = 1
+FILE = PLAN
+POSES = 10
+"""Per voxel, that `surfel` looks at for a plan; five missed what shows at few poses, in 1 of 24 random rooms."""
+SETTINGS = ("engine", "accuracy", "samples", "leave_out")
+"""Of a sweep, that follow from a plan."""
+
+NEEDED, LEFT_OUT = "needed", "left out"
+
+
+@dataclass(frozen=True)
+class Effect:
+    """What is wrong with a picture that lacks something.
+
+    Attributes
+    ----------
+    name : str
+    share : (float, float, float)
+        Error of a difference picture without it, relative to the difference with it, root mean square over pixels and
+        poses, with its 95 % interval; not a number where it could not be measured.
+    gain : float
+        Times as many pictures a second without it; not a number where that was not measured.
+    note : str
+        What follows for it; empty where that is still to be decided.
+    """
+
+    name: str
+    share: tuple[float, float, float]
+    gain: float = math.nan
+    note: str = ""
+
+    def percent(self) -> str:
+        """Return the share as text."""
+        value, low, high = (100.0 * s for s in self.share)
+        if math.isnan(value):
+            return "not measured"
+        return f"{value:.3g} % ({low:.3g} to {'any' if math.isinf(high) else format(high, '.3g')})"
+
+
+@dataclass(frozen=True)
+class Plan:
+    """What a tolerance allows to leave out, and what a sweep that does so takes.
+
+    Attributes
+    ----------
+    effects : list of Effect
+        The largest first.
+    dropped : list of str
+        What is left out, together.
+    together : Effect
+        All of these left out at once, at the settings below, as measured.
+    settings : dict
+        Of the sweep: its engine, and its accuracy or samples.
+    tolerance : float
+    words : list of str
+        What else is to be said.
+    predicted : dict
+        ``seconds`` of a sweep of so many ``pictures``, ``bytes`` on disk, and the seconds of the model that leaves
+        nothing out (``seconds_full``).
+    """
+
+    effects: list[Effect]
+    dropped: list[str]
+    together: Effect
+    settings: dict[str, Any] = field(default_factory=dict)
+    tolerance: float = 0.01
+    words: list[str] = field(default_factory=list)
+    predicted: dict[str, float] = field(default_factory=dict)
+
+
+HEADINGS = ("left out", "error of a difference picture", "pictures a second", "")
+
+
+def rows(plan: Plan) -> list[tuple[str, ...]]:
+    """Return a table: a row for each effect, the largest first."""
+    return [
+        (
+            effect.name,
+            effect.percent(),
+            "" if math.isnan(effect.gain) else f"x {effect.gain:.2g}",
+            effect.note or (LEFT_OUT if effect.name in plan.dropped else NEEDED),
+        )
+        for effect in plan.effects
+    ]
+
+
+def words(plan: Plan) -> list[str]:
+    """Return what follows, for a person: what is left out, how wrong that is, and what a sweep takes."""
+    made = list(plan.words)
+    percent = f"{100.0 * plan.tolerance:g} %"
+    if plan.dropped:
+        made.append(f"within {percent} one may leave out {' and '.join(plan.dropped)}")
+    else:
+        made.append(f"within {percent} nothing may be left out")
+    engine, settings = plan.settings["engine"], plan.settings
+    how = f"accuracy {settings['accuracy']:g}" if "accuracy" in settings else f"{settings.get('samples', 0)} samples"
+    noise = "" if engine == "surfel" else f", and noise of {percent} in the median pose"
+    made.append(f"plan: {engine}, {how}; error {plan.together.percent()}{noise}")
+    known = plan.predicted
+    if known:
+        gain = known["seconds_full"] / max(known["seconds"], 1e-9)
+        made.append(
+            f"{known['pictures']} pictures take about {clock(known['seconds'])} and {known['bytes'] / 1e6:.3g} MB; "
+            f"with nothing left out, as exactly, {clock(known['seconds_full'])}: {gain:.3g} times as long"
+        )
+    return made
+
+
+def draw(path: Path, plan: Plan, title: str) -> None:
+    """Write a picture: a bar for each effect, and the tolerance."""
+    from matplotlib import pyplot as plt
+
+    from generator.measure import figures
+
+    effects = [effect for effect in plan.effects[::-1] if effect.share[2] > 0.0 and math.isfinite(effect.share[2])]
+    figure, axis = plt.subplots(figsize=(8.0, 0.9 + 0.4 * max(1, len(effects))), layout="constrained")
+    if effects:
+        value, low, high = (np.array([100.0 * e.share[k] for e in effects]) for k in range(3))
+        floor = 0.5 * min(100.0 * plan.tolerance, *value[value > 0.0], *high)
+        shown = np.maximum(value, floor)
+        colours = ["#d4a72c" if e.note else "#8b949e" if e.name in plan.dropped else "#1f6feb" for e in effects]
+        axis.barh([e.name for e in effects], shown, color=colours)
+        reach = [shown - np.maximum(np.minimum(low, shown), floor), np.maximum(high - shown, 0.0)]
+        axis.errorbar(shown, range(len(effects)), xerr=reach, fmt="none", ecolor="#24292f", capsize=2)
+        axis.set_xscale("log")
+    axis.axvline(100.0 * plan.tolerance, color="#cf222e", lw=1.0, ls="--")
+    axis.set_xlabel("error of a difference picture without it, % (blue: needed; grey: left out; yellow: told)")
+    axis.set_title(title, fontsize=10)
+    figures.save(path, figure)
+
+
+def write(folder: Path, scene: Path, plan: Plan, title: str) -> list[Path]:
+    """Write a plan: the file that a sweep follows, the table and the picture; return their paths."""
+    made = {
+        "format": FORMAT,
+        "scene": scene.name,
+        "scene_sha256": scene_hash(scene),
+        "tolerance": plan.tolerance,
+        "settings": {**plan.settings, **({"leave_out": plan.dropped} if plan.dropped else {})},
+        "predicted": {"error": _numbers(plan.together.share), **plan.predicted},
+        "effects": {
+            name: {"error": _numbers(effect.share), "verdict": note}
+            for effect, (name, _, _, note) in zip(plan.effects, rows(plan), strict=True)
+        },
+    }
+    write_text(folder / FILE, dump_toml(made))
+    write_text(folder / "plan.csv", csv_text(HEADINGS, rows(plan)))
+    draw(folder / "plan.png", plan, title)
+    return [folder / name for name in (FILE, "plan.csv", "plan.png")]
+
+
+def _numbers(share: Sequence[float]) -> list[float]:
+    return [float(f"{s:.4g}") for s in share if math.isfinite(s)]
+
+
+def followed(path: Path, scene: Path, chosen: Mapping[str, Any]) -> dict[str, Any]:
+    """Return the settings of a sweep that follows a plan: its own, and those that the user chose besides.
+
+    Raises
+    ------
+    NlosError
+        As `read`; or the user chose what follows from the plan.
+    """
+    settings = read(path, scene)
+    if twice := [name for name in SETTINGS if name in chosen]:
+        raise NlosError(f"{twice[0]}: follows from --plan; leave it out, or leave --plan out")
+    return {**chosen, **settings}
+
+
+def keep(path: Path, dataset: Path) -> None:
+    """Copy a plan, or the one in a folder, into the data set that was made by it."""
+    write_text(dataset / FILE, _file(path).read_text(encoding="utf-8"))
+
+
+def _file(path: Path) -> Path:
+    return path / FILE if path.is_dir() else path
+
+
+def read(path: Path, scene: Path) -> dict[str, Any]:
+    """Return the settings of a sweep that follow from a plan.
+
+    Parameters
+    ----------
+    path : Path
+        The file, or the folder that holds it.
+    scene : Path
+        That is to be swept.
+
+    Raises
+    ------
+    NlosError
+        It is no plan, is newer than this software, or is of another scene.
+    """
+    file = _file(path)
+    made = read_toml(file)
+    settings = made.get("settings")
+    if not isinstance(settings, dict) or made.get("format") != FORMAT or set(settings) - set(SETTINGS):
+        raise NlosError(f"{file}: is no plan of format {FORMAT}; make one with nlos-generate plan")
+    if made.get("scene_sha256") != scene_hash(scene):
+        raise NlosError(
+            f"{file}: is a plan of another scene than {scene}, or of this one before it was edited; plan again"
+        )
+    return settings

@@ -1,0 +1,324 @@
+"""Where the hidden object stands: poses drawn inside voxels, each from its own seed.
+
+A pose depends on (sweep seed, voxel, index) alone, so neither shards, nor their order, nor resuming, nor asking for
+more poses later changes it.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from generator.model.spec import Array, NlosError, Sweep, Vector, VoxelGrid, rotation_matrix, rotation_rows
+from generator.sets.dataset import PoseRecord
+
+Pose = tuple[Vector, Vector]
+
+_TRIES = 256
+_TRIES_TURNING = 102_400
+_FIRST_BLOCK = 128
+_NUMBERS = 7
+"""Of the generator that one try takes: three for the rotation, one for keeping it, three for the place."""
+
+_PROBES = 32
+
+_MARGIN = 1e-5
+"""By which the screen errs towards trying, in voxels: above all rounding, and hardly a try more."""
+
+_SEED_BITS = 31
+
+
+def noise_seed(sweep_seed: int, position: int) -> int:
+    """Return the renderer's seed at one position of a sweep.
+
+    Distinct for every position, by construction: an offset that follows from the sweep's seed plus the position,
+    modulo 2^31. (Hashes alone would make two of 900 poses share their noise once in 5,000 sweeps.)
+    """
+    offset = int(np.random.SeedSequence([sweep_seed]).generate_state(1, np.uint64)[0])
+    return int((offset + position) % 2**_SEED_BITS)
+
+
+def plan(
+    grid: VoxelGrid, sweep: Sweep, hull: Array, is_free: Callable[[Vector, Vector], bool] = lambda *_: True
+) -> list[PoseRecord]:
+    """Draw every pose of a sweep.
+
+    Parameters
+    ----------
+    grid : VoxelGrid
+    sweep : Sweep
+    hull : ndarray of shape (n, 3)
+        Points of the target relative to its origin, unrotated, metres; their convex hull holds the target.
+    is_free : callable
+        Whether the target, at a position and rotation, is clear of every surface of the scene.
+
+    Returns
+    -------
+    list of PoseRecord
+        Pose by pose, each through all voxels, so that a sweep cut short has seen every voxel.
+
+    Raises
+    ------
+    NlosError
+        The target does not fit into a voxel.
+    """
+    labels = grid.labels
+    sampler = Sampler(grid, sweep, hull, is_free)
+    records = []
+    for index in range(sweep.poses):
+        for voxel, label in enumerate(labels):
+            position, rotation = sampler.draw(voxel, index)
+            # Position 0 is the background's.
+            seed = noise_seed(sweep.seed, 1 + index * grid.n_voxels + voxel)
+            records.append(PoseRecord(index, voxel, label, position, rotation, seed, file=f"{label}/{index:04d}.exr"))
+    return records
+
+
+def draw(
+    grid: VoxelGrid,
+    voxel: int,
+    index: int,
+    sweep: Sweep,
+    hull: Array,
+    is_free: Callable[[Vector, Vector], bool] = lambda *_: True,
+) -> Pose:
+    """Draw one pose, uniform over all position-and-rotation pairs that the sweep allows.
+
+    Returns
+    -------
+    position : (float, float, float)
+        Of the target's origin, metres.
+    rotation : (float, float, float)
+        About x, y, z, degrees.
+
+    Raises
+    ------
+    NlosError
+        No such pose was found: the target does not fit.
+    """
+    return Sampler(grid, sweep, hull, is_free).draw(voxel, index)
+
+
+class Sampler:
+    """Draws poses as `draw` does, with what all of them have in common made once.
+
+    Where a large target turns in a small voxel hundreds of tries fail for each that holds, so tries are screened by
+    the block: a few points of the hull reach no further than all of it, so what they rule out is out. What is left is
+    drawn once more, one by one, in the arithmetic that decides; so no pose depends on the screen.
+
+    Parameters
+    ----------
+    grid, sweep, hull, is_free
+        As for `plan`.
+    """
+
+    def __init__(
+        self,
+        grid: VoxelGrid,
+        sweep: Sweep,
+        hull: Array,
+        is_free: Callable[[Vector, Vector], bool] = lambda *_: True,
+    ) -> None:
+        self._grid = grid
+        self._sweep = sweep
+        self._extent = np.ptp(hull, axis=0)
+        self._is_free = is_free
+        self._limits = np.asarray(sweep.rotation)
+        self._turns = bool(self._limits.any())
+        whole = sweep.inside == "whole"
+        self._hull = hull if whole else np.zeros((1, 3))
+        self._screened = self._turns and whole
+        # Where nothing turns, or a point does, the box around it is the same for every try.
+        self._box = None if self._screened else _box(self._hull)
+        self._probes = _spread(self._hull) if self._screened else self._hull
+        self._bounds: dict[int, tuple[Array, Array]] = {}
+
+    def draw(self, voxel: int, index: int) -> Pose:
+        """Draw one pose; see `poses.draw`."""
+        if voxel not in self._bounds:
+            self._bounds[voxel] = self._grid.bounds(voxel)
+        lo, hi = self._bounds[voxel]
+        rng = np.random.default_rng([self._sweep.seed, voxel, index])
+        pose = self._draw_screened(rng, lo, hi) if self._screened else self._draw_plainly(rng, lo, hi)
+        if pose is None:
+            extent, size = self._extent, hi - lo
+            raise NlosError(
+                f"voxel {self._grid.labels[voxel]}: found no place for the target ({extent[0]:.3g} x {extent[1]:.3g} "
+                f"x {extent[2]:.3g} m) in {size[0]:.3g} x {size[1]:.3g} x {size[2]:.3g} m clear of all "
+                "surfaces and hidden from lamp and camera; use a smaller target, larger voxels, or keep only its "
+                "centre inside (--inside centre)"
+            )
+        return pose
+
+    def _draw_plainly(self, rng: np.random.Generator, lo: Array, hi: Array) -> Pose | None:
+        for _ in range(_TRIES_TURNING if self._turns else _TRIES):
+            if pose := self._try(rng, lo, hi):
+                return pose
+        return None
+
+    def _draw_screened(self, rng: np.random.Generator, lo: Array, hi: Array) -> Pose | None:
+        bits: Any = rng.bit_generator
+        begun, block = 0, _FIRST_BLOCK
+        while begun < _TRIES_TURNING:
+            block = min(block, _TRIES_TURNING - begun)
+            left = self._screen(rng.random((block, _NUMBERS)), lo, hi)
+            at = block
+            for number in left.tolist():
+                bits.advance((number - at) * _NUMBERS)
+                if pose := self._try(rng, lo, hi):
+                    return pose
+                at = number + 1
+            bits.advance((block - at) * _NUMBERS)
+            begun += block
+            block *= 2
+        return None
+
+    def _screen(self, numbers: Array, lo: Array, hi: Array) -> NDArray[np.int64]:
+        """Return which tries may hold: all that do, and few that don't."""
+        size = hi - lo
+        angles = np.radians(self._limits[:, None] * (2.0 * numbers[:, :3].T - 1.0))
+        room = np.ones(len(numbers))
+        for axis, row in enumerate(rotation_rows(angles)):
+            reach = self._probes @ np.stack(row)
+            room *= np.maximum(1.0 - (reach.max(axis=0) - reach.min(axis=0)) / size[axis] + _MARGIN, 0.0)
+        kept: NDArray[np.int64] = np.flatnonzero((room > 0.0) & (numbers[:, 3] <= room + _MARGIN))
+        return kept
+
+    def _try(self, rng: np.random.Generator, lo: Array, hi: Array) -> Pose | None:
+        """Draw rotation and place, and return them if the target fits there."""
+        rotation = rng.uniform(-self._limits, self._limits)
+        # The transposed copy has the same numbers, and its minima are found ten times as fast.
+        reach = self._box or _box(self._hull @ rotation_matrix(tuple(rotation)).T)
+        low, high = lo - reach[0], hi - reach[1]
+        # A sheet as wide as its voxel fits exactly; float32 vertices must not make it too wide.
+        room = high - low + 1e-6 * (hi - lo)
+        keep, where = rng.uniform(), rng.uniform(size=3)
+        if (room < 0).any():
+            return None
+        # Rotations that leave more room to stand must come up more often, or the poses would not be uniform.
+        if self._turns and keep > math.prod(room / (hi - lo)) / (1 + 1e-6) ** 3:
+            return None
+        x, y, z = (float(v) for v in low + where * np.maximum(high - low, 0.0))
+        pose: Pose = ((x, y, z), (float(rotation[0]), float(rotation[1]), float(rotation[2])))
+        return pose if self._is_free(*pose) else None
+
+
+def experiment(number: int, centre: Vector, *, step: float, turn: float = 15.0, steps: int = 2) -> list[list[Pose]]:
+    """Return the poses of one of the paper's experiments (section 5.1): a row for each axis, the middle one at rest.
+
+    Parameters
+    ----------
+    number : {1, 2, 3}
+        1 and 2 move the object (a sphere, a sheet) along x, y and z; 3 turns it about them.
+    centre : (float, float, float)
+        Where it rests, metres.
+    step : float
+        Metres from one place to the next.
+    turn : float
+        Degrees from one rotation to the next.
+    steps : int
+        To each side.
+
+    Raises
+    ------
+    NlosError
+        There is no such experiment.
+    """
+    if number not in (1, 2, 3):
+        raise NlosError(f"experiment {number}: there is none; choose 1, 2 or 3")
+    rows: list[list[Pose]] = []
+    for axis in range(3):
+        row: list[Pose] = []
+        for k in range(-steps, steps + 1):
+            place, rotation = list(centre), [0.0, 0.0, 0.0]
+            if number == 3:
+                rotation[axis] = k * turn
+            else:
+                place[axis] += k * step
+            row.append(((place[0], place[1], place[2]), (rotation[0], rotation[1], rotation[2])))
+        rows.append(row)
+    return rows
+
+
+def trajectory(
+    grid: VoxelGrid, sweep: Sweep, hull: Array, is_free: Callable[[Vector, Vector], bool] = lambda *_: True
+) -> list[PoseRecord]:
+    """Draw a walk through the voxels: straight from one random pose to the next, at an even pace.
+
+    Parameters
+    ----------
+    grid, sweep, hull, is_free
+        As for `plan`; each leg goes where the target is clear of every surface all the way.
+
+    Returns
+    -------
+    list of PoseRecord
+        Frame by frame; voxel and label are those that the target's origin stands in.
+
+    Raises
+    ------
+    NlosError
+        The target fits nowhere, or can go nowhere from where it is.
+    """
+    labels, centred = grid.labels, replace(sweep, inside="centre")
+    sampler = Sampler(grid, centred, hull, is_free)
+    rng = np.random.default_rng([sweep.seed, grid.n_voxels])
+    drawn = 0
+
+    def somewhere() -> tuple[Array, Array]:
+        nonlocal drawn
+        drawn += 1
+        place, turn = sampler.draw(int(rng.integers(grid.n_voxels)), drawn)
+        return np.array(place), np.array(turn)
+
+    place, turn = somewhere()
+    walk = [(place, turn)]
+    while len(walk) < sweep.frames:
+        for _ in range(_TRIES):
+            goal, turned = somewhere()
+            steps = math.ceil(float(np.linalg.norm(goal - place)) / sweep.pace)
+            shares = np.minimum(np.arange(1, steps + 1) * sweep.pace / np.linalg.norm(goal - place), 1.0)[:, None]
+            leg = list(zip(place + shares * (goal - place), turn + shares * (turned - turn), strict=True))
+            if all(is_free(_vector(p), _vector(r)) for p, r in leg):
+                break
+        else:
+            raise NlosError("trajectory: found no way on for the target, clear of all surfaces and hidden all along")
+        walk += leg
+        place, turn = leg[-1]
+    records = []
+    for index, (place, turn) in enumerate(walk[: sweep.frames]):
+        voxel = grid.voxel(place)
+        file = f"frames/{index:05d}.exr"
+        seed = noise_seed(sweep.seed, 1 + index)
+        records.append(PoseRecord(index, voxel, labels[voxel], _vector(place), _vector(turn), seed, file=file))
+    return records
+
+
+def _vector(values: Array) -> Vector:
+    x, y, z = (float(v) for v in values)
+    return x, y, z
+
+
+def _box(points: Array) -> tuple[Array, Array]:
+    """Lowest and highest corner of the box around points (n, 3)."""
+    axes = np.ascontiguousarray(points.T)
+    return axes.min(axis=1), axes.max(axis=1)
+
+
+def _spread(points: Array) -> Array:
+    """Return a few points that lie farthest out, each in another direction."""
+    if len(points) <= _PROBES:
+        return points
+    # A Fibonacci lattice: directions that share the sphere evenly.
+    steps = np.arange(_PROBES)
+    z = 1.0 - (2.0 * steps + 1.0) / _PROBES
+    turn = steps * math.pi * (3.0 - math.sqrt(5.0))
+    ring = np.sqrt(1.0 - z * z)
+    directions = np.stack([ring * np.cos(turn), ring * np.sin(turn), z])
+    chosen: Array = points[np.unique((points @ directions).argmax(axis=0))]
+    return chosen

@@ -1,0 +1,136 @@
+"""A bulk set (`generator.sets.bulk`), read as if it were a data set of pictures in files."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from functools import cached_property, partial
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from generator.model.spec import NlosError, VoxelGrid
+from generator.sets.bulk import Bulk
+from generator.sets.dataset import Dataset, Picture, PoseRecord, Readable
+
+
+class Simulated:
+    """The first pictures of a finished bulk set.
+
+    Parameters
+    ----------
+    bulk : Bulk
+    count : int
+        How many; 0 is all of them.
+    check : bool
+        Look whether their parts are as they were rendered (`Bulk.refuse_changed_parts`).
+
+    Raises
+    ------
+    NlosError
+        The set is not finished, has fewer, or was changed.
+    """
+
+    def __init__(self, bulk: Bulk, count: int = 0, *, check: bool = True) -> None:
+        bulk.refuse_unfinished()
+        if not 0 <= count <= bulk.planned:
+            raise NlosError(f"{bulk.path}: holds {bulk.planned} pictures, so {count} cannot be taken")
+        self._bulk = bulk
+        self._count = count or bulk.planned
+        if check:
+            bulk.refuse_changed_parts(self._count)
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        return partial(Simulated, check=False), (self._bulk, self._count)
+
+    @property
+    def path(self) -> Path:
+        """Of the set."""
+        return self._bulk.path
+
+    @property
+    def meta(self) -> dict[str, Any]:
+        """All of ``bulk.toml``."""
+        return self._bulk.meta
+
+    @property
+    def settings(self) -> dict[str, Any]:
+        """Of the set, with how many pictures are taken."""
+        return {**self._bulk.settings, "pictures": self._count}
+
+    @property
+    def grid(self) -> VoxelGrid:
+        """The voxel grid."""
+        return self._bulk.grid
+
+    @property
+    def target_kind(self) -> str:
+        """The kind of target: sheet, sphere or mesh."""
+        return self._bulk.target_kind
+
+    @property
+    def reference_radiance(self) -> float:
+        """Radiance of the directly lit patch around w1, W/m^2/sr."""
+        return self._bulk.reference_radiance
+
+    @property
+    def colour_space(self) -> str:
+        """The linear space that the three channels are of: Rec.709, Rec.2020 or ACEScg."""
+        return self._bulk.colour_space
+
+    @property
+    def planned(self) -> int:
+        """How many pictures are taken."""
+        return self._count
+
+    @cached_property
+    def records(self) -> list[PoseRecord]:
+        """The pictures' poses, in their order; the files are named but do not exist."""
+        labels, n = self.grid.labels, self.grid.n_voxels
+        made = []
+        poses = zip(self._bulk.positions[: self._count], self._bulk.rotations[: self._count], strict=True)
+        for number, (position, rotation) in enumerate(poses):
+            index, voxel = divmod(number, n)
+            file = f"{labels[voxel]}/{index:04d}"
+            made.append(PoseRecord(index, voxel, labels[voxel], tuple(position), tuple(rotation), 0, file=file))
+        return made
+
+    def background(self) -> Picture:
+        """Return the picture without the hidden object, (height, width, 3), W/m^2/sr."""
+        return self._bulk.background
+
+    def ambient_background(self) -> Picture | None:
+        """Return what ambient light alone adds to it, (height, width, 3); None where there is none."""
+        world = self._bulk.world()
+        if world.ambient is None:
+            return None
+        from generator.transport import Transport  # readers of sets need no compiler
+
+        lamp = Transport(replace(world, ambient=None), accuracy=self._bulk.plan.accuracy).background()
+        return self.background() - lamp.astype(np.float32)
+
+    def picture(self, record: PoseRecord) -> Picture:
+        """Return a pose's picture, (height, width, 3), W/m^2/sr."""
+        found = self._bulk.pictures[record.index * self.grid.n_voxels + record.voxel]
+        return found if found.ndim == 3 else np.repeat(found[..., None], 3, axis=2)
+
+
+def opened(path: Path, count: int = 0) -> Readable:
+    """Open a data set, or a bulk set as one.
+
+    Parameters
+    ----------
+    path : Path
+    count : int
+        Pictures to take of a bulk set; 0 is all.
+
+    Raises
+    ------
+    NlosError
+        There is neither, or a number was given for a data set.
+    """
+    if Bulk.exists(path):
+        return Simulated(Bulk.open(path), count)
+    if count:
+        raise NlosError(f"{path}: is no simulated set (nlos-generate bulk), of which a number could be taken")
+    return Dataset.open(path)

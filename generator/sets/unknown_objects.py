@@ -1,0 +1,68 @@
+"""Objects that stand in for one nobody knows: boxes and sheets of random edges, turn and albedo.
+
+Three diffuse reflections leave no edge or curve of an object to see, but how large it is, how flat, which way it
+faces and how bright it is. Boxes have all of these; and they are convex and of few faces, so the engine is fast.
+"""
+
+from __future__ import annotations
+
+import itertools
+
+import numpy as np
+
+from generator.model.spec import Array, NlosError, Sweep, VoxelGrid, rotation_matrix
+from generator.transport.world import Mesh
+
+SMALLEST, LARGEST, TALLEST = 0.2, 1.0, 1.6
+"""Edges, in those of a voxel: its shorter level edge is 1 for all three. Each is as likely to double as to halve."""
+
+FLAT = 1.0 / 3.0
+"""Share of sheets."""
+
+DARKEST = 0.3
+"""Least albedo; the most is 1."""
+
+_TRIES = 10_000
+_FACES = ((0, 1, 3, 2), (4, 6, 7, 5), (0, 4, 5, 1), (2, 3, 7, 6), (0, 2, 6, 4), (1, 5, 7, 3))
+
+
+def stranger(grid: VoxelGrid, sweep: Sweep, index: int) -> Mesh:
+    """Return an object, in its own frame, turned already as far as the sweep turns.
+
+    Parameters
+    ----------
+    grid : VoxelGrid
+    sweep : Sweep
+        If all of a target must lie in its voxel, the object fits into one.
+    index : int
+        Of the pose: every index has another object, the same in all voxels.
+
+    Raises
+    ------
+    NlosError
+        None fits.
+    """
+    rng = np.random.default_rng([sweep.seed, index, 6])
+    size = np.asarray(grid.size)
+    unit = size[:2].min()
+    for _ in range(_TRIES):
+        edges = unit * np.exp(rng.uniform(np.log(SMALLEST), np.log([LARGEST, LARGEST, TALLEST])))
+        if rng.uniform() < FLAT:
+            edges[rng.integers(2)] = 0.0
+        turn = rotation_matrix(tuple(rng.uniform(-1.0, 1.0, 3) * sweep.rotation))
+        albedo = rng.uniform(DARKEST, 1.0)
+        mesh = _box(edges, turn, albedo)
+        if sweep.inside == "centre" or (np.ptp(mesh.triangles.reshape(-1, 3), axis=0) < size).all():
+            return mesh
+    raise NlosError(
+        f"grid: its voxels of {size[0]:.3g} x {size[1]:.3g} x {size[2]:.3g} m hold none of the unknown objects; "
+        "keep only their centres inside (--inside centre)"
+    )
+
+
+def _box(edges: Array, turn: Array, albedo: float) -> Mesh:
+    corners = np.array(list(itertools.product((-0.5, 0.5), repeat=3))) * edges @ turn.T
+    quads = [face for face in _FACES if np.linalg.matrix_rank(corners[list(face)] - corners[face[0]], tol=1e-9) == 2]
+    quads = quads[: 1 if len(quads) == 2 else None]  # a sheet's two sides are one surface, which reflects from both
+    triangles = np.array([corners[[a, b, c]] for p, q, r, s in quads for a, b, c in ((p, q, r), (p, r, s))])
+    return Mesh(triangles, np.full((len(triangles), 3), albedo))

@@ -1,0 +1,152 @@
+"""A world made ready for summing: in the wall's own frame and unit, surfaces as cells and as what rays meet."""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from generator.model.spec import Array, NlosError
+from generator.transport import elements, integral
+from generator.transport.faces import Faces
+from generator.transport.obstacles import Obstacles
+from generator.transport.rays import Surfaces
+from generator.transport.world import Mesh, Sphere, Watched, World
+
+Floats = NDArray[Any]
+
+
+class Frame:
+    """The wall's own frame: origin in the middle of the watched patch, third axis the wall's normal, its own unit.
+
+    In units of the watched patch's half diagonal every scene is of the same size, so neither a millimetre nor a
+    kilometre over- or underflows, and wherever the scene stands its coordinates keep their digits.
+    """
+
+    def __init__(self, watched: Watched) -> None:
+        corners = watched.points(np.array([[0.0, 0.0], [1.0, 0.0], [0.0, 1.0], [1.0, 1.0]]))
+        self.origin = watched.points(np.array([0.5, 0.5]))
+        self.unit = float(np.linalg.norm(corners - self.origin, axis=1).max())
+        first = corners[1] - corners[0]
+        first = first - (first @ watched.normal) * watched.normal
+        first /= np.linalg.norm(first)
+        self.axes = np.stack([first, np.cross(watched.normal, first), watched.normal])
+
+    def points(self, world: Array) -> Array:
+        """Return points (..., 3), metres in the world, in this frame."""
+        local: Array = (world - self.origin) @ self.axes.T / self.unit
+        return local
+
+    def directions(self, world: Array) -> Array:
+        """Return directions (..., 3) of the world in this frame, lengths kept."""
+        local: Array = world @ self.axes.T
+        return local
+
+
+class Setting:
+    """A world in its wall's frame.
+
+    Attributes
+    ----------
+    frame : Frame
+    resolution : (int, int)
+    patch : ndarray of shape (14,)
+        As `elements.clip_patch` describes it, of radiance 1 under the lamp.
+    whole, chords : ndarray
+        Its quadrature rules (`integral.patch_rules`, `integral.chord_rules`).
+    pole, spread : ndarray of shape (3,), float
+        A circle around it.
+    to_wall : ndarray of shape (3, 3)
+        From (u, v, 1) to the wall's axes.
+    wall_radiance, factor : ndarray of shape (3,)
+        Radiance, W/m^2/sr, of the lit patch under the lamp; and of what sums over the target give per unit.
+    channel : list of int
+        Which group of tints each colour channel takes: surfaces that are all grey are one group.
+    flat, balls : ndarray
+        The target's cells, in its own frame.
+    tint : ndarray of shape (cells, groups)
+        Their albedo.
+    faces : Faces
+    target : Surfaces
+        What rays meet of it, in its own frame.
+    convex : bool
+        Whether the target is one convex body or one flat sheet, so that no part of it hides another.
+    room, around : Surfaces
+        Without and with the relay wall, where it counts.
+    sky : ndarray of shape (3,)
+        Radiance, W/m^2/sr, of the watched wall where all of the sky's light is on it; of worlds with ambient light.
+    room_cells : ndarray
+    obstacles : Obstacles
+    """
+
+    def __init__(self, world: World) -> None:
+        watched, lit = world.watched, world.patch
+        frame = self.frame = Frame(watched)
+        self.resolution = watched.resolution
+        self.patch = np.concatenate(
+            [
+                frame.points(lit.centre)[:2],
+                frame.directions(lit.major)[:2] / frame.unit,
+                frame.directions(lit.minor)[:2] / frame.unit,
+                frame.points(lit.lamp)[:2],
+                [lit.height / frame.unit],
+                frame.directions(lit.axis),
+                [lit.cos_outer, lit.cos_width],
+            ]
+        )
+        self.whole, self.chords = integral.patch_rules(self.patch), integral.chord_rules()
+        self.pole, self.spread = np.append(self.patch[:2], 0.0), math.hypot(self.patch[2], self.patch[3])
+        self.to_wall = np.concatenate(
+            [
+                frame.axes[:2] @ (watched.to_wall[:3] - np.outer(frame.origin, watched.to_wall[3])),
+                frame.unit * watched.to_wall[3:],
+            ]
+        )
+        self.wall_radiance = lit.albedo * lit.intensity / (math.pi * lit.height**2)
+        self.factor = self.wall_radiance * watched.albedo / math.pi**2
+
+        self.flat, self.balls, tint = elements.cells(world.target)
+        self.flat[:, 2:11] /= frame.unit
+        self.balls[:, [2, 3, 4, 15]] /= frame.unit
+        if not len(self.flat) + len(self.balls):
+            raise NlosError("the target has no surface")
+        room = _joined([Mesh(frame.points(m.triangles), m.albedo) for m in world.room])
+        around = [room]
+        if world.ambient is not None:
+            wall = world.ambient.wall
+            around.append(Mesh(frame.points(wall.triangles), wall.albedo))
+            self.sky = world.ambient.radiance * watched.albedo
+        every = np.concatenate([tint, *(m.albedo for m in around)])
+        self.channel = [0, 0, 0] if (every == every[:, :1]).all() else [0, 1, 2]
+        kept = sorted(set(self.channel))
+        self.tint = np.ascontiguousarray(tint[:, kept])
+        self.faces = Faces(self.flat, len(self.balls), self.to_wall, self.patch)
+        self.room = Surfaces(room.triangles, room.albedo[:, kept])
+        whole = _joined(around)
+        self.around = Surfaces(whole.triangles, whole.albedo[:, kept])
+        self.room_cells = elements.cells((room,))[0]
+        # A room is seen from inside, however it is closed.
+        self.room_cells[:, 1] = 0.0
+
+        meshes = _joined([Mesh(b.triangles / frame.unit, b.albedo) for b in world.target if isinstance(b, Mesh)])
+        spheres = [np.append(b.centre, b.radius) / frame.unit for b in world.target if isinstance(b, Sphere)]
+        self.target = Surfaces(meshes.triangles, meshes.albedo[:, kept], np.reshape(spheres, (-1, 4)))
+        one_sided = bool(len(self.balls)) or bool(self.flat[:, 1].all())
+        self.convex = len(world.target) == 1 and (one_sided or len(self.flat) == 1)
+        eye = watched.eye
+        self.obstacles = Obstacles(
+            self.room,
+            self.target,
+            self.to_wall,
+            self.patch,
+            np.append(frame.points(eye[:3]) if eye[3] else frame.directions(eye[:3]) / frame.unit, eye[3]),
+        )
+
+
+def _joined(meshes: list[Mesh]) -> Mesh:
+    return Mesh(
+        np.concatenate([np.zeros((0, 3, 3)), *(m.triangles for m in meshes)]),
+        np.concatenate([np.zeros((0, 3)), *(m.albedo for m in meshes)]),
+    )

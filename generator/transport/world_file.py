@@ -1,0 +1,116 @@
+"""A world as a file of plain arrays: what a set was made of, to be made again without Blender."""
+
+from __future__ import annotations
+
+import hashlib
+from dataclasses import fields, is_dataclass
+from pathlib import Path
+from typing import Any, get_args, get_origin, get_type_hints
+
+import numpy as np
+from numpy.typing import NDArray
+
+from generator.files.limits import check_archive
+from generator.model.spec import NlosError
+from generator.sets.dataset import atomic
+from generator.transport.world import Mesh, World
+
+Arrays = dict[str, NDArray[Any]]
+
+_KIND = "kind"
+
+
+def save_world(path: Path, world: World) -> None:
+    """Write a world as ``.npz``, by temporary name and rename: an array per figure, and nothing pickled.
+
+    Raises
+    ------
+    NlosError
+        The file cannot be written.
+    """
+    with atomic(path) as temporary, temporary.open("wb") as file:
+        np.savez(file, **_flatten(world))
+
+
+def load_world(path: Path) -> World:
+    """Read a world that `save_world` wrote.
+
+    Raises
+    ------
+    NlosError
+        The file is missing, or is not a world of this software.
+    """
+    try:
+        check_archive(path)
+        with path.open("rb") as raw, np.load(raw, allow_pickle=False) as file:
+            arrays = {name: file[name] for name in file.files}
+        world: World = _unflatten(World, arrays, "")
+        _check(world)
+    except FileNotFoundError:
+        raise NlosError(f"{path}: no such file") from None
+    except Exception as error:  # of many kinds: the archive's, of what is in it, and of the text in its headers
+        raise NlosError(f"{path}: is not a world of this software ({error})") from None
+    return world
+
+
+_SHAPES = {"to_wall": (4, 3), "eye": (4,), "triangles": (-1, 3, 3)}
+"""Of arrays that are no vector or colour; -1 is any."""
+
+
+def _check(world: World) -> None:
+    """Raise ValueError unless all arrays are what compiled code takes them for: it reads on where they end."""
+    for body in (world.patch, world.watched, *world.target, *world.room):
+        for part in fields(body):
+            value = getattr(body, part.name)
+            if part.name == "resolution" or isinstance(value, float):
+                continue
+            wanted = (-1, 3) if isinstance(body, Mesh) and part.name == "albedo" else _SHAPES.get(part.name, (3,))
+            shape = value.shape if isinstance(value, np.ndarray) and value.dtype.kind == "f" else ()
+            if len(shape) != len(wanted) or any(w not in (-1, n) for n, w in zip(shape, wanted, strict=True)):
+                raise ValueError(f"{part.name} must be numbers of shape {wanted}")
+            if not np.isfinite(value).all():
+                raise ValueError(f"{part.name} must be finite")
+    if not 1 <= world.order <= 3 or not all(1 <= n <= 65536 for n in world.watched.resolution):
+        raise ValueError("its order or resolution cannot be")
+
+
+def world_hash(world: World) -> str:
+    """Return the SHA-256 of all figures of a world."""
+    digest = hashlib.sha256()
+    for name, array in sorted(_flatten(world).items()):
+        little = np.ascontiguousarray(array, dtype=array.dtype.newbyteorder("<"))
+        digest.update(f"{name} {little.dtype.str} {little.shape}\n".encode() + little.tobytes())
+    return digest.hexdigest()
+
+
+def _flatten(value: Any, name: str = "") -> Arrays:
+    """Every figure inside nested dataclasses and tuples of them, by dotted name."""
+    if value is None:
+        return {}
+    if is_dataclass(value):
+        inner = {f.name: getattr(value, f.name) for f in fields(value)}
+        prefix = f"{name}." if name else ""
+        parts = [_flatten(part, f"{prefix}{key}") for key, part in inner.items()]
+        return {k: a for part in parts for k, a in part.items()}
+    if isinstance(value, tuple) and all(map(is_dataclass, value)):
+        # Which kind of body each is, in order; so an empty tuple leaves its trace too.
+        parts = [{f"{name}.{_KIND}": np.array([type(part).__name__ for part in value], dtype=np.str_)}]
+        parts += [_flatten(part, f"{name}.{i}") for i, part in enumerate(value)]
+        return {k: a for part in parts for k, a in part.items()}
+    return {name: np.asarray(value)}
+
+
+def _unflatten(hint: Any, arrays: Arrays, name: str) -> Any:
+    if type(None) in get_args(hint):
+        there = any(key.startswith(f"{name}.") for key in arrays)
+        return _unflatten(get_args(hint)[0], arrays, name) if there else None
+    if is_dataclass(hint) and isinstance(hint, type):
+        prefix = f"{name}." if name else ""
+        return hint(**{key: _unflatten(part, arrays, f"{prefix}{key}") for key, part in get_type_hints(hint).items()})
+    if get_origin(hint) is tuple and get_args(hint)[-1] is Ellipsis:
+        kinds = {kind.__name__: kind for kind in get_args(get_args(hint)[0]) or (get_args(hint)[0],)}
+        named = arrays[f"{name}.{_KIND}"].tolist()
+        return tuple(_unflatten(kinds[kind], arrays, f"{name}.{i}") for i, kind in enumerate(named))
+    if get_origin(hint) is tuple:
+        return tuple(arrays[name].tolist())
+    return hint(arrays[name]) if hint in (int, float, bool) else arrays[name]
