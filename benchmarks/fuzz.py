@@ -67,14 +67,14 @@ def read_exr(data: bytes) -> None:
         dataset.read_picture(_FILE)
 
 
-def read_poses(data: bytes) -> None:
+def try_poses(data: bytes) -> None:
     """Read a manifest of poses."""
     _FILE.write_bytes(data)
     with contextlib.suppress(spec.NlosError):
         dataset._read_poses(_FILE)
 
 
-def read_toml(data: bytes) -> None:
+def try_toml(data: bytes) -> None:
     """Read a scene, a sweep, a sensor and a plan."""
     _FILE.write_bytes(data)
     for kind in (spec.Scene, spec.Sweep, Sensor):
@@ -234,8 +234,8 @@ def read_mesh(data: bytes) -> None:
 
 TARGETS = {
     "exr": read_exr,
-    "poses": read_poses,
-    "toml": read_toml,
+    "poses": try_poses,
+    "toml": try_toml,
     "dataset": read_dataset,
     "features": read_features,
     "atlas": read_atlas,

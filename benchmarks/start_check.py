@@ -189,7 +189,7 @@ def right_scenes() -> dict[str, Callable[[], Any]]:
 
     from generator.blender.scene import stage
 
-    def preset(name: str, kind: str) -> Callable[[], Any]:
+    def of_preset(name: str, kind: str) -> Callable[[], Any]:
         def made() -> Any:
             scene = stage.new_file()
             stage.build(scene, spec.preset(name, kind))
@@ -198,7 +198,7 @@ def right_scenes() -> dict[str, Callable[[], Any]]:
         return made
 
     presets = {
-        f"{name}, {kind}": preset(name, kind)
+        f"{name}, {kind}": of_preset(name, kind)
         for name in ("room", "tabletop", "corridor")
         for kind in ("sheet", "sphere")
     }

@@ -163,7 +163,7 @@ def test_command_line_checks(scene_file, tmp_path, command):
 
 def as_an_artist_might_have_it(scene):
     """The room, turned and moved, in centimetres, under a scaled parent, without roles, with a second camera."""
-    roles = {o.name: o.get(stage.ROLE) for o in scene.objects}
+    played = {o.name: o.get(stage.ROLE) for o in scene.objects}
     turned = Matrix.Translation((310.0, -220.0, 15.0)) @ Matrix.Rotation(math.radians(37.0), 4, "Z")
     change = turned @ Matrix.Diagonal((100.0, 100.0, 100.0, 1.0))
     parent = bpy.data.objects.new("Set", None)
@@ -188,13 +188,13 @@ def as_an_artist_might_have_it(scene):
     scene.unit_settings.scale_length = 0.01
     scene.unit_settings.length_unit = "CENTIMETERS"
     # Its sheet is a plane that an array modifier completes.
-    target = next(o for o in scene.objects if roles.get(o.name) == "target")
+    target = next(o for o in scene.objects if played.get(o.name) == "target")
     target.data.transform(Matrix.Diagonal((0.5, 1.0, 1.0, 1.0)) @ Matrix.Translation((0.25, 0.0, 0.0)))
     target.modifiers.new("Mirror", "MIRROR").use_clip = True
     for key in (stage.GRID_LO, stage.GRID_HI, stage.GRID_SHAPE, stage.PRESET):
         del scene[key]
     bpy.context.view_layer.update()
-    return roles
+    return played
 
 
 def test_an_artists_scene_is_adopted_and_renders_as_the_one_written_by_hand():
@@ -204,9 +204,9 @@ def test_an_artists_scene_is_adopted_and_renders_as_the_one_written_by_hand():
     bpy.context.view_layer.update()
     with engines.opened(scene, "surfel", resolution=(16, 16), accuracy=1e-4) as renderer:
         by_hand = renderer.render(), renderer.render(target=False)
-    roles = as_an_artist_might_have_it(scene)
+    played = as_an_artist_might_have_it(scene)
     assert told(scene, ERROR)
-    for name, role in roles.items():
+    for name, role in played.items():
         if role in stage.SINGLE_ROLES:
             adopt.assign(scene, role, [scene.objects[name]])
     assert {f.fix for f in told(scene, ERROR)} == {"metres", "align"}
@@ -225,8 +225,8 @@ def test_an_artists_scene_is_adopted_and_renders_as_the_one_written_by_hand():
 def test_an_adopted_scene_is_swept(tmp_path):
     scene = built()
     described = stage.read(scene)
-    roles = as_an_artist_might_have_it(scene)
-    for name, role in roles.items():
+    played = as_an_artist_might_have_it(scene)
+    for name, role in played.items():
         if role in stage.SINGLE_ROLES:
             adopt.assign(scene, role, [scene.objects[name]])
     check.mend(scene, "metres")

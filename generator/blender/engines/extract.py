@@ -354,8 +354,8 @@ def lights(scene: bpy.types.Scene) -> list[Light]:
 
 def _read(scene: bpy.types.Scene) -> _Reading:
     parts = stage.target_parts(scene)
-    roles = {stage.find(scene, role): role for role in ("relay_wall", "spot", "camera", "target")}
-    roles |= dict.fromkeys(parts, "target")
+    played = {stage.find(scene, role): role for role in ("relay_wall", "spot", "camera", "target")}
+    played |= dict.fromkeys(parts, "target")
 
     def look(depsgraph: Any) -> _Reading:
         layers = _layer_reasons(scene)
@@ -364,7 +364,7 @@ def _read(scene: bpy.types.Scene) -> _Reading:
         _read_world(getattr(layer, "world_override", None) or depsgraph.scene.world, reading)
         known: dict[tuple[int, ...], _Shape] = {}
         for instance in depsgraph.object_instances:
-            _read_instance(instance, roles, parts[0], layer, reading, known)
+            _read_instance(instance, played, parts[0], layer, reading, known)
         return reading
 
     return stage.as_rendered(scene, look)
@@ -372,7 +372,7 @@ def _read(scene: bpy.types.Scene) -> _Reading:
 
 def _read_instance(
     instance: Any,
-    roles: dict[bpy.types.Object, str],
+    played: dict[bpy.types.Object, str],
     target: bpy.types.Object,
     layer: bpy.types.ViewLayer,
     reading: _Reading,
@@ -380,12 +380,12 @@ def _read_instance(
 ) -> None:
     obj = instance.object
     owner = (instance.parent if instance.is_instance else obj).original
-    role = roles.get(owner, "room")
+    role = played.get(owner, "room")
     matrix = stage.numbers(instance.matrix_world)
-    if not instance.is_instance and obj.original in roles:
+    if not instance.is_instance and obj.original in played:
         reading.places[role if role != "target" or obj.original == target else obj.name] = matrix
     if obj.type == "LIGHT":
-        _read_lamp(instance, roles.get(obj.original, "room"), matrix, reading)
+        _read_lamp(instance, played.get(obj.original, "room"), matrix, reading)
         return
     hair = [s for s in obj.particle_systems if s.settings.type == "HAIR" and s.settings.render_type == "PATH"]
     if hair and instance.show_particles:

@@ -54,11 +54,11 @@ def apply(scene: bpy.types.Scene, names: Iterable[str]) -> None:
         There is no such piece.
     """
     pieces = _pieces(scene)
-    roles = [stage.find(scene, role).name for role in stage.SINGLE_ROLES]
+    named = [stage.find(scene, role).name for role in stage.SINGLE_ROLES]
     for name in set(names).difference(PARTS):
         if name in pieces:
             pieces[name]()
-        elif name in scene.objects and name not in roles:
+        elif name in scene.objects and name not in named:
             scene.objects[name].hide_render = True
         else:
             raise NlosError(
@@ -79,26 +79,26 @@ def _pieces(scene: bpy.types.Scene) -> dict[str, Callable[[], None]]:
         pieces[BEYOND] = functools.partial(stage.limit_reflections, scene, extract.MAX_ORDER)
     if stage.ambient(scene) > 0.0:
         pieces[AMBIENT] = functools.partial(_put_out_the_sky, scene)
-    roles = {stage.find(scene, role): role for role in stage.SINGLE_ROLES}
-    shown = [o for o in scene.objects if not stage.unseen(scene, o) and not _keeps(o, roles)]
+    named = {stage.find(scene, role): role for role in stage.SINGLE_ROLES}
+    shown = [o for o in scene.objects if not stage.unseen(scene, o) and not _keeps(o, named)]
     for obj in shown:
         if obj.type == "LIGHT":
             if obj.data.energy != 0.0:
                 pieces[_LAMP + repr(obj.name)] = functools.partial(setattr, obj, "hide_render", True)
         elif obj.type in ("MESH", "CURVE", "SURFACE", "FONT", "META"):
-            _add_mesh(pieces, obj, target=roles.get(obj) == "target")
+            _add_mesh(pieces, obj, target=named.get(obj) == "target")
         elif obj.type not in ("EMPTY", "CAMERA", "SPEAKER", "ARMATURE", "LATTICE", "LIGHT_PROBE"):
             pieces[obj.name] = functools.partial(setattr, obj, "hide_render", True)
-    materials = {slot.material for obj in shown if obj.type != "LIGHT" for slot in obj.material_slots}
-    for material in sorted(materials - {None}, key=lambda m: m.name):
+    used = {slot.material for obj in shown if obj.type != "LIGHT" for slot in obj.material_slots}
+    for material in sorted(used - {None}, key=lambda m: m.name):
         if nodes.diffuse(material) is None:
             pieces[f"the material {material.name!r}"] = functools.partial(_make_plain, material)
     return pieces
 
 
-def _keeps(obj: bpy.types.Object, roles: dict[bpy.types.Object, str]) -> bool:
+def _keeps(obj: bpy.types.Object, named: dict[bpy.types.Object, str]) -> bool:
     """Whether an object is what a sweep is about: camera, spot, wall."""
-    return roles.get(obj) in ("camera", "spot", "relay_wall")
+    return named.get(obj) in ("camera", "spot", "relay_wall")
 
 
 def _add_mesh(pieces: dict[str, Callable[[], None]], obj: bpy.types.Object, *, target: bool) -> None:
