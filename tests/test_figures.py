@@ -101,9 +101,9 @@ def test_the_command_says_what_check_would(tmp_path, command):
     done = command("generator", "scene", "room", "--set", "reflection_order=2", "-o", tmp_path / "a.blend")
     assert done.returncode == 0, done.stderr
     assert done.stdout.startswith("note: Light makes 2 reflections at most")
-    for preset in ("room", "corridor"):
-        done = command("generator", "scene", preset, "-o", tmp_path / "b.blend")
-        assert "note" not in done.stdout, preset
+    for name in ("room", "corridor"):
+        done = command("generator", "scene", name, "-o", tmp_path / "b.blend")
+        assert "note" not in done.stdout, name
 
 
 def test_many_voxels_have_their_names_at_once():

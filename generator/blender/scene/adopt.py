@@ -6,8 +6,9 @@ import math
 from collections.abc import Sequence
 
 import bpy
+import mathutils
 import numpy as np
-from mathutils import Matrix, Vector
+from mathutils import Matrix
 
 from generator.blender.scene import stage
 from generator.model import spec
@@ -172,7 +173,12 @@ def _transform(scene: bpy.types.Scene, change: Matrix) -> None:
     if all(key in scene for key in (stage.GRID_LO, stage.GRID_HI, stage.GRID_SHAPE)):
         lo, hi = scene[stage.GRID_LO], scene[stage.GRID_HI]
         corners = np.array(
-            [change @ Vector((x, y, z)) for x in (lo[0], hi[0]) for y in (lo[1], hi[1]) for z in (lo[2], hi[2])],
+            [
+                change @ mathutils.Vector((x, y, z))
+                for x in (lo[0], hi[0])
+                for y in (lo[1], hi[1])
+                for z in (lo[2], hi[2])
+            ],
             dtype=np.float64,
         )
         scene[stage.GRID_LO], scene[stage.GRID_HI] = (

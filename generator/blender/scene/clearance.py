@@ -7,8 +7,8 @@ from collections.abc import Callable, Sequence
 from typing import Any
 
 import bpy
+import mathutils
 import numpy as np
-from mathutils import Vector
 from mathutils.bvhtree import BVHTree
 from numpy.typing import NDArray
 
@@ -79,7 +79,11 @@ class Surroundings:
                 return False
             if own and any(own.holds((corner - position) @ turn) for corner in self._corners):
                 return False
-            near = [tree for tree in self._surfaces if tree.find_nearest(Vector(position), radius)[0] is not None]
+            near = [
+                tree
+                for tree in self._surfaces
+                if tree.find_nearest(mathutils.Vector(position), radius)[0] is not None
+            ]
             sighted = [sight for sight in self._hidden_from if sight.may_hold(position, radius)]
             if not near and not sighted:
                 return True

@@ -21,8 +21,9 @@ import bpy
 
 # isort: split
 import bmesh  # exists only once bpy is imported
+import mathutils
 import numpy as np
-from mathutils import Euler, Matrix, Quaternion, Vector
+from mathutils import Euler, Matrix, Quaternion
 
 from generator.blender.scene import nodes, references
 from generator.files import meshes
@@ -827,7 +828,9 @@ def move_target(scene: bpy.types.Scene, position: spec.Vector, rotation: spec.Ve
     bpy.context.view_layer.update()
     if not target.visible_get():
         return  # the viewport does not know of it; what is rendered is looked at before a sweep (`extract.survey`)
-    wanted = Matrix.LocRotScale(Vector(position), turn, Vector(target.scale) * Vector(target.delta_scale))
+    wanted = Matrix.LocRotScale(
+        mathutils.Vector(position), turn, mathutils.Vector(target.scale) * mathutils.Vector(target.delta_scale)
+    )
     got = target.evaluated_get(bpy.context.evaluated_depsgraph_get()).matrix_world
     tolerance = 1e-5 * (1.0 + max(map(abs, position)))
     if any(abs(a - b) > tolerance for r, s in zip(wanted, got, strict=True) for a, b in zip(r, s, strict=True)):
@@ -878,7 +881,7 @@ def put_back(scene: bpy.types.Scene) -> Iterator[None]:
     ]
     before = {name: getattr(target, name) for name in names}
     for name, value in before.items():
-        if isinstance(value, Vector | Euler | Quaternion | Matrix):
+        if isinstance(value, mathutils.Vector | Euler | Quaternion | Matrix):
             before[name] = value.copy()  # else a view of what is going to change
     before["rotation_axis_angle"] = tuple(target.rotation_axis_angle)
     try:
@@ -1019,7 +1022,7 @@ def _spot(lamp: spec.Spot) -> bpy.types.Object:
     obj = bpy.data.objects.new("Spot", light)
     obj.location = lamp.location
     way = np.subtract(lamp.aim, lamp.location)  # in units of its own: Blender takes a short one for none
-    obj.rotation_euler = Vector(way / np.linalg.norm(way)).to_track_quat("-Z", "Y").to_euler()
+    obj.rotation_euler = mathutils.Vector(way / np.linalg.norm(way)).to_track_quat("-Z", "Y").to_euler()
     return obj
 
 
@@ -1228,11 +1231,11 @@ def view(scene: bpy.types.Scene, camera: bpy.types.Object, place: Array | None =
         raise NlosError(f"{_file()}: the camera {camera.name!r} must be a perspective or orthographic camera")
     matrix = camera.matrix_world if place is None else Matrix(place.tolist())
     # Cameras have no scale: Blender drops it.
-    matrix = Matrix.LocRotScale(*matrix.decompose()[:2], Vector(map(_sign, matrix.to_scale())))
+    matrix = Matrix.LocRotScale(*matrix.decompose()[:2], mathutils.Vector(map(_sign, matrix.to_scale())))
     starts, corners = [], []
     for corner in camera.data.view_frame(scene=scene):
         parallel = camera.data.type == "ORTHO"
-        start = matrix @ Vector((corner.x, corner.y, 0.0)) if parallel else matrix.translation
+        start = matrix @ mathutils.Vector((corner.x, corner.y, 0.0)) if parallel else matrix.translation
         ray = matrix @ corner - start
         if ray.y >= 0.0 or start.y <= 0.0:
             raise NlosError(
