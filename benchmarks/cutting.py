@@ -14,14 +14,14 @@ from typing import Any
 import numpy as np
 import scenes
 
-from generator.model import spec
+from generator.model.presets import preset
 from generator.transport import Transport, fields
 from generator.transport.world import Mesh
 
 
 def furnished(boxes: int) -> Any:
     """Return the preset room with boxes beside its partition."""
-    world = scenes.world_from_spec(replace(spec.preset("room", "sphere"), resolution=(32, 32)))
+    world = scenes.world_from_spec(replace(preset("room", "sphere"), resolution=(32, 32)))
     rng = np.random.default_rng(boxes)
     added = []
     for _ in range(boxes):

@@ -16,7 +16,8 @@ import bpy
 import numpy as np
 from mathutils import Matrix
 
-from generator.model.spec import Camera, Partition, Room, Scene, Spot, Target, VoxelGrid, Wall
+from generator.model.grid import VoxelGrid
+from generator.model.scene import Camera, Partition, Room, Scene, Spot, Target, Wall
 
 BASE = Scene(
     preset="custom",

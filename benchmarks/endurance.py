@@ -16,10 +16,10 @@ from pathlib import Path
 import numpy as np
 from matplotlib import pyplot as plt
 
+from generator.files.writing import csv_text, write_text
 from generator.jobs import sweep
 from generator.jobs.journal import memory
 from generator.measure import figures
-from generator.sets.dataset import csv_text, write_text
 
 
 def main() -> None:

@@ -8,7 +8,7 @@ samples, against `surfel` at an accuracy of 1e-6 (in the room 1e-5); `surfel` al
 sweep does, and its seconds are then those of one. "agreement": the picture's mean, engine against
 engine, with 95 % intervals over independent renders, from 1 m down to 5 cm from the relay wall; that table, not the
 first, is what shows that the engines are right, since Mitsuba shares nothing with them: it gets worlds made by hand
-(`scenes.py`), and `surfel` those that `generator.blender.engines.extract` reads from the Blender scene.
+(`scenes.py`), and `surfel` those that `generator.blender.engines.survey` reads from the Blender scene.
 
 Mitsuba is left out, with a word, where it is not installed (`pip install mitsuba`; its LLVM variants need LLVM 17 or
 later). Cycles and Mitsuba each run in a process of their own, one at a time.
@@ -33,8 +33,10 @@ import numpy as np
 import scenes
 from scipy.stats import t as student
 
-from generator.model import spec
-from generator.model.spec import rotation_matrix
+from generator.model.arrays import rotation_matrix
+from generator.model.errors import NlosError
+from generator.model.presets import preset
+from generator.model.scene import Target
 from generator.transport.compiled import COMPILED
 from generator.transport.world import Body, Sphere, World
 
@@ -75,7 +77,7 @@ class Case:
     def spec(self) -> spec.Scene:
         """The scene, its target a sheet where the spec knows none such."""
         kind = self.target if self.target in ("sphere", "sheet") else "sheet"
-        scene = replace(spec.preset("room", kind), resolution=(self.resolution, self.resolution))
+        scene = replace(preset("room", kind), resolution=(self.resolution, self.resolution))
         return scene if self.room else replace(scene, room=None, partition=None)
 
     @property
@@ -85,7 +87,7 @@ class Case:
             return (scenes.box(0.35, 0.9),)
         if self.target == "sphere+sheet":
             ball = Sphere(np.array([-0.13, -0.12, 0.04]), 0.12, np.full(3, 0.9))
-            sheet = scenes.bodies(spec.Target(kind="sheet", size=0.3, albedo=0.9))[0]
+            sheet = scenes.bodies(Target(kind="sheet", size=0.3, albedo=0.9))[0]
             return (ball, scenes.moved(sheet, (0.08, 0.12, 0.0)))
         return scenes.bodies(self.spec.target)
 
@@ -110,22 +112,22 @@ Shots = tuple[list[float], list[np.ndarray], list[np.ndarray]]
 
 def cycles(case: Case, engine: str, samples: int, seeds: list[int], denoise: bool = False) -> Shots:
     """Render differences with Cycles; runs in a process of its own. Seconds are those of a new pose."""
-    from generator.blender.engines import engines
-    from generator.blender.scene import stage
+    from generator.blender.engines import renderers
+    from generator.blender.scene import posing
 
     blender = _blender_scene(case)
     seconds, differences, backgrounds = [], [], []
-    with engines.opened(blender, engine, resolution=case.spec.resolution) as renderer:
+    with renderers.opened(blender, engine, resolution=case.spec.resolution) as renderer:
         blender.cycles.use_denoising = denoise
         if denoise:
             blender.cycles.denoiser = "OPENIMAGEDENOISE"
         renderer.render(samples=1, seed=0)
         for seed in seeds:
             x, y, z = case.position
-            stage.move_target(blender, (x, y + 0.1, z), ROTATION)
+            posing.move_target(blender, (x, y + 0.1, z), ROTATION)
             renderer.render(samples=1, seed=0)
             start = time.perf_counter()
-            stage.move_target(blender, case.position, ROTATION)
+            posing.move_target(blender, case.position, ROTATION)
             picture = renderer.render(samples=samples, seed=seed)[..., 0].astype(float)
             empty = np.zeros_like(picture)
             if case.room:
@@ -138,31 +140,31 @@ def cycles(case: Case, engine: str, samples: int, seeds: list[int], denoise: boo
 
 
 def extracted(case: Case) -> tuple[World | None, list[str]]:
-    """Return what `generator.blender.engines.extract` makes of the case's Blender scene; runs in Cycles' process."""
-    from generator.blender.engines import extract
+    """Return what `generator.blender.engines.survey` makes of the case's Blender scene; runs in Cycles' process."""
+    from generator.blender.engines import survey
 
-    return extract.world(_blender_scene(case), resolution=case.spec.resolution)
+    return survey.world(_blender_scene(case), resolution=case.spec.resolution)
 
 
 @functools.lru_cache(maxsize=1)
 def _blender_scene(case: Case) -> Any:
-    from generator.blender.scene import stage
+    from generator.blender.scene import blend_file, build, posing, roles
 
-    blender = stage.new_file()
-    stage.build(blender, case.spec)
-    target = stage.find(blender, "target")
+    blender = blend_file.new_file()
+    build.build(blender, case.spec)
+    target = roles.find(blender, "target")
     if case.target not in ("sphere", "sheet"):
-        target[stage.KIND] = "mesh"
+        target[roles.KIND] = "mesh"
         _give_shape(target, case.bodies[0])
         for body in case.bodies[1:]:
             part = target.copy()
             part.data = target.data.copy()
-            del part[stage.ROLE]
+            del part[roles.ROLE]
             _give_shape(part, body)
             target.users_collection[0].objects.link(part)
             part.parent = target
             part.location = (0.0, 0.0, 0.0)
-    stage.move_target(blender, case.position, ROTATION)
+    posing.move_target(blender, case.position, ROTATION)
     return blender
 
 
@@ -279,10 +281,10 @@ class Processes:
         return self._pools["mitsuba"].submit(function, *arguments).result()
 
     def surfel_world(self, case: Case) -> World:
-        """Return the world that `generator.blender.engines.extract` reads from the case's Blender scene."""
+        """Return the world that `generator.blender.engines.survey` reads from the case's Blender scene."""
         world, reasons = self.cycles(extracted, case)
         if world is None:
-            raise spec.NlosError(f"{case.name}: surfel cannot render it: {'; '.join(reasons)}")
+            raise NlosError(f"{case.name}: surfel cannot render it: {'; '.join(reasons)}")
         return world
 
 
@@ -579,7 +581,7 @@ def _cases(targets: tuple[str, ...], gaps: tuple[float, ...], rooms: tuple[bool,
 def _surfel(processes: Processes, case: Case) -> Surfel | None:
     try:
         return Surfel(processes.surfel_world(case), 3e-4)
-    except (ImportError, spec.NlosError) as error:
+    except (ImportError, NlosError) as error:
         print(f"surfel left out: {error}", flush=True)
         return None
 

@@ -34,8 +34,10 @@ import scenes
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
-from generator.model import spec
-from generator.model.spec import NlosError, rotation_matrix
+from generator.model.arrays import rotation_matrix
+from generator.model.errors import NlosError
+from generator.model.presets import preset
+from generator.model.scene import Target
 from generator.transport import Transport
 from generator.transport.world import Mesh, Sphere, World
 
@@ -101,14 +103,14 @@ def cube(size: float, albedo: float = 0.9) -> Mesh:
 
 def targets() -> dict[str, Sphere | Mesh]:
     """Return what stands before the bare wall."""
-    flat = scenes.bodies(spec.Target(kind="sheet", size=0.5, albedo=0.9))[0]
+    flat = scenes.bodies(Target(kind="sheet", size=0.5, albedo=0.9))[0]
     balls = {f"sphere {d:g}": Sphere(np.zeros(3), d / 2.0, np.ones(3)) for d in (0.2, 0.35, 0.5)}
     return {"sheet": flat, **balls, "cube": cube(0.35)}
 
 
 def bare(target: Sphere | Mesh, pixels: int = 32) -> World:
     """Return the room preset's wall without the room."""
-    scene = replace(spec.preset("room"), room=None, partition=None, resolution=(pixels, pixels))
+    scene = replace(preset("room"), room=None, partition=None, resolution=(pixels, pixels))
     return scenes.world_from_spec(scene, (target,))
 
 
@@ -262,7 +264,7 @@ def bare_wall(poses: int, rng: np.random.Generator) -> Iterator[Case]:
 
 def in_room(poses: int, accuracies: tuple[float, ...], rng: np.random.Generator) -> Iterator[Case]:
     """Judge poses in the preset room: what the target adds less what it hides."""
-    scene = {kind: replace(spec.preset("room", kind), resolution=(8, 8)) for kind in ("sheet", "sphere")}
+    scene = {kind: replace(preset("room", kind), resolution=(8, 8)) for kind in ("sheet", "sphere")}
     worlds = {kind: scenes.world_from_spec(s) for kind, s in scene.items()}
     engines = {kind: {a: Transport(world, accuracy=a) for a in accuracies} for kind, world in worlds.items()}
     fine = quadrature.Fineness()

@@ -22,7 +22,8 @@ from pathlib import Path
 
 import numpy as np
 
-from generator.sets.dataset import Dataset, csv_text, write_text
+from generator.files.writing import csv_text, write_text
+from generator.sets.dataset import Dataset
 
 SWEEP = ("--poses", "20", "--resolution", "16", "--engine", "patch", "--samples", "64", "--workers", "2")
 """Some minutes of work in small pieces."""
@@ -126,8 +127,9 @@ def read_only(scene: Path, path: Path) -> tuple[int, str]:
 def hung(scene: Path, path: Path) -> tuple[int, str]:
     """Stop a worker in the middle; the coordinator's patience is set to seconds for this."""
     script = (
-        "import sys; from generator import sweep, cli; sweep._PATIENCE = (60.0, 5.0); sweep._SLOWER = 1.0;"
-        "sweep.Crew.__init__.__kwdefaults__['patience'] = sweep._PATIENCE; sys.exit(cli.main(sys.argv[1:]))"
+        "import sys; from generator.jobs import workers; from generator.cli.main import main;"
+        "workers._PATIENCE = (60.0, 5.0); workers._SLOWER = 1.0;"
+        "workers.WorkerPool.__init__.__kwdefaults__['patience'] = workers._PATIENCE; sys.exit(main(sys.argv[1:]))"
     )
     line = [sys.executable, "-c", script, "sweep", str(scene), "-o", str(path), *SWEEP]
     process = subprocess.Popen(line, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE, text=True)

@@ -47,10 +47,17 @@ with atheris.instrument_imports(
     from classify.pictures.features import FeatureSettings
     from classify.pictures.sensor import Sensor
     from generator.files import exr, limits
+    from generator.files.pictures import read_picture
+    from generator.files.toml import dump_toml, from_dict, read_toml, to_dict
     from generator.jobs import journal
     from generator.measure import plan_file
-    from generator.model import spec
-    from generator.sets import bulk, dataset, simulated
+    from generator.model.errors import NlosError
+    from generator.model.poses import POSE_COLUMNS
+    from generator.model.presets import preset
+    from generator.model.scene import MESH_SUFFIXES, Scene, Target
+    from generator.model.settings import Sweep
+    from generator.sets import bulk_set, dataset, simulated
+    from generator.sets.manifest import MANIFEST, POSES, read_poses
     from generator.transport import world_file as worlds
 
 import hostile  # noqa: E402
@@ -63,24 +70,24 @@ _SOUND: dict[str, bytes] = {}
 def read_exr(data: bytes) -> None:
     """Read a picture."""
     _FILE.write_bytes(data)
-    with contextlib.suppress(spec.NlosError):
-        dataset.read_picture(_FILE)
+    with contextlib.suppress(NlosError):
+        read_picture(_FILE)
 
 
 def try_poses(data: bytes) -> None:
     """Read a manifest of poses."""
     _FILE.write_bytes(data)
-    with contextlib.suppress(spec.NlosError):
-        dataset._read_poses(_FILE)
+    with contextlib.suppress(NlosError):
+        read_poses(_FILE)
 
 
 def try_toml(data: bytes) -> None:
     """Read a scene, a sweep, a sensor and a plan."""
     _FILE.write_bytes(data)
-    for kind in (spec.Scene, spec.Sweep, Sensor):
-        with contextlib.suppress(spec.NlosError):
-            spec.from_dict(kind, spec.read_toml(_FILE))
-    with contextlib.suppress(spec.NlosError):
+    for kind in (Scene, Sweep, Sensor):
+        with contextlib.suppress(NlosError):
+            from_dict(kind, read_toml(_FILE))
+    with contextlib.suppress(NlosError):
         plan_file.read(_FILE, _FILE)
 
 
@@ -92,11 +99,11 @@ def read_dataset(data: bytes) -> None:
     if chance.ConsumeIntInRange(0, 3):
         plain = hostile.spoilt_json(chance, _SOUND["dataset"].decode())
         with contextlib.suppress(Exception):  # not all of it can be TOML
-            (folder / dataset.MANIFEST).write_text(spec.dump_toml(json.loads(plain)))
+            (folder / MANIFEST).write_text(dump_toml(json.loads(plain)))
     else:
-        (folder / dataset.MANIFEST).write_bytes(data[1:])
-    (folder / dataset.POSES).write_bytes(_SOUND["poses"])
-    with contextlib.suppress(spec.NlosError):
+        (folder / MANIFEST).write_bytes(data[1:])
+    (folder / POSES).write_bytes(_SOUND["poses"])
+    with contextlib.suppress(NlosError):
         opened = dataset.Dataset.open(folder, check=False)  # or the seal would stop nearly all of it
         asks: list[Callable[[], object]] = [
             lambda: opened.grid.labels,
@@ -108,14 +115,14 @@ def read_dataset(data: bytes) -> None:
             lambda: journal.words(journal.read(folder)),
         ]
         for ask in asks:
-            with contextlib.suppress(spec.NlosError):
+            with contextlib.suppress(NlosError):
                 ask()
 
 
 def read_features(data: bytes) -> None:
     """Read features."""
     _spoil_hdf5("features", data)
-    with contextlib.suppress(spec.NlosError):
+    with contextlib.suppress(NlosError):
         found = feature_table.read(_FILE)
         feature_table.check_comparable(found, found, ("a", "b"))
         found.duplicates  # noqa: B018
@@ -124,7 +131,7 @@ def read_features(data: bytes) -> None:
 def read_atlas(data: bytes) -> None:
     """Read an atlas, and locate something by it."""
     _spoil_hdf5("atlas", data)
-    with contextlib.suppress(spec.NlosError):
+    with contextlib.suppress(NlosError):
         found = atlas.load(_FILE)
         picture = np.repeat(found.background[..., None] * 1.01, 3, axis=2).astype(np.float32)
         with np.errstate(all="ignore"):
@@ -157,24 +164,26 @@ def read_bulk(data: bytes) -> None:
     shutil.copytree(sound, folder)
     chance = atheris.FuzzedDataProvider(data)
     part = next(sound.glob("part-*.h5")).name
-    name = hostile.pick(chance, [bulk.MANIFEST, part, part, bulk.MASTER, bulk.WORLD, bulk.WORLD, bulk.BACKGROUND])
+    name = hostile.pick(
+        chance, [bulk_set.MANIFEST, part, part, bulk_set.MASTER, bulk_set.WORLD, bulk_set.WORLD, bulk_set.BACKGROUND]
+    )
     whole = (sound / name).read_bytes()
-    if name == bulk.MANIFEST:
-        text = hostile.spoilt_json(chance, json.dumps(spec.read_toml(sound / name)))
+    if name == bulk_set.MANIFEST:
+        text = hostile.spoilt_json(chance, json.dumps(read_toml(sound / name)))
         with contextlib.suppress(Exception):  # not all of it can be TOML
-            (folder / name).write_text(spec.dump_toml(json.loads(text)))
+            (folder / name).write_text(dump_toml(json.loads(text)))
     elif name.endswith(".h5") and chance.ConsumeIntInRange(0, 3):
         (folder / name).write_bytes(hostile.spoilt_hdf5(chance, whole, str(_OUTSIDE)))
-    elif name == bulk.WORLD and chance.ConsumeIntInRange(0, 3):
+    elif name == bulk_set.WORLD and chance.ConsumeIntInRange(0, 3):
         (folder / name).write_bytes(hostile.spoilt_zip(chance, whole, hostile.spoilt_npy))
     else:
         (folder / name).write_bytes(_bytes_changed(chance, whole))
-    with contextlib.suppress(spec.NlosError):
-        worlds.load_world(folder / bulk.WORLD)
-    with contextlib.suppress(spec.NlosError):
-        opened = bulk.Bulk.open(folder, check=False)
+    with contextlib.suppress(NlosError):
+        worlds.load_world(folder / bulk_set.WORLD)
+    with contextlib.suppress(NlosError):
+        opened = bulk_set.Bulk.open(folder, check=False)
         try:
-            with contextlib.suppress(spec.NlosError):
+            with contextlib.suppress(NlosError):
                 opened.verify()
             read = simulated.Simulated(opened)
             read.background()
@@ -193,7 +202,7 @@ def read_model(data: bytes) -> None:
     else:
         made = _bytes_changed(chance, sound)
     _FILE.write_bytes(made)
-    with contextlib.suppress(spec.NlosError):
+    with contextlib.suppress(NlosError):
         model = models.load(_FILE)
         model.probabilities(np.full((12, 12, 3), 1e-3, dtype=np.float32))
 
@@ -209,12 +218,12 @@ def read_status(data: bytes) -> None:
     folder = _FILE.parent / "set"
     file = folder / journal.RUNS / "host-1.json"
     file.parent.mkdir(parents=True, exist_ok=True)
-    (folder / dataset.MANIFEST).write_text(spec.dump_toml(json.loads(_SOUND["dataset"])))
-    (folder / dataset.POSES).write_bytes(_SOUND["poses"])
+    (folder / MANIFEST).write_text(dump_toml(json.loads(_SOUND["dataset"])))
+    (folder / POSES).write_bytes(_SOUND["poses"])
     chance = atheris.FuzzedDataProvider(data)
     whole = chance.ConsumeIntInRange(0, 3) == 0
     file.write_bytes(data[1:] if whole else hostile.spoilt_json(chance, _SOUND["status"].decode()).encode())
-    with contextlib.suppress(spec.NlosError):
+    with contextlib.suppress(NlosError):
         found = journal.read(folder)
         json.dumps(found)
         journal.words(found)
@@ -222,14 +231,14 @@ def read_status(data: bytes) -> None:
 
 def read_mesh(data: bytes) -> None:
     """Import a mesh as the hidden object."""
-    from generator.blender.scene import stage
+    from generator.blender.scene import build
 
-    kind = hostile.pick(atheris.FuzzedDataProvider(data), spec.MESH_SUFFIXES)
+    kind = hostile.pick(atheris.FuzzedDataProvider(data), MESH_SUFFIXES)
     file = _FILE.with_suffix(kind)
     file.write_bytes(data[1:])
-    with contextlib.suppress(spec.NlosError):
-        made = stage._import_mesh(spec.Target(kind="mesh", size=0.0, albedo=0.5, mesh=str(file)))
-        stage.bpy.data.batch_remove([made, made.data])
+    with contextlib.suppress(NlosError):
+        made = build._import_mesh(Target(kind="mesh", size=0.0, albedo=0.5, mesh=str(file)))
+        build.bpy.data.batch_remove([made, made.data])
 
 
 TARGETS = {
@@ -251,7 +260,7 @@ def seeds(target: str, folder: Path) -> None:
     folder.mkdir(parents=True, exist_ok=True)
     text = io.StringIO()
     rows = csv.writer(text)
-    rows.writerow(dataset._COLUMNS)
+    rows.writerow(POSE_COLUMNS)
     rows.writerow([0, 0, "A", 1.0, 1.0, 1.0, 0.0, 0.0, 0.0, 7, "A/0000.exr", "", "", ""])
     _SOUND["poses"] = text.getvalue().encode()
     if target == "exr":
@@ -260,9 +269,9 @@ def seeds(target: str, folder: Path) -> None:
     elif target == "poses":
         (folder / "seed.csv").write_bytes(_SOUND["poses"])
     elif target == "toml":
-        (folder / "scene.toml").write_text(spec.dump_toml(spec.to_dict(spec.preset("room"))))
-        (folder / "sweep.toml").write_text(spec.dump_toml(spec.to_dict(spec.Sweep())))
-        (folder / "sensor.toml").write_text(spec.dump_toml(spec.to_dict(Sensor())))
+        (folder / "scene.toml").write_text(dump_toml(to_dict(preset("room"))))
+        (folder / "sweep.toml").write_text(dump_toml(to_dict(Sweep())))
+        (folder / "sensor.toml").write_text(dump_toml(to_dict(Sensor())))
     elif target == "mesh":
         _seed_meshes(folder)
     else:
@@ -277,8 +286,8 @@ def _seed_structured(target: str) -> None:
     made = {
         "format": 1,
         "fingerprint": "0" * 16,
-        "sweep": {**spec.to_dict(spec.Sweep()), "scene_sha256": "0" * 64},
-        "scene": spec.to_dict(spec.preset("room")),
+        "sweep": {**to_dict(Sweep()), "scene_sha256": "0" * 64},
+        "scene": to_dict(preset("room")),
         "reference_radiance": 1.0,
         "software": {"blender": "none"},
     }

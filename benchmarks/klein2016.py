@@ -12,9 +12,9 @@ import argparse
 
 import numpy as np
 
-from generator.blender.engines import extract
-from generator.blender.scene import stage
-from generator.model.spec import preset
+from generator.blender.engines import survey
+from generator.blender.scene import blend_file, build
+from generator.model.presets import preset
 from generator.transport import Transport
 
 PLACE = (0.0, 0.5, 0.0)
@@ -28,9 +28,9 @@ def changes(pixels: int, accuracy: float) -> list[tuple[str, float, float, float
     The change is from the resting pose to the end of the motion that changes more: its largest pixel, its root mean
     square, and the largest per centimetre or degree.
     """
-    scene = stage.new_file()
-    stage.build(scene, preset("tabletop", "sheet"))
-    world = extract.surfel_world(scene, resolution=(pixels, pixels))
+    scene = blend_file.new_file()
+    build.build(scene, preset("tabletop", "sheet"))
+    world = survey.surfel_world(scene, resolution=(pixels, pixels))
     transport = Transport(world, accuracy=accuracy)
     rest = transport.render(PLACE, (0.0, 0.0, 0.0)).added
     rows = []

@@ -16,7 +16,8 @@ from typing import Any
 
 import numpy as np
 
-from generator.model.spec import NlosError, rotation_matrix
+from generator.model.arrays import rotation_matrix
+from generator.model.errors import NlosError
 from generator.transport.world import LitPatch, Sphere, Watched, World
 
 METHODS = ("patch", "spot")

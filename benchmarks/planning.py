@@ -17,17 +17,20 @@ from typing import Any
 import bpy
 import numpy as np
 
-from generator.blender import worker
 from generator.blender.engines import simplify
+from generator.blender.engines.settings import settled
 from generator.blender.measure import paired, planning
-from generator.blender.scene import stage
+from generator.blender.scene import blend_file, build, geometry, roles
 from generator.blender.scene.clearance import clearance
+from generator.blender.scene.description import read_scene
+from generator.files.writing import csv_text, write_text
 from generator.jobs import budget
 from generator.measure import effects, plan_file
 from generator.measure.intervals import relative
 from generator.measure.plan_file import Effect, Plan
-from generator.model import poses, spec
-from generator.sets.dataset import csv_text, write_text
+from generator.model import poses
+from generator.model.errors import NlosError
+from generator.model.presets import preset
 from generator.transport import Transport
 
 OTHER = 1
@@ -58,8 +61,8 @@ def box(name: str, at: Any, size: Any, made: bpy.types.Material) -> None:
 
 def room(kind: str = "sphere", **changes: Any) -> bpy.types.Scene:
     """Return the preset room with some figures changed."""
-    scene = stage.new_file()
-    stage.build(scene, replace(spec.preset("room", kind), **changes))
+    scene = blend_file.new_file()
+    build.build(scene, replace(preset("room", kind), **changes))
     return scene
 
 
@@ -78,7 +81,7 @@ def _cluttered() -> bpy.types.Scene:
 
 def _mirror_sphere() -> bpy.types.Scene:
     scene = room()
-    target = stage.find(scene, "target")
+    target = roles.find(scene, "target")
     target.data.materials.clear()
     target.data.materials.append(material("Mirror", 0.9, mirror=True))
     return scene
@@ -97,12 +100,12 @@ def _board() -> bpy.types.Scene:
 
 
 def _grazing() -> bpy.types.Scene:
-    spot = spec.preset("room").spot
+    spot = preset("room").spot
     return room(spot=replace(spot, location=(-1.9, 0.28, 1.7)))
 
 
 def _window() -> bpy.types.Scene:
-    wanted = spec.preset("room", "sphere")
+    wanted = preset("room", "sphere")
     scene = room(ambient=0.05, room=replace(wanted.room, surfaces=("floor", "back", "left", "right")))
     # The ceiling with a hole of 60 cm.
     hole = material("Ceiling", 0.8)
@@ -116,8 +119,8 @@ def _window() -> bpy.types.Scene:
 
 def _preset(name: str) -> Callable[[], bpy.types.Scene]:
     def made() -> bpy.types.Scene:
-        scene = stage.new_file()
-        stage.build(scene, spec.preset(name, "sphere"))
+        scene = blend_file.new_file()
+        build.build(scene, preset(name, "sphere"))
         return scene
 
     return made
@@ -139,29 +142,29 @@ SCENES: dict[str, Callable[[], bpy.types.Scene]] = {
 def saved(scene: bpy.types.Scene, path: Path) -> Path:
     """Save a scene and return where."""
     bpy.context.view_layer.update()
-    stage.save_file(path)
+    blend_file.save_file(path)
     return path
 
 
 def other_poses(source: Path, count: int) -> tuple[Any, Any]:
     """Return places and turns that the plan has not seen."""
-    scene = stage.open_file(source)
-    described = stage.read(scene)
-    sweep, _ = worker.settled(scene, described, {"engine": "patch", "poses": count, "seed": OTHER})
-    made = poses.plan(described.grid, sweep, stage.hull(scene), clearance(scene, described, engine="patch"))
+    scene = blend_file.open_file(source)
+    described = read_scene(scene)
+    sweep, _ = settled(scene, described, {"engine": "patch", "poses": count, "seed": OTHER})
+    made = poses.plan(described.grid, sweep, geometry.hull(scene), clearance(scene, described, engine="patch"))
     made.sort(key=lambda pose: (pose.index, pose.voxel))
     return tuple(np.array([getattr(p, name) for p in made]) for name in ("position", "rotation"))
 
 
 def again(source: Path, plan: Plan, most: float) -> dict[str, tuple[float, float, float]]:
     """Measure a plan's effects once more, at other poses and in other noise, and the plan against Cycles."""
-    scene = stage.open_file(source)
-    described = stage.read(scene)
-    sweep, _ = worker.settled(scene, described, {"engine": "patch", "poses": paired.ROUNDS[1], "seed": OTHER})
-    planned = poses.plan(described.grid, sweep, stage.hull(scene), clearance(scene, described, engine="patch"))
+    scene = blend_file.open_file(source)
+    described = read_scene(scene)
+    sweep, _ = settled(scene, described, {"engine": "patch", "poses": paired.ROUNDS[1], "seed": OTHER})
+    planned = poses.plan(described.grid, sweep, geometry.hull(scene), clearance(scene, described, engine="patch"))
     rounds = [[p for p in planned if p.index == k] for k in range(paired.ROUNDS[1])]
     probe = paired.Probe(source, "patch", rounds, described.resolution[0] / described.resolution[1])
-    pieces = [e.name for e in plan.effects if e.name in simplify.found(stage.open_file(source))]
+    pieces = [e.name for e in plan.effects if e.name in simplify.found(blend_file.open_file(source))]
     sky = planning.ambient(source, [p for one in rounds[: plan_file.POSES] for p in one])
     pieces = [name for name in pieces if name != simplify.AMBIENT or sky is None]
     orders = [o for o in (4, 5) if any(e.name == paired.order_name(o) for e in plan.effects)]
@@ -227,7 +230,7 @@ def run_effects(options: argparse.Namespace) -> None:
         plan = planning.make(source, tolerance=options.tolerance, most=options.most)
         try:
             measured = again(source, plan, options.most)
-        except spec.NlosError as error:
+        except NlosError as error:
             print(f"{name}: {error}")
             measured = {}
         for line in plan.words:
@@ -251,7 +254,7 @@ def run_effects(options: argparse.Namespace) -> None:
 def random_scene(seed: int) -> bpy.types.Scene:
     """Return a room of random size, albedo and clutter, with a random target."""
     rng = np.random.default_rng([20, seed])
-    wanted = spec.preset("room", str(rng.choice(["sphere", "sheet"])))
+    wanted = preset("room", str(rng.choice(["sphere", "sheet"])))
     far, back, top = rng.uniform(2.5, 4.0), rng.uniform(3.2, 5.0), rng.uniform(2.4, 3.4)
     surfaces = [s for s in wanted.room.surfaces if s == "floor" or rng.random() < 0.75]
     walls = replace(
@@ -292,7 +295,7 @@ def run_random(options: argparse.Namespace) -> None:
         try:
             plan = planning.make(source, tolerance=tolerance, most=0.0, predict=False)
             places, turns = other_poses(source, plan_file.POSES)
-        except spec.NlosError as error:
+        except NlosError as error:
             print(f"{seed}: left out: {error}", flush=True)
             continue
         variant = planning.variant(source, [])

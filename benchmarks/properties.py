@@ -130,15 +130,15 @@ def base_scene() -> Any:
     import bpy
     import edits
 
-    from generator.blender.scene import stage
+    from generator.blender.scene import blend_file, build, roles
 
-    scene = stage.new_file()
-    stage.build(scene, edits.BASE)
+    scene = blend_file.new_file()
+    build.build(scene, edits.BASE)
     for owner, settings in NEUTRAL.items():
         for name, value in settings.items():
             setattr(getattr(scene, owner), name, value)
-    for role in stage.SINGLE_ROLES:
-        stage.find(scene, role).name = role.replace("_", " ").capitalize()
+    for role in roles.SINGLE_ROLES:
+        roles.find(scene, role).name = role.replace("_", " ").capitalize()
     bpy.context.view_layer.update()
     return scene
 
@@ -360,14 +360,14 @@ def catalogue() -> list[tuple[str, str, str]]:
     """Return every edit as owner, property and value in words; prints what is left out and why."""
     import edits
 
-    from generator.blender.scene import stage
+    from generator.blender.scene import blend_file
 
     base = base_file()
-    scene = stage.open_file(base)
+    scene = blend_file.open_file(base)
     listed = [("by hand", name, "") for name in edits.EDITS]
     left_out: Counter[str] = Counter()
     for owner, way in owners().items():
-        scene = stage.open_file(base)
+        scene = blend_file.open_file(base)
         try:
             struct = way(scene)
         except (AttributeError, KeyError, IndexError, TypeError, RuntimeError):
@@ -482,7 +482,7 @@ class Plain:
         """Render the scene with the target, and without."""
         import bpy
 
-        from generator.blender.scene.stage import quiet
+        from generator.blender.scene.quiet import quiet
 
         made = []
         self.scene.cycles.samples, self.scene.cycles.seed = samples, seed
@@ -502,7 +502,7 @@ class Plain:
 
 def read(path: Path) -> Any:
     """Return a picture's pixels."""
-    from generator.sets.dataset import read_picture
+    from generator.files.pictures import read_picture
 
     return read_picture(path)[0]
 
@@ -511,35 +511,38 @@ class Product:
     """Renders a file as a sweep does, by one engine, whatever pose it is asked for."""
 
     def __init__(self, file: Path, engine: str) -> None:
-        from generator.blender import worker
-        from generator.blender.engines import engines, extract
-        from generator.blender.scene import references, replaced, stage
+        from generator.blender import sweep_worker
+        from generator.blender.engines import survey
+        from generator.blender.engines.settings import settled
+        from generator.blender.scene import blend_file, references, replaced, roles
+        from generator.blender.scene.description import read_scene
 
         references.refuse(file)
-        self.scene = stage.open_file(file)
+        self.scene = blend_file.open_file(file)
         references.require(self.scene, file)
-        described = stage.read(self.scene)
-        engines.refuse_hidden(self.scene)
+        described = read_scene(self.scene)
+        roles.refuse_hidden(self.scene)
         chosen = {"poses": 1, "engine": engine, "resolution": list(SIZE), "rotation": list(TURN)}
-        self.sweep, _ = worker.settled(self.scene, described, chosen)
-        extract.survey(self.scene, resolution=self.sweep.resolution, ambient=True).check(engine)
-        self.described = stage.read(self.scene, self.sweep.resolution)
-        worker.doubted(self.scene, self.sweep, force=False)
-        self.records = worker.placed(self.scene, self.described, self.sweep)
+        self.sweep, _ = settled(self.scene, described, chosen)
+        survey.survey(self.scene, resolution=self.sweep.resolution, ambient=True).check(engine)
+        self.described = read_scene(self.scene, self.sweep.resolution)
+        sweep_worker.doubted(self.scene, self.sweep, force=False)
+        self.records = sweep_worker.placed(self.scene, self.described, self.sweep)
         said = {setting.path.rsplit(".", 1)[-1] for setting in replaced.replaced(self.scene)}
         unsaid = {s.path.rsplit(".", 1)[-1] for s in (*replaced.OUTPUT, *replaced.SAMPLING) if not s.words}
         self.replaces = said | unsaid | OWN
 
     def pairs(self, pose: Pose, shots: Sequence[tuple[int, int]]) -> list[Pair]:
         """Render with samples and seeds, each with the target and without."""
-        from generator.blender.engines import engines
-        from generator.blender.scene import stage
+        from generator.blender.engines import renderers
+        from generator.blender.engines.surfel import SurfelRenderer
+        from generator.blender.scene import posing
 
         made = []
-        with engines.opened(self.scene, self.sweep.engine, **engines.settings(self.sweep)) as renderer:
-            if isinstance(renderer, engines.SurfelRenderer):
+        with renderers.opened(self.scene, self.sweep.engine, **renderers.settings(self.sweep)) as renderer:
+            if isinstance(renderer, SurfelRenderer):
                 return [(renderer.at(*pose), renderer.render(target=False))]
-            stage.move_target(self.scene, *pose)
+            posing.move_target(self.scene, *pose)
             for samples, seed in shots:
                 picture = renderer.render(samples=samples, seed=seed)
                 made.append((picture, renderer.render(samples=samples, seed=seed, target=False)))
@@ -655,12 +658,12 @@ class Judge:
         import bpy
         import edits
 
-        from generator.blender.scene import stage
-        from generator.model.spec import NlosError
+        from generator.blender.scene import blend_file
+        from generator.model.errors import NlosError
 
         begun = time.monotonic()
         row = Row(owner, name, value)
-        scene = stage.open_file(self.base)
+        scene = blend_file.open_file(self.base)
         file = self.folder / "edited.blend"
         try:
             apply(scene, owner, name, value, self.folder)
@@ -753,7 +756,7 @@ class Judge:
         """Return why a planned pose is no pose: the target, a sheet, is in a box; empty if it is not."""
         import edits
 
-        from generator.model.spec import rotation_matrix
+        from generator.model.arrays import rotation_matrix
 
         product = Product(file, engine)
         low, high = solid(product.scene)

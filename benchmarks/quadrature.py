@@ -22,7 +22,7 @@ import numpy as np
 from numpy.polynomial.legendre import Legendre, leggauss, legvander
 from numpy.typing import NDArray
 
-from generator.model.spec import rotation_matrix
+from generator.model.arrays import rotation_matrix
 from generator.transport.world import Sphere, Watched, World
 
 Array = NDArray[Any]

@@ -27,9 +27,9 @@ import matplotlib.pyplot as plt
 import numba
 import numpy as np
 
-from generator.blender.engines import extract
-from generator.blender.scene import stage
-from generator.model.spec import preset
+from generator.blender.engines import survey
+from generator.blender.scene import blend_file, build
+from generator.model.presets import preset
 from generator.transport import Mesh, Transport, World, kernel
 
 POSE = ((1.4, 0.9, 1.3), (0.0, 0.0, 20.0))
@@ -81,9 +81,9 @@ def pair_rate() -> tuple[float, float]:
 
 def bare_world(pixels: int) -> World:
     """Return the room preset's wall and lamp without the room."""
-    scene = stage.new_file()
-    stage.build(scene, preset("room", "sheet"))
-    return replace(extract.surfel_world(scene, resolution=(pixels, pixels)), room=())
+    scene = blend_file.new_file()
+    build.build(scene, preset("room", "sheet"))
+    return replace(survey.surfel_world(scene, resolution=(pixels, pixels)), room=())
 
 
 def ball(triangles: int) -> Mesh:

@@ -6,7 +6,8 @@ import math
 
 import numpy as np
 
-from generator.model.spec import ROOM_SURFACES, Camera, NlosError, Scene, Spot, Target
+from generator.model.errors import NlosError
+from generator.model.scene import ROOM_SURFACES, Camera, Scene, Spot, Target
 from generator.transport.world import Body, LitPatch, Mesh, Sphere, Watched, World
 
 

@@ -12,7 +12,7 @@ from pathlib import Path
 
 import numpy as np
 
-from generator.sets.bulk import Bulk
+from generator.sets.bulk_set import Bulk
 from generator.sets.dataset import Dataset
 from generator.transport import Transport
 

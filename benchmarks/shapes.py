@@ -7,7 +7,7 @@ import math
 from collections.abc import Sequence
 from pathlib import Path
 
-from generator.sets.dataset import write_text
+from generator.files.writing import write_text
 
 Corner = tuple[float, float, float]
 Face = tuple[int, ...]

@@ -14,9 +14,13 @@ from pathlib import Path
 
 import numpy as np
 
+from generator.files.toml import to_dict
 from generator.jobs import sweep
-from generator.model import poses, spec
-from generator.sets.dataset import BACKGROUND, Dataset
+from generator.model import poses
+from generator.model.presets import preset
+from generator.model.settings import Sweep
+from generator.sets.dataset import Dataset
+from generator.sets.manifest import BACKGROUND
 
 
 def all_of_them(dataset: Dataset, shard: tuple[int, int], own: Sequence[int]) -> None:
@@ -28,9 +32,9 @@ def run(
     folder: Path, pictures: int, shares: int, look: Callable[[Dataset, tuple[int, int], Sequence[int]], object]
 ) -> str:
     """Let every share begin, put its pictures in place, and let it end."""
-    scene = spec.preset("room")
-    settings = spec.Sweep(poses=-(-pictures // scene.grid.n_voxels), resolution=(16, 16), inside="centre")
-    meta = {"sweep": spec.to_dict(settings), "scene": spec.to_dict(scene), "reference_radiance": 1.0, "software": {}}
+    scene = preset("room")
+    settings = Sweep(poses=-(-pictures // scene.grid.n_voxels), resolution=(16, 16), inside="centre")
+    meta = {"sweep": to_dict(settings), "scene": to_dict(scene), "reference_radiance": 1.0, "software": {}}
     made = Dataset.create(folder, meta, poses.plan(scene.grid, settings, np.zeros((1, 3))))
     pixels = np.random.default_rng(0).random((16, 16, 3)).astype(np.float32)
     made.write_background(BACKGROUND, pixels, seed=0, samples=1)

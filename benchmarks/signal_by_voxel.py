@@ -12,19 +12,21 @@ import argparse
 
 import numpy as np
 
-from generator.blender.engines import engines
-from generator.blender.scene import stage
-from generator.model import spec
+from generator.blender.engines import renderers
+from generator.blender.scene import blend_file, build, posing
+from generator.files.toml import from_dict, to_dict
+from generator.model.presets import preset
+from generator.model.scene import Scene
 
 
-def differences(scene: spec.Scene, places: np.ndarray, samples: int, renders: int) -> tuple[np.ndarray, ...]:
+def differences(scene: Scene, places: np.ndarray, samples: int, renders: int) -> tuple[np.ndarray, ...]:
     """Difference pictures (places, renders, pixels), paired; plain pictures and backgrounds of the same shape."""
-    blender = stage.new_file()
-    stage.build(blender, scene)
+    blender = blend_file.new_file()
+    build.build(blender, scene)
     plain, empty = [], []
-    with engines.opened(blender, "patch", resolution=scene.resolution) as renderer:
+    with renderers.opened(blender, "patch", resolution=scene.resolution) as renderer:
         for place in places:
-            stage.move_target(blender, tuple(map(float, place)), (0.0, 0.0, 0.0))
+            posing.move_target(blender, tuple(map(float, place)), (0.0, 0.0, 0.0))
             for kept, target in ((plain, True), (empty, False)):
                 kept.append(
                     [renderer.render(samples=samples, seed=s, target=target)[..., 0].ravel() for s in range(renders)]
@@ -40,8 +42,8 @@ def main() -> None:
     parser.add_argument("--samples", type=int, default=192)
     parser.add_argument("--renders", type=int, default=8)
     options = parser.parse_args()
-    room = spec.preset("room", options.target)
-    bare = spec.from_dict(spec.Scene, {k: v for k, v in spec.to_dict(room).items() if k != "room"})
+    room = preset("room", options.target)
+    bare = from_dict(Scene, {k: v for k, v in to_dict(room).items() if k != "room"})
     places = np.array([np.mean(room.grid.bounds(v), axis=0) for v in range(room.grid.n_voxels)])
     both, pictures, backgrounds = differences(room, places, options.samples, options.renders)
     added, _, _ = differences(bare, places, options.samples, options.renders)

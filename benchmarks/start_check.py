@@ -28,8 +28,9 @@ from typing import Any
 import numpy as np
 
 from generator.measure import agreement
-from generator.model import spec
-from generator.model.spec import Array, NlosError
+from generator.model.arrays import Array
+from generator.model.errors import NlosError
+from generator.model.presets import preset
 
 ENGINES = ("path", "patch", "surfel")
 LOOK = 6.0
@@ -41,26 +42,26 @@ def built(name: str, edit: Any, folder: Path) -> Path:
     import bpy
     import edits
 
-    from generator.blender.scene import stage
+    from generator.blender.scene import blend_file, build
 
-    scene = stage.new_file()
-    stage.build(scene, edits.BASE if name == "base" else spec.preset("room"))
+    scene = blend_file.new_file()
+    build.build(scene, edits.BASE if name == "base" else preset("room"))
     edit(scene, folder)
     bpy.context.view_layer.update()
     path = folder / "scene.blend"
-    stage.save_file(path)
+    blend_file.save_file(path)
     return path
 
 
 def tried(source: Path, folder: Path, engine: str, poses: int = 1) -> tuple[str, str, float]:
     """Plan a sweep with the check; return what became of it, the words, and the seconds that the check took."""
-    from generator.blender import worker
-    from generator.blender.scene import stage
+    from generator.blender import sweep_worker
+    from generator.blender.scene import blend_file
 
     begun = time.perf_counter()
     settings = {"engine": engine, "poses": poses, **({} if engine == "surfel" else {"samples": 64})}
     try:
-        dataset = worker.plan(stage.open_file(source), source, folder / engine, settings, reference=source)
+        dataset = sweep_worker.plan(blend_file.open_file(source), source, folder / engine, settings, reference=source)
     except NlosError as error:
         words = str(error)
         kind = "stopped" if "does not render what Cycles makes of this file" in words else "refused"
@@ -86,12 +87,12 @@ def looked(source: Path, folder: Path, engine: str) -> bool:
 
 def inside(planned: Path, case: Any, source: Path) -> bool:
     """Whether the target is planned in a solid: no picture of it is wrong, but it cannot be there."""
-    from generator.blender.scene import stage
+    from generator.blender.scene import blend_file
     from generator.sets.dataset import Dataset
 
     if case.solid is None:
         return False
-    low, high = case.solid(stage.open_file(source))
+    low, high = case.solid(blend_file.open_file(source))
     places = [pose.position for pose in Dataset.open(planned).poses]
     return bool(any((np.array(place) > low).all() and (np.array(place) < high).all() for place in places))
 
@@ -187,12 +188,12 @@ def right_scenes() -> dict[str, Callable[[], Any]]:
     """Return scenes that every engine renders right."""
     import planning
 
-    from generator.blender.scene import stage
+    from generator.blender.scene import blend_file, build
 
     def of_preset(name: str, kind: str) -> Callable[[], Any]:
         def made() -> Any:
-            scene = stage.new_file()
-            stage.build(scene, spec.preset(name, kind))
+            scene = blend_file.new_file()
+            build.build(scene, preset(name, kind))
             return scene
 
         return made
@@ -211,8 +212,8 @@ def pool(task: tuple[str, str, Path, int]) -> list[Any]:
     """Render a pool of pictures of one scene, by an engine and by plain Cycles, and check with draws from it."""
     import bpy
 
-    from generator.blender import start_check, worker
-    from generator.blender.scene import stage
+    from generator.blender import start_check, sweep_worker
+    from generator.blender.scene import blend_file
     from generator.model import poses
     from generator.sets import links
 
@@ -224,15 +225,21 @@ def pool(task: tuple[str, str, Path, int]) -> list[Any]:
             source = folder / "scene.blend"
             right_scenes()[name]()
             bpy.context.view_layer.update()
-            stage.save_file(source)
+            blend_file.save_file(source)
             settings = {"engine": engine, "poses": 1}
             try:
-                made = worker.plan(stage.open_file(source), source, folder / "set", settings, probe=False)
+                made = sweep_worker.plan(blend_file.open_file(source), source, folder / "set", settings, probe=False)
             except NlosError as error:
                 return [name, engine, 0, 0, f"{error}"[:80]]
             known = links.of_dataset({}, folder / "set")
             checked = start_check._Check(
-                folder / "set" / "scene.blend", source, known, made.meta, made.sweep, made.poses[0], worker.render
+                folder / "set" / "scene.blend",
+                source,
+                known,
+                made.meta,
+                made.sweep,
+                made.poses[0],
+                sweep_worker.render,
             )
             widths = checked.plain().widths()
             engines: list[list[Array]] = []

@@ -39,28 +39,28 @@ STAGES = {
     START: [],
     "Blender: open, read, save the scene": [
         *(
-            "generator.blender.scene.stage:open_file",
-            "generator.blender.scene.stage:save_file",
-            "generator.blender.scene.stage:read",
-            "generator.blender.scene.stage:hull",
+            "generator.blender.scene.blend_file:open_file",
+            "generator.blender.scene.blend_file:save_file",
+            "generator.blender.scene.description:read",
+            "generator.blender.scene.geometry:hull",
         ),
         *(
             "generator.blender.scene.clearance:clearance",
-            "generator.blender.engines.engines:_linear_output",
-            "generator.blender.engines.engines:_plain_cycles",
+            "generator.blender.engines.cycles:_linear_output",
+            "generator.blender.engines.cycles:_plain_cycles",
         ),
     ],
     "extract the world": [
-        "generator.blender.engines.extract:surfel_world",
-        "generator.blender.engines.extract:world",
+        "generator.blender.engines.survey:surfel_world",
+        "generator.blender.engines.survey:world",
     ],
     "compile, or load what is compiled": ["numba.core.dispatcher:Dispatcher.compile"],
     "set up the engine": ["generator.transport:Transport.__init__"],
-    "background": ["generator.blender.worker:_background"],
+    "background": ["generator.blender.sweep_worker:_background"],
     "draw poses": ["generator.model.poses:plan"],
-    "render poses": ["generator.transport:Transport.pictures", "generator.blender.engines.engines:Renderer.render"],
-    "check pixels, encode EXR": ["generator.sets.dataset:write_picture", "generator.files.exr:write"],
-    "hash": ["generator.sets.dataset:pixel_hash", "generator.sets.dataset:scene_hash"],
+    "render poses": ["generator.transport:Transport.pictures", "generator.blender.engines.cycles:Renderer.render"],
+    "check pixels, encode EXR": ["generator.files.pictures:write_picture", "generator.files.exr:write"],
+    "hash": ["generator.files.pictures:pixel_hash", "generator.sets.manifest:scene_hash"],
     "write and rename": [
         *("pathlib:Path.write_bytes", "pathlib:Path.write_text", "pathlib:Path.mkdir", "pathlib:Path.unlink"),
         *("pathlib:Path.is_dir", "os:replace"),
@@ -69,12 +69,12 @@ STAGES = {
     "gather: read pictures, poses.csv": [
         *("generator.sets.dataset:Dataset.gather", "generator.sets.dataset:Dataset.write_manifest"),
         *(
-            "generator.sets.dataset:_read_poses",
-            "generator.sets.dataset:read_picture",
+            "generator.sets.manifest:_read_poses",
+            "generator.files.pictures:read_picture",
             "generator.sets.dataset:read_toml",
         ),
     ],
-    WAIT: ["generator.blender.worker:answer"],
+    WAIT: ["generator.jobs.protocol:answer"],
     REST: ["generator.sets.dataset:Dataset.write_pose"],
     OTHERS: ["concurrent.futures:Future.result"],
 }
@@ -162,10 +162,11 @@ def as_worker(arguments: list[str]) -> int:
     began, clock = time.time(), Clock()
     with clock.stage(START):
         from generator.blender import worker
+        from generator.jobs.protocol import answer, commands
     before = began - float(os.environ[STARTED])
     write_text, role = Path.write_text, "plan" if arguments[0] == "plan" else "first"
     clock.watch()
-    answer, commands = worker.answer, worker.commands
+    answer, commands = answer, commands
 
     def answered(**fields: Any) -> None:
         told = {"role": role, "generator": worker.__file__, "before": before, "seconds": clock.told()}
@@ -183,7 +184,7 @@ def as_worker(arguments: list[str]) -> int:
             role = "crew"
             yield number
 
-    worker.answer, worker.commands = answered, given  # type: ignore[assignment]
+    answer, commands = answered, given  # type: ignore[assignment]
     return int(worker.main(arguments))
 
 
@@ -193,6 +194,7 @@ def as_coordinator(arguments: list[str]) -> int:
     with clock.stage(START):
         from generator.cli import main as cli
         from generator.jobs import sweep
+        from generator.jobs.workers import WorkerPool
     before = began - float(os.environ[STARTED])
     write_text, start = Path.write_text, subprocess.Popen
     clock.watch()
@@ -204,7 +206,7 @@ def as_coordinator(arguments: list[str]) -> int:
 
     subprocess.Popen = started  # type: ignore[misc,assignment]
     sweep._run_plan = clock.wrap("(workers)", sweep._run_plan)
-    sweep.Crew.work = clock.wrap("(workers)", sweep.Crew.work)  # type: ignore[method-assign]
+    WorkerPool.work = clock.wrap("(workers)", WorkerPool.work)  # type: ignore[method-assign]
     code = int(cli.main(arguments))
     told = {"role": "coordinator", "generator": sweep.__file__, "before": before, "seconds": clock.told()}
     write_text(Path(os.environ[LOGS], "coordinator.json"), json.dumps(told))

@@ -12,11 +12,11 @@ from pathlib import Path
 
 import numpy as np
 
-from classify.classifiers.evaluate import wilson
 from classify.inference import atlas as atlases
 from classify.inference.posterior import locate
 from classify.inference.two_objects import locate_two
-from generator.sets.bulk import Bulk
+from classify.intervals import wilson
+from generator.sets.bulk_set import Bulk
 from generator.transport import Sphere, Transport
 
 _MARGIN = 1.05

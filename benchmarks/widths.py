@@ -19,7 +19,7 @@ from typing import Any
 
 import numpy as np
 
-from generator.sets.dataset import csv_text, write_text
+from generator.files.writing import csv_text, write_text
 
 MODES: dict[str, Any] = {"none": set(), "contract": {"contract"}, "all": True}
 WIDTHS = ("float64", "float32")
@@ -32,11 +32,11 @@ def cases() -> list[tuple[str, Any, Any, Any]]:
     """Return name, world, position and rotation of every extreme."""
     import scenes
 
-    from generator.model import spec
+    from generator.model.presets import preset
     from generator.transport.world import Sphere
 
     def bare(kind: str = "sphere", pixels: int = 32, **changes: Any) -> Any:
-        wanted = replace(spec.preset("room", kind), room=None, partition=None, resolution=(pixels, pixels), **changes)
+        wanted = replace(preset("room", kind), room=None, partition=None, resolution=(pixels, pixels), **changes)
         return scenes.world_from_spec(wanted)
 
     def ball(radius: float) -> Any:
@@ -73,8 +73,8 @@ def cases() -> list[tuple[str, Any, Any, Any]]:
         )
 
     place, still = (1.2, 1.0, 1.3), (0.0, 0.0, 0.0)
-    whole = scenes.world_from_spec(replace(spec.preset("room", "sphere"), resolution=(32, 32)))
-    lit_at, seen_at = np.array(spec.preset("room").spot.aim), np.array([-0.45, 0.0, 1.3])
+    whole = scenes.world_from_spec(replace(preset("room", "sphere"), resolution=(32, 32)))
+    lit_at, seen_at = np.array(preset("room").spot.aim), np.array([-0.45, 0.0, 1.3])
 
     def edge_on(point: Any) -> tuple[float, float, float]:
         # The sheet's normal is its own -y; turned about z until the point lies in its plane.

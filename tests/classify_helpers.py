@@ -9,10 +9,17 @@ import worlds
 
 from classify.inference.atlas import Atlas
 from classify.pictures.sensor import Sensor
-from generator.model import poses, spec
-from generator.model.spec import Sweep, preset
-from generator.sets import bulk
-from generator.sets.dataset import BACKGROUND, Dataset, PoseRecord
+from generator.files.toml import from_dict, to_dict
+from generator.jobs.bulk import Engine
+from generator.model import poses
+from generator.model.grid import VoxelGrid
+from generator.model.poses import PoseRecord
+from generator.model.presets import preset
+from generator.model.scene import Scene
+from generator.model.settings import Sweep
+from generator.sets import bulk_set
+from generator.sets.dataset import Dataset
+from generator.sets.manifest import BACKGROUND
 from generator.transport import Sphere, Transport
 
 SIZE = 12
@@ -35,13 +42,13 @@ def make_dataset(path, *, target="sheet", n=12, seed=0, noise=2e-7, grid=None, s
     """Write a data set of ``n`` poses a voxel, the last ``skip`` poses unrendered, with ``more`` in its manifest."""
     scene = preset("room", target)
     if grid is not None:
-        scene = spec.from_dict(spec.Scene, {**spec.to_dict(scene), "grid": spec.to_dict(grid)})
+        scene = from_dict(Scene, {**to_dict(scene), "grid": to_dict(grid)})
     sweep = Sweep(engine=engine, poses=n, seed=seed, resolution=(SIZE, SIZE), inside="centre")
     records = poses.plan(scene.grid, sweep, np.zeros((1, 3)))
     meta = {
-        "sweep": {**spec.to_dict(sweep), "scene_sha256": "none"},
+        "sweep": {**to_dict(sweep), "scene_sha256": "none"},
         "reference_radiance": scene.reference_radiance,
-        "scene": spec.to_dict(scene),
+        "scene": to_dict(scene),
         "software": {"blender": "none"},
         **more,
     }
@@ -99,23 +106,23 @@ def make_bulk(
     grey = np.full(3, wall)
     world = replace(world, patch=replace(world.patch, albedo=grey), watched=replace(world.watched, albedo=grey))
     lo, hi = (tuple(scale * x for x in corner) for corner in ((0.3, 0.5, -0.4), (1.5, 1.7, 0.6)))
-    grid = spec.VoxelGrid(lo=lo, hi=hi, shape=shape)
+    grid = VoxelGrid(lo=lo, hi=hi, shape=shape)
     chosen = {"pictures": pictures, "resolution": resolution, "seed": seed, "rotation": rotation, "inside": inside}
-    plan = bulk.Settings(**chosen, accuracy=1e-3)
-    scene = {**spec.to_dict(preset("room", "sphere" if radius else "sheet")), "grid": spec.to_dict(grid)}
+    plan = bulk_set.Settings(**chosen, accuracy=1e-3)
+    scene = {**to_dict(preset("room", "sphere" if radius else "sheet")), "grid": to_dict(grid)}
     transport = Transport(world, accuracy=1e-3)
     meta = {"scene": scene, "reference_radiance": 1.0, "software": {"blender": "none"}}
     path.mkdir()
     background = transport.background().astype(np.float32) + np.float32(ambient)
-    found = bulk.Bulk.create(path, plan, meta, world, background, "0" * 64)
+    found = bulk_set.Bulk.create(path, plan, meta, world, background, "0" * 64)
     reach = scale * (radius or 0.3 / np.sqrt(2.0))
     hull = np.concatenate([reach * np.eye(3), -reach * np.eye(3)])
     draw = poses.Sampler(grid, plan.sweep, hull).draw
-    engine = UnderLight(bulk.Engine(found), ambient)
+    engine = UnderLight(Engine(found), ambient)
     for number in found.missing():
         found.write_part(number, draw, engine)
     found.finish()
-    return bulk.Bulk.open(path)
+    return bulk_set.Bulk.open(path)
 
 
 def plain_atlas(codes, positions, voxels, grid):
@@ -149,7 +156,7 @@ def make_seen(path, simulated, *, poses=3, frames=0, pace=0.0):
         index = i if frames else i // len(labels)
         records.append(PoseRecord(index, int(voxel), labels[voxel], place, turn, 1, file=file))
     meta = {
-        "sweep": {**spec.to_dict(simulated.plan.sweep), "scene_sha256": "none", **walk},
+        "sweep": {**to_dict(simulated.plan.sweep), "scene_sha256": "none", **walk},
         "reference_radiance": 1.0,
         "scene": simulated.meta["scene"],
         "software": {"blender": "none"},

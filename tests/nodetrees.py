@@ -5,7 +5,7 @@ from __future__ import annotations
 import bpy
 import radiometry
 
-from generator.blender.scene import stage
+from generator.blender.scene import blend_file, build, posing
 
 WHITE = (1.0, 1.0, 1.0, 1.0)
 
@@ -50,7 +50,7 @@ def paint(obj, kind, **inputs):
 
 def bare(**changes):
     """The wall, spot and sheet of `radiometry.bare_scene`, four pixels wide, the sheet turned a little."""
-    scene = stage.new_file()
-    stage.build(scene, radiometry.bare_scene(resolution=(4, 4), **changes))
-    stage.move_target(scene, (0.0, 1.0, 0.0), (10.0, 0.0, 20.0))
+    scene = blend_file.new_file()
+    build.build(scene, radiometry.bare_scene(resolution=(4, 4), **changes))
+    posing.move_target(scene, (0.0, 1.0, 0.0), (10.0, 0.0, 20.0))
     return scene

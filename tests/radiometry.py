@@ -7,7 +7,8 @@ from dataclasses import replace
 
 import numpy as np
 
-from generator.model.spec import Camera, Room, Scene, Spot, Target, VoxelGrid, Wall
+from generator.model.grid import VoxelGrid
+from generator.model.scene import Camera, Room, Scene, Spot, Target, Wall
 
 
 def bare_scene(**changes):

@@ -34,7 +34,14 @@ bpy.ops.extensions.package_install_files(
 assert MODULE in bpy.context.preferences.addons
 import importlib
 import numpy as np
-spec, stage, engines = (importlib.import_module(f"{MODULE}.generator.{m}") for m in ("spec", "stage", "engines"))
+
+def module(name):
+    return importlib.import_module(f"{MODULE}.{name}")
+
+roles, build, description = (module(f"generator.blender.scene.{m}") for m in ("roles", "build", "description"))
+grid, presets, renderers = (
+    module(f"generator.{m}") for m in ("model.grid", "model.presets", "blender.engines.renderers")
+)
 scene = bpy.context.scene
 for obj in list(scene.objects):  # the cube, lamp and camera that Blender starts with
     bpy.data.objects.remove(obj)
@@ -91,12 +98,12 @@ def test_zip_holds_what_is_needed_and_no_more(package: Path) -> None:
         sources = {n: archive.read(n).decode() for n in archive.namelist()}
     wanted = (
         "__init__.py",
-        "generator/blender/scene/stage.py",
-        "generator/blender/engines/engines.py",
+        "generator/blender/scene/build.py",
+        "generator/blender/engines/renderers.py",
         "generator/transport/world.py",
     )
     assert {"blender_manifest.toml", "generator/transport/__init__.py", *wanted} <= set(sources)
-    unwanted = ("tests", "__pycache__", "classify", "build.py", "cli.py", "bulk.py", ".whl")
+    unwanted = ("tests", "__pycache__", "classify", "packaging", "cli/", "bulk", ".whl")
     assert not [n for n in sources if any(word in n for word in unwanted)]
     for name, text in sources.items():
         if not name.endswith(".py"):
@@ -125,7 +132,7 @@ def test_manifest() -> None:
 
 def test_absolute_import_is_refused(tmp_path: Path) -> None:
     source = tmp_path / "module.py"
-    source.write_text("def f():\n    import generator.model.spec\n")
+    source.write_text("def f():\n    import generator.model.scene\n")
     with pytest.raises(build.BuildError, match=r"import generator\.model\.spec"):
         build._copy(source, tmp_path, Path("copy.py"))
 
@@ -170,19 +177,19 @@ def test_operator_builds_what_the_api_builds(package: Path, tmp_path: Path) -> N
             for kind in ("sheet", "sphere"):
                 settings.preset, settings.target_kind = preset, kind
                 assert bpy.ops.nlos.build_scene() == {"FINISHED"}
-                by_operator = stage.read(scene)
-                stage.build(scene, spec.preset(preset, kind))
-                assert by_operator == stage.read(scene), (by_operator, stage.read(scene))
+                by_operator = description.read_scene(scene)
+                build.build(scene, presets.preset(preset, kind))
+                assert by_operator == description.read_scene(scene), (by_operator, description.read_scene(scene))
         settings.preset = "room"
         settings.light_power, settings.target_albedo, settings.target_size = 250.0, 0.3, 0.7
         settings.grid_counts, settings.grid_lo, settings.reflection_order = (2, 1, 4), (0.9, 0.5, 0.6), 5
         settings.use_ambient, settings.ambient_radiance = True, 0.125
         bpy.ops.nlos.build_scene()
-        found = stage.read(scene)
+        found = description.read_scene(scene)
         assert (found.spot.power, found.target.albedo, found.ambient) == (250.0, 0.3, 0.125)
-        assert found.grid == spec.VoxelGrid(lo=(0.9, 0.5, 0.6), hi=(2.3, 1.9, 2.2), shape=(2, 1, 4))
+        assert found.grid == grid.VoxelGrid(lo=(0.9, 0.5, 0.6), hi=(2.3, 1.9, 2.2), shape=(2, 1, 4))
         assert "ceiling" not in found.room.surfaces and found.reflection_order == 5
-        assert {o["nlos_role"] for o in scene.objects} == {*stage.SINGLE_ROLES, "room", "partition"}
+        assert {o["nlos_role"] for o in scene.objects} == {*roles.SINGLE_ROLES, "room", "partition"}
         assert scene.render.engine == "CYCLES" and scene.cycles.diffuse_bounces == scene.cycles.max_bounces == 4
         assert not [m for m in sys.modules if m.partition(".")[0] in ("generator", "blender_addon")]
         """,
@@ -195,7 +202,7 @@ def test_edits_by_hand_are_read_and_kept(package: Path, tmp_path: Path) -> None:
         tmp_path,
         """
         bpy.ops.nlos.build_scene()
-        lamp, target = stage.find(scene, "spot"), stage.find(scene, "target")
+        lamp, target = roles.find(scene, "spot"), roles.find(scene, "target")
         lamp.location.x -= 0.1
         lamp.data.energy, lamp.data.color = 60.0, (1.0, 0.5, 0.0)
         target.scale = (2.0, 2.0, 2.0)
@@ -206,13 +213,13 @@ def test_edits_by_hand_are_read_and_kept(package: Path, tmp_path: Path) -> None:
         bpy.ops.nlos.read_scene()
         assert tuple(settings.grid_counts) == (4, 5, 6) and settings.reflection_order == 7
         assert settings.light_power == 30.0 and settings.target_size == 1.0
-        before = stage.read(scene)
+        before = description.read_scene(scene)
         bpy.ops.nlos.apply()
-        assert stage.read(scene) == before and lamp.data.energy == 60.0
+        assert description.read_scene(scene) == before and lamp.data.energy == 60.0
         settings.light_power, settings.light_half_angle, settings.grid_counts = 45.0, 0.05, (1, 1, 1)
         settings.reflection_order = 3
         bpy.ops.nlos.apply()
-        after = stage.read(scene)
+        after = description.read_scene(scene)
         assert (after.spot.power, after.grid.shape, after.reflection_order) == (45.0, (1, 1, 1), 3)
         assert abs(lamp.data.spot_size - 0.1) < 1e-6 and lamp.data.energy == 90.0
         assert after.spot.location == before.spot.location and tuple(target.scale) == (2.0, 2.0, 2.0)
@@ -231,7 +238,7 @@ def test_render_fills_the_images(package: Path, tmp_path: Path) -> None:
         wall, difference = pixels("NLOS wall"), pixels("NLOS difference")
         assert wall.shape == (16, 16, 3) and np.isfinite(wall).all() and (wall > 0).all()
         assert bpy.data.images["NLOS wall"].colorspace_settings.name == "Non-Color"
-        with engines.opened(scene, "patch", resolution=(16, 16)) as renderer:
+        with renderers.opened(scene, "patch", resolution=(16, 16)) as renderer:
             picture = renderer.render(samples=8, seed=3)
             background = renderer.render(samples=8, seed=3, target=False)
         assert np.array_equal(wall, picture) and np.array_equal(difference, picture - background)
@@ -285,7 +292,7 @@ def test_the_data_sets_workers_end_with_blender(package: Path, tmp_path: Path) -
         settings.resolution = (16, 16)
         settings.dataset = os.path.join(os.getcwd(), "set")
         assert bpy.ops.nlos.sweep_start() == {"FINISHED"}
-        job = importlib.import_module(f"{MODULE}.dataset").job
+        job = importlib.import_module(f"{MODULE}.operators.dataset").job
         while job.running and job.done < 2:
             assert not job._task.done, job._task.error
             time.sleep(0.1)
@@ -327,7 +334,7 @@ def test_a_data_set_takes_what_a_time_or_an_error_allows(
         settings.quality = {wish}
         settings.dataset = os.path.join(os.getcwd(), "set")
         assert bpy.ops.nlos.sweep_start() == {{"FINISHED"}}
-        job = importlib.import_module(f"{{MODULE}}.dataset").job
+        job = importlib.import_module(f"{{MODULE}}.operators.dataset").job
         while not job._task.done:
             time.sleep(0.1)
         assert not job._task.error, job._task.error
@@ -349,7 +356,7 @@ def test_without_cycles_there_is_a_sentence(package: Path, tmp_path: Path) -> No
         for operator in (bpy.ops.nlos.build_scene, bpy.ops.nlos.read_scene, bpy.ops.nlos.render_wall):
             assert "Cycles is switched off" in refused(operator)
         bpy.ops.nlos.check()
-        assert "Cycles is switched off" in importlib.import_module(f"{MODULE}.state").findings[0].text
+        assert "Cycles is switched off" in importlib.import_module(f"{MODULE}.session.state").findings[0].text
         """,
     )
 
@@ -366,7 +373,7 @@ def test_a_trained_model_answers(
         package,
         tmp_path,
         f"""
-        state = importlib.import_module(f"{{MODULE}}.state")
+        state = importlib.import_module(f"{{MODULE}}.session.state")
         bpy.context.preferences.addons[MODULE].preferences.python = sys.executable
         assert bpy.ops.nlos.test_environment() == {{"FINISHED"}}
         assert "It works: Python 3." in state.environment_words, state.environment_words
@@ -394,7 +401,7 @@ def test_bad_states_are_told_in_a_sentence(package: Path, tmp_path: Path) -> Non
             assert "no object is the" in refused(operator)
         bpy.ops.nlos.build_scene()
         settings.samples, settings.resolution = 1, (4, 4)
-        bpy.data.objects.remove(stage.find(scene, "target"))
+        bpy.data.objects.remove(roles.find(scene, "target"))
         message = refused(bpy.ops.nlos.render_wall)
         assert "no object is the target" in message and "Traceback" not in message, message
         assert not bpy.data.images.get("NLOS wall")
@@ -412,7 +419,7 @@ def test_bad_states_are_told_in_a_sentence(package: Path, tmp_path: Path) -> Non
         assert "square" in refused(bpy.ops.nlos.build_scene)
         settings.resolution = (64, 64)
         bpy.ops.nlos.build_scene()
-        bpy.context.view_layer.objects.active = stage.find(scene, "target")
+        bpy.context.view_layer.objects.active = roles.find(scene, "target")
         bpy.ops.object.mode_set(mode="EDIT")
         assert "Object Mode" in refused(bpy.ops.nlos.build_scene)
         """,
@@ -427,7 +434,7 @@ def test_mesh_target_from_a_file(package: Path, tmp_path: Path) -> None:
         """
         settings.target_kind, settings.target_mesh, settings.target_size = "mesh", "wedge.obj", 0.5
         bpy.ops.nlos.build_scene()
-        found = stage.read(scene).target
+        found = description.read_scene(scene).target
         assert found.kind == "mesh" and abs(found.size - 0.5) < 1e-6
         """,
     )
@@ -441,13 +448,13 @@ def test_disable_enable_remove(package: Path, tmp_path: Path) -> None:
         bpy.ops.nlos.build_scene()
         bpy.ops.preferences.addon_disable(module=MODULE)
         assert not hasattr(bpy.types.Scene, "nlos") and not hasattr(bpy.types, "NLOS_PT_lab")
-        assert stage.read(scene).preset == "room"  # the file does not depend on the extension
+        assert description.read_scene(scene).preset == "room"  # the file does not depend on the extension
         bpy.ops.preferences.addon_enable(module=MODULE)
         assert bpy.ops.nlos.read_scene() == {"FINISHED"}
         import pathlib
         installed = pathlib.Path(sys.modules[MODULE].__file__).parent
         before = {p.name for p in installed.rglob("*") if "__pycache__" not in p.parts}
-        assert "engines.py" in before
+        assert "renderers.py" in before
         bpy.ops.extensions.package_uninstall(repo_index=[
             i for i, r in enumerate(bpy.context.preferences.extensions.repos) if r.module == "user_default"
         ][0], pkg_id="nlos_lab")

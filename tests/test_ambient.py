@@ -5,13 +5,16 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from generator.blender import worker
-from generator.blender.engines import engines, extract
-from generator.blender.scene import stage
+from generator.blender.engines import renderers, survey
+from generator.blender.engines.settings import settled
+from generator.blender.scene import blend_file, build, geometry, posing
 from generator.blender.scene.clearance import clearance
+from generator.blender.scene.description import read_scene
 from generator.model import poses
-from generator.model.spec import NlosError, Sweep, preset
-from generator.sets import bulk
+from generator.model.errors import NlosError
+from generator.model.presets import preset
+from generator.model.settings import Sweep
+from generator.sets import bulk_set
 from generator.sets import simulated as simulations
 from generator.sets.dataset import Dataset
 from generator.transport import AmbientLight, Mesh, Sphere, Transport, ambient
@@ -93,9 +96,9 @@ def test_poses_in_the_shade_of_a_corridor():
         target=replace(grey.target, size=0.12, albedo=0.5),
         grid=replace(grey.grid, lo=(0.2, 2.0, 0.3), hi=(1.4, 8.5, 2.3)),
     )
-    scene = stage.new_file()
-    stage.build(scene, grey)
-    engine = Transport(extract.surfel_world(scene), accuracy=1e-2)
+    scene = blend_file.new_file()
+    build.build(scene, grey)
+    engine = Transport(survey.surfel_world(scene), accuracy=1e-2)
     axes = engine._setting.frame.axes
     level, unseen = np.zeros(40), np.zeros(40, dtype=bool)
     for number, spot in enumerate(np.random.default_rng(0).uniform(grey.grid.lo, grey.grid.hi, (40, 3))):
@@ -175,7 +178,7 @@ def test_a_world_keeps_its_sky_in_a_file(tmp_path):
     assert load_world(tmp_path / "0.npz").ambient is None
     assert load_world(tmp_path / "1.npz").ambient.radiance[0] == 0.3
     coloured = replace(dark, ambient=AmbientLight(np.array([0.1, 0.2, 0.3]), under_sky(ball()).ambient.wall))
-    assert (bulk.is_grey(dark), bulk.is_grey(coloured)) == (True, False)
+    assert (bulk_set.is_grey(dark), bulk_set.is_grey(coloured)) == (True, False)
 
 
 def test_too_many_surfaces_are_refused():
@@ -209,16 +212,16 @@ def test_from_the_shell(tmp_path, command):
 @pytest.mark.parametrize("kind", ["sphere", "sheet"])
 def test_cycles_sees_the_same(kind):
     """In the preset room under a sky that outshines the lamp; by slope over poses, four standard errors and 5 %."""
-    scene = stage.new_file()
-    stage.build(scene, replace(preset("room", kind).with_ambient(1.0), resolution=(12, 12)))
-    described = stage.read(scene)
-    sweep, _ = worker.settled(scene, described, {"engine": "patch", "poses": 2, "seed": 4})
-    planned = poses.plan(described.grid, sweep, stage.hull(scene), clearance(scene, described, engine="patch"))
-    engine = Transport(extract.surfel_world(scene), accuracy=1e-2)
+    scene = blend_file.new_file()
+    build.build(scene, replace(preset("room", kind).with_ambient(1.0), resolution=(12, 12)))
+    described = read_scene(scene)
+    sweep, _ = settled(scene, described, {"engine": "patch", "poses": 2, "seed": 4})
+    planned = poses.plan(described.grid, sweep, geometry.hull(scene), clearance(scene, described, engine="patch"))
+    engine = Transport(survey.surfel_world(scene), accuracy=1e-2)
     products = []
-    with engines.opened(scene, "patch", **{**engines.settings(Sweep()), "resolution": (12, 12)}) as renderer:
+    with renderers.opened(scene, "patch", **{**renderers.settings(Sweep()), "resolution": (12, 12)}) as renderer:
         for pose in planned:
-            stage.move_target(scene, pose.position, pose.rotation)
+            posing.move_target(scene, pose.position, pose.rotation)
             seen, empty = (renderer.render(samples=192, seed=pose.seed, target=there) for there in (True, False))
             expected = engine.difference(pose.position, pose.rotation).mean(axis=2)
             products.append((((seen - empty).mean(axis=2) * expected).mean(), (expected**2).mean()))
@@ -227,5 +230,5 @@ def test_cycles_sees_the_same(kind):
     error = np.sqrt(((ours - slope * squares) ** 2).sum()) / squares.sum()
     assert error < 0.1  # or the test could not fail
     assert abs(slope - 1.0) < 4.0 * error + 0.05
-    background = Transport(extract.surfel_world(scene), accuracy=1e-2).background()
+    background = Transport(survey.surfel_world(scene), accuracy=1e-2).background()
     assert background.mean() == pytest.approx(empty.mean(), rel=0.05)

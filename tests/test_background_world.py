@@ -9,10 +9,10 @@ import numpy as np
 import pytest
 from nodetrees import WHITE, bare, node, output, tree_of
 
-from generator.blender import worker
-from generator.blender.engines import engines
-from generator.blender.scene import stage
-from generator.sets import dataset
+from generator.blender import sweep_worker
+from generator.blender.engines import renderers
+from generator.blender.scene import blend_file, roles
+from generator.sets.manifest import BACKGROUND, BACKGROUND_AMBIENT
 
 
 def emission(tree):
@@ -47,20 +47,20 @@ def test_paired_pictures_have_the_mean_of_those_that_are_not(tmp_path, build):
     scene = bare()
     build(tree_of(scene.world))
     # Light of order 1 on the watched wall makes the background bright: that of another world shows at once.
-    stage.find(scene, "spot").location.x = -0.5
-    stage.find(scene, "spot").rotation_euler = (-math.pi / 2.0, 0.0, 0.0)
-    stage.limit_reflections(scene, 3)
+    roles.find(scene, "spot").location.x = -0.5
+    roles.find(scene, "spot").rotation_euler = (-math.pi / 2.0, 0.0, 0.0)
+    roles.limit_reflections(scene, 3)
     source = tmp_path / "scene.blend"
-    stage.save_file(source)
+    blend_file.save_file(source)
     shining = build is not fog
     means = {}
     for paired in (True, False):
         chosen = {"engine": "path", "samples": 256, "poses": 6, "paired": paired, "resolution": "4x4", "seed": 5}
-        made = worker.plan(stage.open_file(source), source, tmp_path / f"{paired}", chosen, probe=False)
+        made = sweep_worker.plan(blend_file.open_file(source), source, tmp_path / f"{paired}", chosen, probe=False)
         done = []
         batch = dict.fromkeys(range(len(made.poses)), 0)
-        worker.render(worker.open_scene(made), made, [batch], report=done.extend)
-        assert made.background_names == [dataset.BACKGROUND] + [dataset.BACKGROUND_AMBIENT] * shining
+        sweep_worker.render(sweep_worker.open_scene(made), made, [batch], report=done.extend)
+        assert made.background_names == [BACKGROUND] + [BACKGROUND_AMBIENT] * shining
         means[paired] = np.array([made.picture(pose).mean() for pose in done])
         background = float(made.background().mean())
         assert background == pytest.approx(means[paired].mean(), rel=0.2), "the object changes little of it"
@@ -75,7 +75,7 @@ def test_the_world_comes_back():
     emission(tree_of(scene.world))
     worlds = {world.name for world in bpy.data.worlds}
     mine = scene.world
-    with engines.opened(scene, "path", resolution=(4, 4)) as renderer:
+    with renderers.opened(scene, "path", resolution=(4, 4)) as renderer:
         dark = renderer.render(samples=4, seed=1, ambient=False)
         bright = renderer.render(samples=4, seed=1)
     assert bright.mean() > dark.mean() + 0.05

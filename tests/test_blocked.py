@@ -122,7 +122,8 @@ def test_every_module_of_the_extension_and_what_it_draws(bare, tmp_path):
         bpy.ops.wm.read_factory_settings(use_empty=True)
         nlos_lab.register()
         bpy.context.preferences.addons.new().module = "nlos_lab"
-        from nlos_lab import looking, state
+        from nlos_lab.session import state
+        from nlos_lab.view import live
         from nlos_lab.generator.transport import compiled
         assert not compiled.COMPILED
         def pixels(name):
@@ -134,8 +135,8 @@ def test_every_module_of_the_extension_and_what_it_draws(bare, tmp_path):
         settings.preset, settings.target_kind, settings.samples, settings.resolution = "tabletop", "sphere", 4, (8, 8)
         assert bpy.ops.nlos.build_scene() == {"FINISHED"}
         manager.nlos.look = True
-        looking._draw()
-        assert looking.pictures() == 1 and "ms" in looking.words(), looking.words()
+        live._draw()
+        assert live.pictures() == 1 and "ms" in live.words(), live.words()
         manager.nlos.look = False
         bpy.ops.nlos.check()
         assert state.findings and "No module" not in " ".join(f.text for f in state.findings), state.findings

@@ -13,7 +13,8 @@ from classify.inference import atlas as atlases
 from classify.inference import bound
 from classify.inference.posterior import Synthesis
 from classify.pictures.sensor import Sensor
-from generator.model.spec import NlosError, VoxelGrid
+from generator.model.errors import NlosError
+from generator.model.grid import VoxelGrid
 from generator.transport import Transport
 
 PLACE, TURN = np.array([0.8, 0.9, 0.1]), np.zeros(3)

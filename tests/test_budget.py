@@ -14,7 +14,8 @@ import pytest
 from generator.jobs import budget
 from generator.jobs.budget import Measured
 from generator.measure.tradeoff import differences
-from generator.model.spec import NlosError
+from generator.model.errors import NlosError
+from generator.model.quantities import fraction, seconds
 from generator.sets.dataset import Dataset
 
 PATCH = Measured("patch", 9, start=5.0, fixed=0.01, slope=0.002, power=1.0, noise=20.0, workers=2.0)
@@ -23,24 +24,24 @@ SURFEL = Measured("surfel", 9, start=4.0, fixed=0.002, slope=0.001, power=0.5, n
 
 @pytest.mark.parametrize(("text", "wanted"), [("90", 90.0), ("90s", 90.0), ("10min", 600.0), ("1.5h", 5400.0)])
 def test_times_are_read(text, wanted):
-    assert budget.seconds(text) == wanted
+    assert seconds(text) == wanted
 
 
 @pytest.mark.parametrize("text", ["", "soon", "-3s", "0", "10 parsecs", "1e3", "nan"])
 def test_what_is_no_time_is_one_sentence(text):
     with pytest.raises(NlosError, match="must read like 90s"):
-        budget.seconds(text)
+        seconds(text)
 
 
 @pytest.mark.parametrize(("text", "wanted"), [("1%", 0.01), ("0.01", 0.01), ("12.5 %", 0.125), ("1e-3", 1e-3)])
 def test_accuracies_are_read(text, wanted):
-    assert budget.fraction(text) == pytest.approx(wanted)
+    assert fraction(text) == pytest.approx(wanted)
 
 
 @pytest.mark.parametrize("text", ["", "0", "100%", "2", "1%%", "good", "nan", "-1%"])
 def test_what_is_no_accuracy_is_one_sentence(text):
     with pytest.raises(NlosError, match="must be between 0 and 1"):
-        budget.fraction(text)
+        fraction(text)
 
 
 def chosen(monkeypatch, measured, settings=None, **wanted):

@@ -21,10 +21,14 @@ from conftest import ROOT
 
 from generator import transport
 from generator.cli import main as cli
-from generator.model import poses, spec
-from generator.model.spec import NlosError, Sweep, preset, to_dict
-from generator.sets import bulk
-from generator.sets.bulk import Bulk, Settings
+from generator.files.toml import to_dict
+from generator.model import poses
+from generator.model.arrays import rotation_matrix
+from generator.model.errors import NlosError
+from generator.model.presets import preset
+from generator.model.settings import Sweep
+from generator.sets import bulk_set, hdf5
+from generator.sets.bulk_set import Bulk, Settings
 from generator.sets.dataset import Dataset
 from generator.transport.world import LitPatch, Mesh, Sphere, Watched, World
 from generator.transport.world_file import load_world, save_world, world_hash
@@ -155,7 +159,7 @@ def test_reading_one_picture_opens_one_part(whole, monkeypatch):
         opened.append(Path(path).name)
         return real(path, *arguments, **options)
 
-    monkeypatch.setattr(bulk.h5py, "File", file)
+    monkeypatch.setattr(bulk_set.h5py, "File", file)
     found = Bulk.open(whole.path)
     assert len(found.pictures) == 40
     found.pictures[16]
@@ -164,7 +168,7 @@ def test_reading_one_picture_opens_one_part(whole, monkeypatch):
 
 
 def test_few_parts_are_open_at_a_time(tmp_path, monkeypatch):
-    monkeypatch.setattr(bulk, "_OPEN", 3)
+    monkeypatch.setattr(hdf5, "OPENED", 3)
     found = render_missing(new_set(tmp_path / "set", part=1).path)
     found.pictures[:], found.pictures[::-1]
     descriptors = Path("/proc/self/fd")
@@ -434,10 +438,10 @@ def test_bad_input_is_one_sentence_and_code_2(tmp_path, capsys, monkeypatch, arg
 def test_what_a_killed_plan_leaves_is_no_obstacle(tmp_path):
     for name in ("scene.blend", "world.npz", ".background.exr.77.tmp"):
         (tmp_path / name).touch()
-    bulk.check_free(tmp_path)
+    bulk_set.check_free(tmp_path)
     (tmp_path / "thesis.pdf").touch()
     with pytest.raises(NlosError, match="holds other files"):
-        bulk.check_free(tmp_path)
+        bulk_set.check_free(tmp_path)
 
 
 TINY = ("--pictures", "30", "--part", "4", "--resolution", "8", "--accuracy", "0.01", "--no-probe")
@@ -542,7 +546,7 @@ def drawn_as_defined(grid, voxel, index, sweep, hull, is_free):
     limits = np.asarray(sweep.rotation)
     for _ in range(102_400):
         rotation = rng.uniform(-limits, limits)
-        reach = hull @ spec.rotation_matrix(tuple(rotation)).T if sweep.inside == "whole" else np.zeros((1, 3))
+        reach = hull @ rotation_matrix(tuple(rotation)).T if sweep.inside == "whole" else np.zeros((1, 3))
         low, high = lo - reach.min(axis=0), hi - reach.max(axis=0)
         room = high - low + 1e-6 * (hi - lo)
         keep, where = rng.uniform(), rng.uniform(size=3)

@@ -10,18 +10,22 @@ import pytest
 from mathutils import Matrix
 from numpy.testing import assert_allclose
 
-from generator.blender import check, worker
+from generator.blender import check, sweep_worker
 from generator.blender.check import ERROR, GOOD, NOTE, WARNING
-from generator.blender.engines import engines
+from generator.blender.engines import renderers
 from generator.blender.measure import experiment
-from generator.blender.scene import adopt, stage
-from generator.model.spec import NlosError, Sweep, preset
-from generator.sets.dataset import read_picture
+from generator.blender.scene import adopt, blend_file, build, roles
+from generator.blender.scene.description import read_scene
+from generator.blender.scene.quiet import Overrides
+from generator.files.pictures import read_picture
+from generator.model.errors import NlosError
+from generator.model.presets import preset
+from generator.model.settings import Sweep
 
 
 def built(name="room", target="sheet"):
-    scene = stage.new_file()
-    stage.build(scene, preset(name, target))
+    scene = blend_file.new_file()
+    build.build(scene, preset(name, target))
     return scene
 
 
@@ -42,11 +46,11 @@ def test_presets_are_sound(name):
 
 def test_missing_and_double_roles():
     scene = built()
-    bpy.data.objects.remove(stage.find(scene, "target"))
+    bpy.data.objects.remove(roles.find(scene, "target"))
     [found] = check.findings(scene)
     assert found.level == ERROR
     assert "No object is the target" in found.text
-    wall = stage.find(scene, "relay_wall")
+    wall = roles.find(scene, "relay_wall")
     wall.copy()
     twin = wall.copy()
     scene.collection.objects.link(twin)
@@ -56,7 +60,7 @@ def test_missing_and_double_roles():
 
 def test_lamp_that_shines_into_a_voxel():
     scene = built()
-    lamp = stage.find(scene, "spot")
+    lamp = roles.find(scene, "spot")
     lamp.location = (1.5, 3.2, 1.3)
     lamp.rotation_euler = (math.pi / 2.0, 0.0, math.pi)  # along -y, through the middle voxels
     bpy.context.view_layer.update()
@@ -67,7 +71,7 @@ def test_lamp_that_shines_into_a_voxel():
 
 def test_lit_patch_in_the_picture():
     scene = built()
-    lamp = stage.find(scene, "spot")
+    lamp = roles.find(scene, "spot")
     lamp.rotation_euler = (math.pi / 2.0, 0.0, math.pi)  # at x = -1.0, z = 1.7: just outside; 0.3 m aside: inside
     lamp.location.x = -0.5
     bpy.context.view_layer.update()
@@ -76,7 +80,7 @@ def test_lit_patch_in_the_picture():
 
 def test_without_a_partition_nothing_hides():
     scene = built()
-    for screen in stage.players(scene, "partition"):
+    for screen in roles.players(scene, "partition"):
         bpy.data.objects.remove(screen)
     texts = [f.text for f in told(scene, NOTE) if "Nothing hides" in f.text]
     assert len(texts) == 2  # from the lamp, and from the camera
@@ -94,10 +98,10 @@ def test_a_voxel_in_the_dark():
 @pytest.mark.parametrize(
     ("spoil", "fix", "words"),
     [
-        (lambda s: stage.limit_reflections(s, 2), "reflections", "2 reflections at most"),
-        (lambda s: setattr(stage.find(s, "target"), "hide_render", True), "show", "hidden from renders"),
-        (lambda s: setattr(stage.find(s, "relay_wall"), "location", (0.0, -0.2, 0.0)), "align", "plane y = 0"),
-        (lambda s: s.pop(stage.GRID_SHAPE), "voxels", "voxel grid"),
+        (lambda s: roles.limit_reflections(s, 2), "reflections", "2 reflections at most"),
+        (lambda s: setattr(roles.find(s, "target"), "hide_render", True), "show", "hidden from renders"),
+        (lambda s: setattr(roles.find(s, "relay_wall"), "location", (0.0, -0.2, 0.0)), "align", "plane y = 0"),
+        (lambda s: s.pop(roles.GRID_SHAPE), "voxels", "voxel grid"),
     ],
 )
 def test_what_can_be_mended_is(spoil, fix, words):
@@ -115,7 +119,7 @@ def test_what_can_be_mended_is(spoil, fix, words):
 
 def test_engine_that_cannot():
     scene = built()
-    node = stage.find(scene, "target").data.materials[0].node_tree.nodes["Diffuse BSDF"]
+    node = roles.find(scene, "target").data.materials[0].node_tree.nodes["Diffuse BSDF"]
     node.inputs["Roughness"].default_value = 0.5
     assert any("cannot honour" in f.text and f.object for f in told(scene, ERROR, engine="surfel"))
     assert not told(scene, ERROR, engine="auto")
@@ -128,11 +132,11 @@ def test_the_probe_foretells_signal_and_noise():
     size = (16, 16)
     sweep = Sweep(engine="patch", samples=64, resolution=size, poses=3, seed=0)
     found = check.probe(scene, sweep)
-    with engines.opened(scene, "surfel", resolution=size, accuracy=1e-3) as renderer:
+    with renderers.opened(scene, "surfel", resolution=size, accuracy=1e-3) as renderer:
         wall, without = renderer.render(), renderer.render(target=False)
     truth = wall - without
     assert found.share == pytest.approx(truth.mean() / wall.mean(), rel=0.35)
-    with engines.opened(scene, "patch", resolution=size) as renderer:
+    with renderers.opened(scene, "patch", resolution=size) as renderer:
         errors = [
             renderer.render(samples=64, seed=s) - renderer.render(samples=64, seed=s, target=False) - truth
             for s in range(10, 14)
@@ -151,10 +155,10 @@ def test_command_line_checks(scene_file, tmp_path, command):
     assert "The object adds" in result.stdout
     assert "on disk" in result.stdout
     assert "hidden from lamp" in result.stdout
-    scene = stage.open_file(scene_file)
-    stage.limit_reflections(scene, 2)
+    scene = blend_file.open_file(scene_file)
+    roles.limit_reflections(scene, 2)
     spoilt = tmp_path / "spoilt.blend"
-    stage.save_file(spoilt)
+    blend_file.save_file(spoilt)
     result = command("generator", "check", spoilt)
     assert result.returncode == 1
     assert result.stdout.startswith("error: Light makes 2 reflections")
@@ -163,7 +167,7 @@ def test_command_line_checks(scene_file, tmp_path, command):
 
 def as_an_artist_might_have_it(scene):
     """The room, turned and moved, in centimetres, under a scaled parent, without roles, with a second camera."""
-    played = {o.name: o.get(stage.ROLE) for o in scene.objects}
+    played = {o.name: o.get(roles.ROLE) for o in scene.objects}
     turned = Matrix.Translation((310.0, -220.0, 15.0)) @ Matrix.Rotation(math.radians(37.0), 4, "Z")
     change = turned @ Matrix.Diagonal((100.0, 100.0, 100.0, 1.0))
     parent = bpy.data.objects.new("Set", None)
@@ -173,14 +177,14 @@ def as_an_artist_might_have_it(scene):
     for obj in list(scene.objects):
         if obj == parent:
             continue
-        obj.pop(stage.ROLE, None)
+        obj.pop(roles.ROLE, None)
         placed = change @ obj.matrix_world
         if obj.type in ("LIGHT", "CAMERA"):
             placed = Matrix.LocRotScale(*placed.decompose()[:2], None)
         else:
             obj.parent = parent
         obj.matrix_world = placed
-        obj.pop(stage.KIND, None)
+        obj.pop(roles.KIND, None)
     camera = bpy.data.objects.new("Beauty camera", bpy.data.cameras.new("Beauty camera"))
     scene.collection.objects.link(camera)
     scene.camera = camera
@@ -191,7 +195,7 @@ def as_an_artist_might_have_it(scene):
     target = next(o for o in scene.objects if played.get(o.name) == "target")
     target.data.transform(Matrix.Diagonal((0.5, 1.0, 1.0, 1.0)) @ Matrix.Translation((0.25, 0.0, 0.0)))
     target.modifiers.new("Mirror", "MIRROR").use_clip = True
-    for key in (stage.GRID_LO, stage.GRID_HI, stage.GRID_SHAPE, stage.PRESET):
+    for key in (roles.GRID_LO, roles.GRID_HI, roles.GRID_SHAPE, roles.PRESET):
         del scene[key]
     bpy.context.view_layer.update()
     return played
@@ -199,15 +203,15 @@ def as_an_artist_might_have_it(scene):
 
 def test_an_artists_scene_is_adopted_and_renders_as_the_one_written_by_hand():
     scene = built()
-    target = stage.find(scene, "target")
+    target = roles.find(scene, "target")
     target.rotation_euler.z = 0.4
     bpy.context.view_layer.update()
-    with engines.opened(scene, "surfel", resolution=(16, 16), accuracy=1e-4) as renderer:
+    with renderers.opened(scene, "surfel", resolution=(16, 16), accuracy=1e-4) as renderer:
         by_hand = renderer.render(), renderer.render(target=False)
     played = as_an_artist_might_have_it(scene)
     assert told(scene, ERROR)
     for name, role in played.items():
-        if role in stage.SINGLE_ROLES:
+        if role in roles.SINGLE_ROLES:
             adopt.assign(scene, role, [scene.objects[name]])
     assert {f.fix for f in told(scene, ERROR)} == {"metres", "align"}
     check.mend(scene, "metres")
@@ -215,7 +219,7 @@ def test_an_artists_scene_is_adopted_and_renders_as_the_one_written_by_hand():
     assert [f.fix for f in told(scene, ERROR)] == ["voxels"]
     check.mend(scene, "voxels")
     assert not [f for f in told(scene, ERROR) if f.fix != "voxels" and "straight into" not in f.text]
-    with engines.opened(scene, "surfel", resolution=(16, 16), accuracy=1e-4) as renderer:
+    with renderers.opened(scene, "surfel", resolution=(16, 16), accuracy=1e-4) as renderer:
         adopted = renderer.render(), renderer.render(target=False)
     level = np.abs(by_hand[0] - by_hand[1]).max()
     assert_allclose(adopted[0] - adopted[1], by_hand[0] - by_hand[1], atol=1e-3 * level)
@@ -224,19 +228,19 @@ def test_an_artists_scene_is_adopted_and_renders_as_the_one_written_by_hand():
 
 def test_an_adopted_scene_is_swept(tmp_path):
     scene = built()
-    described = stage.read(scene)
+    described = read_scene(scene)
     played = as_an_artist_might_have_it(scene)
     for name, role in played.items():
-        if role in stage.SINGLE_ROLES:
+        if role in roles.SINGLE_ROLES:
             adopt.assign(scene, role, [scene.objects[name]])
     check.mend(scene, "metres")
     check.mend(scene, "align")
     # Where the hand-written voxels lie in the new frame: the target's place moved by as much as the target did.
     moved = (
-        np.array(stage.find(scene, "target").matrix_world.translation)
+        np.array(roles.find(scene, "target").matrix_world.translation)
         - np.add(described.grid.lo, described.grid.hi) / 2.0
     )
-    stage.write_grid(
+    roles.write_grid(
         scene,
         type(described.grid)(
             lo=tuple(np.add(described.grid.lo, moved).round(5)),
@@ -244,17 +248,17 @@ def test_an_adopted_scene_is_swept(tmp_path):
             shape=(3, 3, 1),
         ),
     )
-    found = worker.check_scene(scene, {"engine": "surfel", "resolution": [16, 16], "accuracy": 1e-2})
+    found = check.check_scene(scene, {"engine": "surfel", "resolution": [16, 16], "accuracy": 1e-2})
     assert not check.hopeless(found), found
     source = tmp_path / "artist.blend"
-    stage.save_file(source)
+    blend_file.save_file(source)
     chosen = {"engine": "surfel", "poses": 2, "resolution": [16, 16], "accuracy": 1e-3, "rotation": [15, 15, 90]}
-    plan = worker.plan(stage.open_file(source), source, tmp_path / "artist", chosen, probe=False)
-    worker.render(
-        stage.open_file(tmp_path / "artist" / "scene.blend"), plan, [dict.fromkeys(range(len(plan.poses)), 0)]
+    plan = sweep_worker.plan(blend_file.open_file(source), source, tmp_path / "artist", chosen, probe=False)
+    sweep_worker.render(
+        blend_file.open_file(tmp_path / "artist" / "scene.blend"), plan, [dict.fromkeys(range(len(plan.poses)), 0)]
     )
     by_hand = built()
-    with engines.opened(by_hand, "surfel", resolution=(16, 16), accuracy=1e-3) as renderer:
+    with renderers.opened(by_hand, "surfel", resolution=(16, 16), accuracy=1e-3) as renderer:
         for pose in plan.poses:
             wanted = renderer.at(np.subtract(pose.position, moved), pose.rotation)
             assert_allclose(read_picture(plan.path / pose.file)[0], wanted, rtol=5e-3)
@@ -355,7 +359,7 @@ def in_a_background_set(scene):
 
 def linked_to(scene, names, state="INCLUDE", place=(-0.5, 1.0, 2.4)):
     """A lamp that sees both patch and voxels, and lights only some objects."""
-    for screen in stage.players(scene, "partition"):
+    for screen in roles.players(scene, "partition"):
         bpy.data.objects.remove(screen)
     obj = lamp("POINT", place)
     receivers = bpy.data.collections.new("Receivers")
@@ -422,7 +426,7 @@ BACK, UP = (math.pi / 2.0, 0.0, 0.0), (math.pi, 0.0, 0.0)
             "'NLOS world' of the world is in every picture",
         ),
         (
-            lambda s: lamp("POINT", (1.0, 1.0, 1.0)).__setattr__("parent", stage.find(s, "target")),
+            lambda s: lamp("POINT", (1.0, 1.0, 1.0)).__setattr__("parent", roles.find(s, "target")),
             WARNING,
             "'Point' moves with the hidden object",
         ),
@@ -459,7 +463,7 @@ def test_what_gives_no_light_is_not_named(edit):
 def test_a_light_that_is_named_is_one_that_plain_cycles_has():
     """Where check says that it falls directly on the patch, the picture of order 1 has it; where not, it has not."""
     scene = built()
-    stage.limit_reflections(scene, 1)
+    roles.limit_reflections(scene, 1)
     lights = [(lamp("POINT", BEFORE), True), (lamp("AREA", rotation=BACK), False), (lamp("POINT"), True)]
     lights += [(glowing(BEFORE), True), (lamp("POINT", (0.3, -1.0, 1.3)), False)]
     for obj, _ in lights:
@@ -467,7 +471,7 @@ def test_a_light_that_is_named_is_one_that_plain_cycles_has():
     for obj, direct in lights:
         obj.hide_render = False
         bpy.context.view_layer.update()
-        with engines.opened(scene, "path", resolution=(8, 8)) as renderer:
+        with renderers.opened(scene, "path", resolution=(8, 8)) as renderer:
             assert renderer.render(samples=16, seed=0, target=False).any() == direct
         assert any("directly on the watched patch" in text for _, text in of_lights(scene)) == direct
         obj.hide_render = True
@@ -475,23 +479,23 @@ def test_a_light_that_is_named_is_one_that_plain_cycles_has():
 
 def test_a_screen_that_rays_pass_hides_nothing():
     scene = built()
-    for screen in stage.players(scene, "partition"):
+    for screen in roles.players(scene, "partition"):
         screen.visible_shadow = False
     assert [f.object for f in told(scene, NOTE) if "Nothing hides" in f.text] == ["Spot"]
-    for screen in stage.players(scene, "partition"):
+    for screen in roles.players(scene, "partition"):
         screen.visible_shadow, screen.visible_camera = True, False
     assert [f.object for f in told(scene, NOTE) if "Nothing hides" in f.text] == ["Camera"]
 
 
 def rough_target(scene):
     """Make the target of something that patch renders and surfel does not."""
-    node = stage.find(scene, "target").data.materials[0].node_tree.nodes["Diffuse BSDF"]
+    node = roles.find(scene, "target").data.materials[0].node_tree.nodes["Diffuse BSDF"]
     node.inputs["Roughness"].default_value = 0.5
 
 
 def small(scale):
     scene = built()
-    stage.find(scene, "target").scale = (scale,) * 3
+    roles.find(scene, "target").scale = (scale,) * 3
     bpy.context.view_layer.update()
     return scene
 
@@ -507,7 +511,7 @@ def test_an_object_that_the_noise_hides_changes_what_surfel_says(scale, engine, 
     """By 0.4 % to 0.00004 %: never "nothing", though no sample of path meets its light."""
     scene = small(scale)
     found = check.probe(scene, Sweep(engine=engine, **PROBED))
-    with engines.opened(scene, "surfel", resolution=(16, 16), accuracy=1e-4) as renderer:
+    with renderers.opened(scene, "surfel", resolution=(16, 16), accuracy=1e-4) as renderer:
         wall, without = renderer.render(), renderer.render(target=False)
     assert found.share == pytest.approx((wall - without).mean() / wall.mean(), rel=0.03)
     assert bool(found.missed) == missed
@@ -519,7 +523,7 @@ def test_an_object_that_the_noise_hides_changes_what_surfel_says(scale, engine, 
 
 def test_where_surfel_cannot_be_asked_a_range_is_told():
     scene = small(0.1)
-    with engines.opened(scene, "surfel", resolution=(16, 16), accuracy=1e-3) as renderer:
+    with renderers.opened(scene, "surfel", resolution=(16, 16), accuracy=1e-3) as renderer:
         wall, without = renderer.render(), renderer.render(target=False)
     rough_target(scene)  # which changes what it adds by less than the noise hides
     found = check.probe(scene, Sweep(engine="patch", **PROBED))
@@ -543,8 +547,8 @@ def test_what_no_sample_met_is_bounded_and_no_error():
 
 def test_an_object_that_nothing_lights_changes_nothing():
     scene = built()
-    with stage.Overrides() as overrides:
-        overrides.set(stage.find(scene, "spot").data, "energy", 0.0)
+    with Overrides() as overrides:
+        overrides.set(roles.find(scene, "spot").data, "energy", 0.0)
         for engine in ("surfel", "patch"):
             [signal, _] = check.probe(scene, Sweep(engine=engine, **PROBED)).findings()
             assert (signal.level, "changes nothing" in signal.text) == (ERROR, True)
@@ -552,18 +556,18 @@ def test_an_object_that_nothing_lights_changes_nothing():
 
 def test_what_no_engine_can_is_a_finding_and_names_none():
     scene = built()
-    target = stage.find(scene, "target")
+    target = roles.find(scene, "target")
     target.keyframe_insert("location", frame=1)
     found = [f for f in told(scene, ERROR) if target.name in f.text]
     assert found
-    assert not [f for f in found if any(f"{engine!r}" in f.text for engine in engines.ENGINES)]
+    assert not [f for f in found if any(f"{engine!r}" in f.text for engine in renderers.ENGINES)]
 
 
 def test_advice_names_an_engine_that_was_asked():
     scene = built()
     rough_target(scene)
     assert any("'patch' can" in f.text for f in told(scene, ERROR, engine="surfel"))
-    stage.find(scene, "spot").data.shadow_soft_size = 0.1
+    roles.find(scene, "spot").data.shadow_soft_size = 0.1
     for engine in ("surfel", "patch"):
         errors = [f.text for f in told(scene, ERROR, engine=engine)]
         assert errors

@@ -10,8 +10,8 @@ from hypothesis import strategies as st
 from classify.pictures import feature_table
 from classify.pictures.features import FeatureSettings, describe, feature_names, tone_map
 from classify.pictures.sensor import Sensor
-from generator.model.spec import NlosError
-from generator.sets.dataset import read_picture, write_picture
+from generator.files.pictures import read_picture, write_picture
+from generator.model.errors import NlosError
 
 SETS = ["global", "spatial-hog"]
 

@@ -15,7 +15,7 @@ from classify.classifiers import evaluate, models
 from classify.cli import main
 from classify.pictures import feature_table
 from classify.pictures.features import FeatureSettings, describe
-from generator.model.spec import NlosError
+from generator.model.errors import NlosError
 
 
 @pytest.fixture(scope="module")

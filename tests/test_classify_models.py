@@ -10,11 +10,14 @@ import skops.io
 from classify_helpers import make_dataset
 
 from classify.classifiers import evaluate, models
+from classify.intervals import Interval, wilson
 from classify.pictures import feature_table
 from classify.pictures.features import FeatureSettings
 from classify.report import comparison
-from generator.model.spec import NlosError, VoxelGrid, preset
-from generator.sets.dataset import pixel_hash, read_picture
+from generator.files.pictures import pixel_hash, read_picture
+from generator.model.errors import NlosError
+from generator.model.grid import VoxelGrid
+from generator.model.presets import preset
 
 QUICK = ("LDA", "SVM", "NB")
 
@@ -44,7 +47,7 @@ def test_wilson_interval_matches_the_published_example():
         (15, 148): (0.0624, 0.1605),
         (0, 20): (0, 0.1611),
     }.items():
-        interval = evaluate.wilson(r, n)
+        interval = wilson(r, n)
         assert (interval.low, interval.high) == (pytest.approx(low, abs=5e-5), pytest.approx(high, abs=5e-5))
 
 
@@ -195,7 +198,7 @@ def test_report_of_many_voxels(tmp_path):
 def test_confused_voxels_are_told_by_how_they_lie():
     confusion = np.zeros((9, 9), dtype=int)
     confusion[6, 7], confusion[0, 3], confusion[2, 4] = 5, 3, 1
-    interval = evaluate.Interval(0, 0, 0)
+    interval = Interval(0, 0, 0)
     result = evaluate.Result(
         "a",
         "a",

@@ -13,6 +13,7 @@ from conftest import ROOT, TINY
 
 from classify.cli import main as classify_cli
 from generator.cli import main as generate_cli
+from generator.cli.terminal import guarded
 
 GONE, FULL = 141, "error: standard output cannot be written (No space left on device)\n"
 ENVIRONMENT = {**os.environ, "PYTHONPATH": str(ROOT)}
@@ -119,7 +120,7 @@ def test_other_files_on_a_full_disk_are_not_taken_for_the_output(capsys):
         raise OSError(28, "No space left on device", "picture.exr")
 
     with pytest.raises(OSError, match=r"picture\.exr"):
-        generate_cli.guarded(work)
+        guarded(work)
 
 
 def test_an_error_is_told_by_the_exit_code_where_standard_error_is_full():

@@ -11,9 +11,11 @@ import pytest
 
 from generator.blender.measure import experiment
 from generator.blender.measure.experiment import Experiment
-from generator.blender.scene import stage
-from generator.model import poses, spec
-from generator.sets.dataset import read_picture
+from generator.blender.scene import blend_file, build, posing, roles
+from generator.files.pictures import read_picture
+from generator.model import poses
+from generator.model.presets import preset
+from generator.model.scene import Target
 
 
 def made(repeats, noise, seed=0, size=24):
@@ -51,24 +53,24 @@ def test_what_noise_drowns_is_not_a_number():
 
 
 def test_a_stand_in_leaves_no_trace():
-    scene = stage.new_file()
-    stage.build(scene, spec.preset("room"))
-    target = stage.find(scene, "target")
+    scene = blend_file.new_file()
+    build.build(scene, preset("room"))
+    target = roles.find(scene, "target")
     before = (len(bpy.data.objects), len(bpy.data.meshes), len(bpy.data.materials), target.hide_render)
-    with contextlib.suppress(RuntimeError), stage.stand_in(scene, spec.Target.named("sphere")):
-        other = stage.find(scene, "target")
+    with contextlib.suppress(RuntimeError), posing.stand_in(scene, Target.named("sphere")):
+        other = roles.find(scene, "target")
         assert other != target
         assert target.hide_render
         assert tuple(other.location) == pytest.approx(tuple(target.location))
         raise RuntimeError
-    assert stage.find(scene, "target") == target
+    assert roles.find(scene, "target") == target
     assert (len(bpy.data.objects), len(bpy.data.meshes), len(bpy.data.materials), target.hide_render) == before
 
 
 def test_both_engines_see_the_same():
     """Cycles' pictures of experiment 2 on the tabletop change as the integral's do, within their interval."""
-    scene = stage.new_file()
-    stage.build(scene, spec.preset("tabletop"))
+    scene = blend_file.new_file()
+    build.build(scene, preset("tabletop"))
     exact = experiment.run(scene, 2, "sheet", pixels=12)
     scene.world.node_tree.nodes["Background"].inputs["Color"].default_value = (1e-9, 1e-9, 1e-9, 1.0)
     scene.world.node_tree.nodes["Background"].inputs["Strength"].default_value = 1.0

@@ -9,8 +9,8 @@ from hypothesis import HealthCheck, example, given, settings
 from hypothesis import strategies as st
 
 from generator.files import exr, limits
-from generator.model.spec import NlosError
-from generator.sets.dataset import pixel_hash, read_picture, write_picture
+from generator.files.pictures import pixel_hash, read_picture, write_picture
+from generator.model.errors import NlosError
 
 
 def random_picture(height, width, seed=0):

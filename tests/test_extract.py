@@ -16,31 +16,33 @@ import radiometry
 from bpy_extras.object_utils import world_to_camera_view
 from mathutils import Matrix, Vector
 
-from generator.blender.engines import engines, extract
-from generator.blender.scene import stage
-from generator.model import spec
-from generator.model.spec import NlosError, preset
+from generator.blender.engines import renderers, survey
+from generator.blender.scene import blend_file, build, geometry, posing, roles
+from generator.blender.scene.words import numbers
+from generator.model.arrays import rotation_matrix
+from generator.model.errors import NlosError
+from generator.model.presets import preset
 from generator.transport.world import Mesh, Sphere
 
 CORNERS = np.array([[0.0, 0.0], [1.0, 0.0], [1.0, 1.0], [0.0, 1.0]])
 
 
 def built(name="room", target="sheet", **changes):
-    blender = stage.new_file()
-    stage.build(blender, replace(preset(name, target), **changes))
+    blender = blend_file.new_file()
+    build.build(blender, replace(preset(name, target), **changes))
     return blender
 
 
 def world(blender, **options):
     bpy.context.view_layer.update()
-    found, reasons = extract.world(blender, **options)
+    found, reasons = survey.world(blender, **options)
     assert reasons == []
     return found
 
 
 def reasons_of(blender):
     bpy.context.view_layer.update()
-    found, reasons = extract.world(blender)
+    found, reasons = survey.world(blender)
     assert (found is None) == bool(reasons)
     return reasons
 
@@ -66,19 +68,19 @@ def cube(name="Cupboard", at=(2.4, 3.0, 0.2), size=0.2, colour=0.5):
 
 
 def target_of(blender):
-    return stage.find(blender, "target")
+    return roles.find(blender, "target")
 
 
 def wall_of(blender):
-    return stage.find(blender, "relay_wall")
+    return roles.find(blender, "relay_wall")
 
 
 def camera_of(blender):
-    return stage.find(blender, "camera")
+    return roles.find(blender, "camera")
 
 
 def spot_of(blender):
-    return stage.find(blender, "spot")
+    return roles.find(blender, "spot")
 
 
 def area(mesh: Mesh) -> float:
@@ -99,7 +101,7 @@ def test_presets_are_honoured(name, target):
     assert found.watched.resolution == wanted.resolution
     assert found.order == 3
     np.testing.assert_allclose(found.watched.albedo, wanted.wall.albedo, rtol=1e-6)
-    np.testing.assert_array_equal(found.patch.normal, extract.lit_patch(blender).normal)
+    np.testing.assert_array_equal(found.patch.normal, survey.lit_patch(blender).normal)
     [body] = found.target
     if target == "sphere":
         assert isinstance(body, Sphere)
@@ -109,21 +111,21 @@ def test_presets_are_honoured(name, target):
     else:
         assert area(body) == pytest.approx(wanted.target.size**2, rel=1e-6)
         np.testing.assert_allclose(body.albedo, wanted.target.albedo, rtol=1e-6)
-    planes = len(stage.players(blender, "room")) + len(stage.players(blender, "partition"))
+    planes = len(roles.players(blender, "room")) + len(roles.players(blender, "partition"))
     assert sum(len(mesh.triangles) for mesh in found.room) == 2 * planes
     albedos = {round(float(a), 6) for mesh in found.room for a in mesh.albedo.ravel()}
     assert albedos == ({wanted.room.albedo, wanted.partition.albedo} if planes else set())
-    assert engines.choose(blender) == ("surfel", [])
+    assert renderers.choose(blender) == ("surfel", [])
 
 
 def test_numbers_of_blender_are_float64():
     """Where Blender 5 hands float32 to NumPy, columns first, older ones hand Python's floats."""
     blender = built()
-    lamp = stage.find(blender, "spot")
-    matrix = stage.numbers(lamp.matrix_world)
+    lamp = roles.find(blender, "spot")
+    matrix = numbers(lamp.matrix_world)
     assert matrix.dtype == np.float64
     assert matrix.flags.c_contiguous
-    assert extract.lit_patch(blender).intensity[0] == lamp.data.energy / (4.0 * math.pi)
+    assert survey.lit_patch(blender).intensity[0] == lamp.data.energy / (4.0 * math.pi)
 
 
 def test_reading_leaves_the_scene_as_it_was():
@@ -255,22 +257,22 @@ def test_children_move_along():
     child = add_child(blender)
     hidden = add_child(blender, at=(9.0, 0.0, 0.0))
     hidden.hide_render = True
-    assert stage.target_parts(blender) == [target, child]
-    assert stage.others(blender) == []
+    assert roles.target_parts(blender) == [target, child]
+    assert roles.others(blender) == []
     found = world(blender)
     ball, handle = found.target
     assert isinstance(ball, Sphere)
     assert ball.radius == pytest.approx(0.3, rel=1e-5)
     np.testing.assert_allclose(handle.triangles.reshape(-1, 3).mean(axis=0), (0.6, 0.0, 0.15), atol=1e-6)
-    hull = stage.hull(blender)
+    hull = geometry.hull(blender)
     np.testing.assert_allclose(hull.max(axis=0)[0], 0.675, atol=1e-6)
     pose = ((1.0, 1.2, 1.1), (20.0, 40.0, 60.0))
-    stage.move_target(blender, *pose)
-    there = handle.triangles.reshape(-1, 3) @ spec.rotation_matrix(pose[1]).T + pose[0]
+    posing.move_target(blender, *pose)
+    there = handle.triangles.reshape(-1, 3) @ rotation_matrix(pose[1]).T + pose[0]
     matrix = np.array(child.matrix_world)
-    corners = stage.evaluated_vertices(child) @ matrix[:3, :3].T + matrix[:3, 3]
+    corners = geometry.evaluated_vertices(child) @ matrix[:3, :3].T + matrix[:3, 3]
     np.testing.assert_allclose(np.unique(there.round(5), axis=0), np.unique(corners.round(5), axis=0), atol=2e-5)
-    np.testing.assert_allclose(stage.hull(blender), hull, atol=1e-5)
+    np.testing.assert_allclose(geometry.hull(blender), hull, atol=1e-5)
 
 
 def test_the_background_is_without_all_parts():
@@ -279,7 +281,7 @@ def test_the_background_is_without_all_parts():
     hidden = []
     bpy.app.handlers.render_pre.append(lambda *_: hidden.append((target_of(blender).hide_render, child.hide_render)))
     try:
-        with engines.opened(blender, "patch", resolution=(2, 2)) as renderer:
+        with renderers.opened(blender, "patch", resolution=(2, 2)) as renderer:
             hidden.clear()
             renderer.render(samples=1, seed=0, target=False)
             renderer.render(samples=1, seed=0)
@@ -325,8 +327,8 @@ def test_pose_places_a_turned_stretched_target():
     target.rotation_euler, target.scale = (0.5, -0.3, 0.9), (1.0, 1.0, -0.5)
     [body] = world(blender).target
     pose = ((1.2, 1.0, 1.3), (10.0, -50.0, 130.0))
-    stage.move_target(blender, *pose)
-    there = body.triangles.reshape(-1, 3) @ spec.rotation_matrix(pose[1]).T + pose[0]
+    posing.move_target(blender, *pose)
+    there = body.triangles.reshape(-1, 3) @ rotation_matrix(pose[1]).T + pose[0]
     corners = [target.matrix_world @ v.co for v in target.data.vertices]
     np.testing.assert_allclose(np.unique(there.round(5), axis=0), np.unique(np.round(corners, 5), axis=0), atol=2e-5)
 
@@ -507,7 +509,7 @@ def hidden_target(blender):
 
 
 def order_4(blender):
-    stage.limit_reflections(blender, 4)
+    roles.limit_reflections(blender, 4)
 
 
 def indirect_only(blender):
@@ -582,18 +584,18 @@ def test_obstacles_are_named(name):
     if name in NEVER:  # of which no other engine's pictures would be right either
         refusal = f"cannot be swept: {words}"
     with pytest.raises(NlosError, match=refusal):
-        extract.surfel_world(blender)
+        survey.surfel_world(blender)
 
 
 def test_uniform_ambient_light_is_followed_by_those_who_ask_for_it():
     blender = built()
     ambient(blender)
     assert re.search("the world '[^']+' gives ambient light$", reasons_of(blender)[0])
-    assert engines.choose(blender)[0] == "patch"
-    found = extract.surfel_world(blender)
+    assert renderers.choose(blender)[0] == "patch"
+    found = survey.surfel_world(blender)
     np.testing.assert_allclose(found.ambient.radiance, 0.1, rtol=1e-6)
     assert len(found.ambient.wall.triangles) == 2
-    assert extract.surfel_world(built()).ambient is None
+    assert survey.surfel_world(built()).ambient is None
 
 
 def test_all_reasons_are_told():
@@ -604,7 +606,7 @@ def test_all_reasons_are_told():
     reasons = reasons_of(blender)
     assert len(reasons) == 3
     with pytest.raises(NlosError, match=re.escape(", nor that ".join(reasons)) + "; use --engine patch$"):
-        extract.surfel_world(blender)
+        survey.surfel_world(blender)
 
 
 @pytest.mark.parametrize(
@@ -620,7 +622,7 @@ def test_choose(edit, engine, words):
     blender = built()
     edit(blender)
     bpy.context.view_layer.update()
-    chosen, reasons = engines.choose(blender)
+    chosen, reasons = renderers.choose(blender)
     assert chosen == engine
     assert words in " ".join(reasons)
 
@@ -635,7 +637,7 @@ def test_a_camera_may_look_through_what_cameras_do_not_see():
 
 def test_the_target_may_stand_in_view_and_beam():
     blender = built()
-    stage.move_target(blender, (-0.4, 1.5, 1.5), (0.0, 0.0, 0.0))
+    posing.move_target(blender, (-0.4, 1.5, 1.5), (0.0, 0.0, 0.0))
     world(blender)
 
 
@@ -661,12 +663,12 @@ def test_cycles_own_material_is_not_diffuse():
     for x in (0.4, 0.2):
         levels = []
         for bare in (False, True):
-            blender = stage.new_file()
+            blender = blend_file.new_file()
             camera = replace(scene.camera, location=(x, 0.5, 0.0), x=(x - 0.05, x + 0.05), z=(-0.05, 0.05))
-            stage.build(blender, replace(scene, camera=camera))
+            build.build(blender, replace(scene, camera=camera))
             if bare:
                 wall_of(blender).data.materials.clear()
-            with engines.opened(blender, "path", resolution=(2, 2)) as renderer:
+            with renderers.opened(blender, "path", resolution=(2, 2)) as renderer:
                 levels.append(renderer.render(samples=16, seed=0, target=False).mean())
         ratios.append(levels[1] / levels[0])
     assert abs(ratios[0] - ratios[1]) > 0.02

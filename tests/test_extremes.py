@@ -15,7 +15,9 @@ from classify.pictures import feature_table
 from classify.pictures.features import FeatureSettings, describe
 from classify.pictures.physics import PhysicsFeatures, Setup
 from classify.pictures.sensor import Sensor
-from generator.model.spec import NlosError, VoxelGrid, preset
+from generator.model.errors import NlosError
+from generator.model.grid import VoxelGrid
+from generator.model.presets import preset
 
 
 @pytest.fixture(scope="module")

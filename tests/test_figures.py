@@ -6,14 +6,18 @@ import bpy
 import numpy as np
 import pytest
 
-from generator.blender import worker
-from generator.blender.engines import engines
-from generator.blender.scene import stage
-from generator.model import spec
-from generator.model.spec import NlosError
+from generator.blender import sweep_worker
+from generator.blender.engines import renderers
+from generator.blender.scene import blend_file, build, geometry
+from generator.blender.scene.description import read_scene
+from generator.files.toml import from_dict, set_field, to_dict
+from generator.model.errors import NlosError
+from generator.model.grid import VoxelGrid, voxel_label
+from generator.model.presets import preset
+from generator.model.scene import ROOM_SURFACES, Scene, Target, replace, unlike
 
 GOOD = [
-    *(f'room.surfaces=["{name}"]' for name in spec.ROOM_SURFACES),
+    *(f'room.surfaces=["{name}"]' for name in ROOM_SURFACES),
     "room.surfaces=[]",
     'room.surfaces=["left","right"]',
     "room.albedo=0",
@@ -56,17 +60,17 @@ BAD = {
 
 
 def wanted(setting):
-    plain = spec.to_dict(spec.preset("room"))
-    spec.set_field(plain, setting)
-    return spec.from_dict(spec.Scene, plain)
+    plain = to_dict(preset("room"))
+    set_field(plain, setting)
+    return from_dict(Scene, plain)
 
 
 def made(setting):
     """As ``nlos-generate scene room --set ...`` does it."""
-    scene = stage.new_file()
+    scene = blend_file.new_file()
     asked = wanted(setting)
-    stage.build(scene, asked)
-    if words := spec.unlike(asked, stage.read(scene)):
+    build.build(scene, asked)
+    if words := unlike(asked, read_scene(scene)):
         raise NlosError(words)
     return scene
 
@@ -75,12 +79,12 @@ def made(setting):
 def test_a_figure_that_is_taken_can_be_swept(setting, tmp_path):
     file = tmp_path / "scene.blend"
     made(setting)
-    stage.save_file(file)
-    scene = stage.open_file(file)
+    blend_file.save_file(file)
+    scene = blend_file.open_file(file)
     chosen = {"engine": "patch", "samples": 1, "poses": 1, "resolution": "4"}
-    dataset = worker.plan(scene, file, tmp_path / "set", chosen, force=True, probe=False)
+    dataset = sweep_worker.plan(scene, file, tmp_path / "set", chosen, force=True, probe=False)
     assert dataset.planned == dataset.grid.n_voxels
-    with engines.opened(scene, "patch", resolution=(4, 4)) as renderer:
+    with renderers.opened(scene, "patch", resolution=(4, 4)) as renderer:
         assert np.isfinite(renderer.render(samples=1, seed=0)).all()
 
 
@@ -108,9 +112,9 @@ def test_the_command_says_what_check_would(tmp_path, command):
 
 def test_many_voxels_have_their_names_at_once():
     """Made anew at each question they took a minute of the check."""
-    grid = spec.VoxelGrid(lo=(0.0, 0.0, 0.0), hi=(1.0, 1.0, 1.0), shape=(100, 100, 10))
+    grid = VoxelGrid(lo=(0.0, 0.0, 0.0), hi=(1.0, 1.0, 1.0), shape=(100, 100, 10))
     assert grid.labels is grid.labels
-    assert grid.labels[-1] == spec.voxel_label(99_999)
+    assert grid.labels[-1] == voxel_label(99_999)
 
 
 def corners(path, *places):
@@ -132,17 +136,17 @@ def corners(path, *places):
 @pytest.mark.parametrize("size", [0.0, 0.3])
 def test_a_mesh_file_without_extent_is_refused_by_name(tmp_path, places, size):
     path = corners(tmp_path / "flat.obj", *places)
-    target = spec.Target(kind="mesh", size=size, mesh=str(path))
+    target = Target(kind="mesh", size=size, mesh=str(path))
     with pytest.raises(NlosError, match=r"^target\.mesh: .*flat\.obj has no extent"):
-        stage.build(stage.new_file(), spec.replace(spec.preset("room"), target=target))
+        build.build(blend_file.new_file(), replace(preset("room"), target=target))
     assert not bpy.context.scene.objects
 
 
 def test_a_mesh_file_of_a_sliver_keeps_its_shape(tmp_path):
     path = corners(tmp_path / "thin.obj", (0, 0, 0), (1, 0, 0), (0, 0, 1e-5))
-    target = spec.Target(kind="mesh", size=0.3, mesh=str(path))
-    scene = stage.new_file()
-    stage.build(scene, spec.replace(spec.preset("room"), target=target))
-    extent = np.ptp(stage.hull(scene), axis=0)
+    target = Target(kind="mesh", size=0.3, mesh=str(path))
+    scene = blend_file.new_file()
+    build.build(scene, replace(preset("room"), target=target))
+    extent = np.ptp(geometry.hull(scene), axis=0)
     assert max(extent) == pytest.approx(0.3, rel=1e-6)
     assert sorted(extent)[1] == pytest.approx(3e-6, rel=1e-3)

@@ -10,9 +10,10 @@ import pytest
 from nodetrees import WHITE, bare, node, output, paint, tree_of
 from radiometry import floor_room
 
-from generator.blender.engines import coincident, engines, extract
-from generator.blender.scene import stage
-from generator.model.spec import NlosError
+from generator.blender.engines import coincident, renderers, survey
+from generator.blender.engines.shapes import softener
+from generator.blender.scene import materials, posing, roles
+from generator.model.errors import NlosError
 
 SAMPLES, SEEDS = 16384, 6
 SIGMAS = 4.5
@@ -22,7 +23,7 @@ SIGMAS = 4.5
 def means(scene, engine, *, samples=SAMPLES):
     """Mean radiance over picture and seeds, and its standard error."""
     bpy.context.view_layer.update()
-    with engines.opened(scene, engine, resolution=(4, 4)) as renderer:
+    with renderers.opened(scene, engine, resolution=(4, 4)) as renderer:
         if engine == "surfel":
             return float(renderer.render().mean()), 0.0
         found = [float(renderer.render(samples=samples, seed=seed + 1).mean()) for seed in range(SEEDS)]
@@ -40,7 +41,7 @@ def agree(scene, *others, within=0.1, samples=SAMPLES):
 
 def refused(scene, words, *names):
     bpy.context.view_layer.update()
-    found = extract.survey(scene)
+    found = survey.survey(scene)
     for engine in names:
         with pytest.raises(NlosError, match=words):
             found.check(engine)
@@ -48,15 +49,15 @@ def refused(scene, words, *names):
 
 
 def wall(scene):
-    return stage.find(scene, "relay_wall")
+    return roles.find(scene, "relay_wall")
 
 
 def target(scene):
-    return stage.find(scene, "target")
+    return roles.find(scene, "target")
 
 
 def spot(scene):
-    return stage.find(scene, "spot")
+    return roles.find(scene, "spot")
 
 
 def grey(name, value):
@@ -163,7 +164,7 @@ def black_lamp(tree):
 def test_a_spot_that_gives_no_light_gives_none(build):
     scene = bare()
     build(tree_of(spot(scene).data))
-    assert [means(scene, engine, samples=64)[0] for engine in engines.ENGINES] == [0.0, 0.0, 0.0]
+    assert [means(scene, engine, samples=64)[0] for engine in renderers.ENGINES] == [0.0, 0.0, 0.0]
 
 
 def sky_of_eevee(scene):
@@ -179,18 +180,18 @@ def sky_muted(scene):
 @pytest.mark.parametrize("edit", [sky_of_eevee, sky_muted], ids=lambda f: f.__name__)
 def test_a_sky_that_does_not_count_counts_nothing(edit):
     scene = bare()
-    true = [means(scene, engine, samples=64)[0] for engine in engines.ENGINES]
+    true = [means(scene, engine, samples=64)[0] for engine in renderers.ENGINES]
     edit(scene)
-    assert [means(scene, engine, samples=64)[0] for engine in engines.ENGINES] == true
-    assert stage.ambient(scene) == 0.0
+    assert [means(scene, engine, samples=64)[0] for engine in renderers.ENGINES] == true
+    assert materials.ambient(scene) == 0.0
 
 
 def test_a_sky_of_emission_is_a_sky():
     scene = bare()
     tree = tree_of(scene.world)
     node(tree, "Emission", output(tree, "World").inputs["Surface"], Color=(0.5, 0.25, 1.0, 1.0), Strength=0.01)
-    assert stage.ambient(scene) == pytest.approx(0.01 * 1.75 / 3.0)
-    np.testing.assert_allclose(extract.surfel_world(scene).ambient.radiance, (0.005, 0.0025, 0.01), rtol=1e-6)
+    assert materials.ambient(scene) == pytest.approx(0.01 * 1.75 / 3.0)
+    np.testing.assert_allclose(survey.surfel_world(scene).ambient.radiance, (0.005, 0.0025, 0.01), rtol=1e-6)
 
 
 def invisible(flag):
@@ -305,23 +306,23 @@ def test_what_the_first_reflection_cannot_honour_is_refused_by_name(name):
     scene = bare()
     edit(scene)
     refused(scene, words, "patch", "surfel")
-    assert engines.choose(scene)[0] == "path"
+    assert renderers.choose(scene)[0] == "path"
 
 
 @pytest.mark.parametrize("order", [3, 5])
 def test_a_mirror_is_seen(order):
     """By way of the floor too: its paths are as long as the scene allows, and no longer."""
     scene = bare(room=floor_room())
-    stage.limit_reflections(scene, order)
+    roles.limit_reflections(scene, order)
     paint(target(scene), "BsdfGlossy", Color=WHITE, Roughness=0.0)
     agree(scene, "patch")
-    assert engines.choose(scene)[0] == "patch"
+    assert renderers.choose(scene)[0] == "patch"
 
 
 @pytest.mark.parametrize(("kind", "order"), [("BsdfGlass", 6), ("BsdfRefraction", 5), ("BsdfMetallic", 4)])
 def test_what_bends_or_throws_light_is_seen(kind, order):
     scene = bare(room=floor_room())
-    stage.limit_reflections(scene, order)
+    roles.limit_reflections(scene, order)
     paint(target(scene), kind, Roughness=0.0 if kind != "BsdfMetallic" else 0.2)
     agree(scene, "patch")
 
@@ -329,11 +330,11 @@ def test_what_bends_or_throws_light_is_seen(kind, order):
 def test_a_mirror_alone_reflects_what_the_closed_form_says():
     """The lit patch seen in a plane mirror: w2 gets its light as from behind the mirror, at twice the distance."""
     scene = bare()
-    stage.move_target(scene, (-0.05, 1.0, 0.0), (0.0, 0.0, 0.0))
+    posing.move_target(scene, (-0.05, 1.0, 0.0), (0.0, 0.0, 0.0))
     target(scene).scale = (30.0, 1.0, 30.0)
     paint(target(scene), "BsdfGlossy", Color=WHITE, Roughness=0.0)
     mean, error = means(scene, "patch", samples=65536)
-    lit, view = extract.lit_patch(scene), extract.surfel_world(bare()).watched
+    lit, view = survey.lit_patch(scene), survey.surfel_world(bare()).watched
     turns, rings = np.meshgrid((np.arange(96) + 0.5) / 96 * 2.0 * np.pi, (np.arange(48) + 0.5) / 48)
     points = (
         lit.centre + (rings * np.cos(turns))[..., None] * lit.major + (rings * np.sin(turns))[..., None] * lit.minor
@@ -397,7 +398,7 @@ def test_other_lights_keep_all_their_reflections(edit):
     scene = bare(room=floor_room())
     spot(scene).data.energy = 1.0
     edit(scene)
-    assert len(extract.survey(scene).lights) == 2
+    assert len(survey.survey(scene).lights) == 2
     agree(scene, "patch", within=0.03)
 
 
@@ -410,7 +411,7 @@ def test_smooth_shading_over_coarse_faces_lets_no_light_around():
     ball.data.polygons.foreach_set("use_smooth", [True] * 80)
     target(scene).data = ball.data
     bpy.data.objects.remove(ball)
-    owner, name = extract.softener(target(scene))
+    owner, name = softener(target(scene))
     pictures = []
     for offset in (0.1, 0.0):
         setattr(owner, name, offset)
@@ -471,7 +472,7 @@ def test_what_lies_on_one_another_is_named(edit, words):
     scene = bare(room=floor_room())
     edit(scene)
     bpy.context.view_layer.update()
-    reasons = extract.survey(scene).surfel_reasons
+    reasons = survey.survey(scene).surfel_reasons
     assert len(reasons) == 1
     assert words in reasons[0]
 
@@ -482,7 +483,7 @@ def test_what_stands_on_the_floor_is_fine(z):
     scene = bare(room=floor_room())
     box(z)(scene)
     bpy.context.view_layer.update()
-    assert extract.survey(scene).surfel_reasons == []
+    assert survey.survey(scene).surfel_reasons == []
 
 
 def test_many_neighbours_are_no_overlap():

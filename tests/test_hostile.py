@@ -30,9 +30,9 @@ from classify.pictures import feature_table
 from classify.pictures.features import FeatureSettings
 from classify.pictures.sensor import Sensor
 from generator.files import limits
-from generator.model import spec
-from generator.model.spec import NlosError
-from generator.sets import bulk, simulated
+from generator.files.toml import dump_toml, merge, read_toml
+from generator.model.errors import NlosError
+from generator.sets import bulk_set, simulated
 from generator.sets.dataset import Dataset
 from generator.transport.world_file import load_world
 
@@ -121,7 +121,7 @@ def rebuilt(path, change):
         (atlas.load, "a.atlas"),
         (models.load, "LDA.skops"),
         (load_world, "bulk/world.npz"),
-        (lambda path: bulk.Bulk.open(path).pictures[0], "bulk"),
+        (lambda path: bulk_set.Bulk.open(path).pictures[0], "bulk"),
     ],
 )
 def test_what_a_file_claims_is_held_against_its_size(sound, monkeypatch, reader, name):
@@ -155,9 +155,9 @@ def test_what_reads_a_file_takes_no_more_memory_than_it_may(copied):
         feature_table.read(path)
     # In a process of its own: one that did much else before has room that it need not ask for.
     script = (
-        "import sys; from pathlib import Path; from classify import store\n"
-        "store._SPARE, store._COPIES = 2**22, 0\n"
-        "try: store.read(Path(sys.argv[1]))\n"
+        "import sys; from pathlib import Path; from classify.pictures import feature_table\n"
+        "feature_table._SPARE, feature_table._COPIES = 2**22, 0\n"
+        "try: feature_table.read(Path(sys.argv[1]))\n"
         "except ValueError as error: print(error)"
     )
     done = subprocess.run([sys.executable, "-c", script, path], capture_output=True, text=True, cwd=ROOT, check=True)
@@ -267,7 +267,7 @@ def test_toml_that_is_not_ours_is_refused(tmp_path, text, words):
     path = tmp_path / "a.toml"
     path.write_text(text)
     with pytest.raises(NlosError, match=words):
-        spec.read_toml(path)
+        read_toml(path)
 
 
 @pytest.mark.parametrize(
@@ -337,7 +337,7 @@ def test_models_that_cannot_answer_are_refused(copied, change, words):
 
 
 def test_a_world_of_nonsense_is_refused(copied):
-    path = copied("bulk") / bulk.WORLD
+    path = copied("bulk") / bulk_set.WORLD
     with zipfile.ZipFile(path) as archive:
         inside = {name: archive.read(name) for name in archive.namelist()}
     name = next(n for n, data in inside.items() if b"'<f8'" in data)
@@ -361,8 +361,8 @@ def test_a_world_of_nonsense_is_refused(copied):
 )
 def test_spoilt_simulated_sets_are_refused(copied, change, words):
     path = copied("bulk")
-    meta = spec.merge(spec.read_toml(path / bulk.MANIFEST), change)
-    (path / bulk.MANIFEST).write_text(spec.dump_toml(meta))
+    meta = merge(read_toml(path / bulk_set.MANIFEST), change)
+    (path / bulk_set.MANIFEST).write_text(dump_toml(meta))
     with pytest.raises(NlosError, match=words):
         simulated.opened(path)
 
@@ -382,8 +382,8 @@ def test_spoilt_simulated_sets_are_refused(copied, change, words):
 )
 def test_spoilt_manifests_are_refused(copied, change, words):
     path = copied("set")
-    meta = spec.merge(spec.read_toml(path / "dataset.toml"), change)
-    (path / "dataset.toml").write_text(spec.dump_toml(meta))
+    meta = merge(read_toml(path / "dataset.toml"), change)
+    (path / "dataset.toml").write_text(dump_toml(meta))
     with pytest.raises(NlosError, match=rf"dataset\.toml: .*{words}"):
         Dataset.open(path)
 

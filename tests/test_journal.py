@@ -15,8 +15,9 @@ from pathlib import Path
 import pytest
 from conftest import TINY
 
-from generator.jobs import journal, sweep
-from generator.model.spec import NlosError
+from generator.jobs import journal, workers
+from generator.jobs.workers import WorkerPool
+from generator.model.errors import NlosError
 
 HANG = "import sys, time; print('nlos {}', flush=True); sys.stdin.readline(); time.sleep({})"
 
@@ -89,7 +90,7 @@ def crew(tmp_path, script, **options):
     def launch(arguments):
         return [sys.executable, "-c", script]
 
-    return sweep.Crew(lambda threads: [], str, lambda done, total: None, launch=launch, log=log, **options), lines
+    return WorkerPool(lambda threads: [], str, lambda done, total: None, launch=launch, log=log, **options), lines
 
 
 def test_a_worker_that_hangs_is_ended_and_its_unit_listed(tmp_path):
@@ -171,8 +172,8 @@ def test_nonsense_about_a_run_is_no_run(tmp_path, tiny_dataset, spoil):
 
 def test_no_worker_comes_after_all_are_stopped(monkeypatch):
     made = []
-    monkeypatch.setattr(sweep, "Worker", lambda *_: made.append(1))
-    crew = sweep.Crew(lambda threads: [], str, lambda done, total: None)
+    monkeypatch.setattr(workers, "Worker", lambda *_: made.append(1))
+    crew = WorkerPool(lambda threads: [], str, lambda done, total: None)
     crew._stopped.set()
     assert crew._start(1) is None
     crew.work([1, 2], 2, first="the background")

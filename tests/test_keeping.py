@@ -5,19 +5,24 @@ from __future__ import annotations
 import bpy
 import pytest
 
-from generator.blender import check, worker
+from generator.blender import check
 from generator.blender.check import ERROR, NOTE
-from generator.blender.engines import engines, extract
-from generator.blender.scene import adopt, clearance, stage
-from generator.model import spec
-from generator.model.spec import NlosError, preset
+from generator.blender.engines import survey
+from generator.blender.engines.settings import TURNS, settled
+from generator.blender.scene import adopt, blend_file, build, clearance, roles
+from generator.blender.scene.description import read_scene
+from generator.files.toml import from_dict, to_dict
+from generator.model.errors import NlosError
+from generator.model.grid import VoxelGrid
+from generator.model.presets import preset
+from generator.model.scene import Scene
 
 _FACES = [(0, 1, 3, 2), (4, 5, 7, 6), (0, 1, 5, 4), (2, 3, 7, 6), (0, 2, 6, 4), (1, 3, 7, 5)]
 
 
 def built(target="sheet"):
-    scene = stage.new_file()
-    stage.build(scene, preset("room", target))
+    scene = blend_file.new_file()
+    build.build(scene, preset("room", target))
     return scene
 
 
@@ -37,16 +42,16 @@ def test_building_again_keeps_what_was_adopted():
     """The user's object loses its role, no more; what an earlier build made goes, with or without a role."""
     scene = built()
     mine = own_object(scene)
-    before = stage.find(scene, "target").name
+    before = roles.find(scene, "target").name
     adopt.assign(scene, "target", [mine])
     world = bpy.data.worlds.new("Studio")
     scene.world = world
-    stage.build(scene, preset("room", "sphere"))
+    build.build(scene, preset("room", "sphere"))
     assert mine.name in scene.objects
-    assert stage.ROLE not in mine
-    assert stage.find(scene, "target") != mine
+    assert roles.ROLE not in mine
+    assert roles.find(scene, "target") != mine
     assert [o.name for o in scene.objects].count(before) <= 1
-    assert len(stage.players(scene, "room")) == len(preset("room").room.surfaces)
+    assert len(roles.players(scene, "room")) == len(preset("room").room.surfaces)
     assert bpy.data.worlds.get("Studio") == world
     assert world.use_fake_user
 
@@ -55,9 +60,9 @@ def test_a_scene_that_cannot_be_built_stays():
     """What is refused is refused before anything is taken away."""
     scene = built()
     names = sorted(o.name for o in scene.objects)
-    wrong = spec.from_dict(spec.Scene, {**spec.to_dict(preset("room")), "resolution": [64, 32]})
+    wrong = from_dict(Scene, {**to_dict(preset("room")), "resolution": [64, 32]})
     with pytest.raises(NlosError, match="do not fit the watched rectangle"):
-        stage.build(scene, wrong)
+        build.build(scene, wrong)
     assert sorted(o.name for o in scene.objects) == names
 
 
@@ -77,7 +82,7 @@ def test_metres_move_what_no_view_layer_shows():
 def test_what_is_held_is_named_and_nothing_moves():
     scene = built()
     mine = own_object(scene)
-    mine.constraints.new("COPY_LOCATION").target = stage.find(scene, "spot")
+    mine.constraints.new("COPY_LOCATION").target = roles.find(scene, "spot")
     before = {o.name: o.matrix_basis.copy() for o in scene.objects}
     scene.unit_settings.scale_length = 0.5
     with pytest.raises(NlosError, match="'Mine' is held by constraints"):
@@ -89,15 +94,15 @@ def test_what_is_held_is_named_and_nothing_moves():
 def test_a_target_in_a_collection_that_is_not_rendered(how):
     """Found by the check, refused by the engines, mended by its fix."""
     scene = built()
-    layer = scene.view_layers[0].layer_collection.children[stage.COLLECTION]
+    layer = scene.view_layers[0].layer_collection.children[roles.COLLECTION]
     setattr(layer if how == "exclude" else layer.collection, how, True)
     bpy.context.view_layer.update()
     found = [f for f in check.findings(scene) if "is in no collection that is rendered" in f.text]
     assert [f.level for f in found][:1] == [ERROR]
     with pytest.raises(NlosError, match="is in no collection that is rendered"):
-        engines.refuse_hidden(scene)
+        roles.refuse_hidden(scene)
     check.mend(scene, "show")
-    assert not stage.unseen(scene, stage.find(scene, "target"))
+    assert not roles.unseen(scene, roles.find(scene, "target"))
 
 
 def test_an_object_that_changes_nothing_is_an_error():
@@ -115,7 +120,7 @@ def test_the_picture_that_was_rendered_last_stays(tmp_path):
     bpy.ops.render.render()
     result = next(i for i in bpy.data.images if i.type == "RENDER_RESULT")
     for _ in range(3):
-        extract.surfel_world(scene)
+        survey.surfel_world(scene)
     result.save_render(str(tmp_path / "kept.exr"))
     assert (tmp_path / "kept.exr").stat().st_size > 0
     assert len(result.render_slots) <= 9
@@ -124,10 +129,10 @@ def test_the_picture_that_was_rendered_last_stays(tmp_path):
 def test_a_mirrored_target_is_refused():
     """Its figures come back from Blender as another turn and scale, and the poses would not be what was asked for."""
     scene = built()
-    stage.find(scene, "target").scale = (-1.0, 1.0, 1.0)
+    roles.find(scene, "target").scale = (-1.0, 1.0, 1.0)
     bpy.context.view_layer.update()
     with pytest.raises(NlosError, match="mirrored by a negative scale"):
-        stage.read(scene)
+        read_scene(scene)
 
 
 def test_instances_are_in_the_way_and_what_is_not_rendered_is_not():
@@ -147,19 +152,19 @@ def test_instances_are_in_the_way_and_what_is_not_rendered_is_not():
 
 def test_odd_properties_are_sentences():
     scene = built()
-    stage.find(scene, "target")[stage.KIND] = "teapot"
-    assert stage.read(scene).target.kind == "mesh"
-    assert worker.settled(scene, stage.read(scene), {})[0].rotation == worker.TURNS["mesh"]
-    scene[stage.GRID_LO] = 1.0
+    roles.find(scene, "target")[roles.KIND] = "teapot"
+    assert read_scene(scene).target.kind == "mesh"
+    assert settled(scene, read_scene(scene), {})[0].rotation == TURNS["mesh"]
+    scene[roles.GRID_LO] = 1.0
     with pytest.raises(NlosError, match="must be three lists of three"):
-        stage.read_grid(scene)
+        roles.read_grid(scene)
 
 
 def test_many_voxels_are_looked_at_in_part():
     """A window waits for the check."""
     scene = built()
-    grid = stage.read_grid(scene)
-    stage.write_grid(scene, spec.VoxelGrid(lo=grid.lo, hi=grid.hi, shape=(20, 20, 20)))
+    grid = roles.read_grid(scene)
+    roles.write_grid(scene, VoxelGrid(lo=grid.lo, hi=grid.hi, shape=(20, 20, 20)))
     assert not any(f.level == ERROR for f in check.findings(scene))
 
 
@@ -167,6 +172,6 @@ def test_a_lamp_that_is_no_spot_has_no_patch():
     from generator.blender.scene import outlines
 
     scene = built()
-    lamp = stage.find(scene, "spot")
+    lamp = roles.find(scene, "spot")
     lamp.data.type = "POINT"
     assert outlines.lit_patch(lamp).shape == (0, 3)

@@ -14,7 +14,7 @@ from classify.classifiers import curves
 from classify.cli import main
 from classify.pictures import feature_table
 from classify.pictures.features import FeatureSettings
-from generator.model.spec import NlosError
+from generator.model.errors import NlosError
 
 
 @pytest.fixture(scope="module")

@@ -12,14 +12,15 @@ import bpy
 import pytest
 from conftest import ROOT, TINY
 
-from generator.blender import worker
-from generator.blender.engines import engines
+from generator.blender import check
+from generator.blender.engines import renderers
 from generator.blender.measure import planning
-from generator.blender.scene import references, stage
-from generator.model import spec
-from generator.model.spec import NlosError
+from generator.blender.scene import blend_file, references, roles
+from generator.files.toml import dump_toml, read_toml
+from generator.files.writing import file_hash
+from generator.model.errors import NlosError
 from generator.sets import links, seal
-from generator.sets.dataset import Dataset, file_hash
+from generator.sets.dataset import Dataset
 
 
 @pytest.fixture(autouse=True)
@@ -35,7 +36,7 @@ def edited(tmp_path, scene_file):
 
     def edit(spoil, name="scene.blend"):
         path = tmp_path / "scenes" / name
-        stage.open_file(scene_file)
+        blend_file.open_file(scene_file)
         bpy.ops.wm.save_as_mainfile(filepath=str(path))
         spoil(bpy.context.scene, tmp_path / "elsewhere")
         bpy.ops.wm.save_as_mainfile(filepath=str(path), relative_remap=False)
@@ -140,10 +141,10 @@ def test_what_leads_out_of_the_scenes_folder_is_refused(edited, tmp_path, spoil,
     path = edited(spoil)
     before = files(tmp_path)
     with pytest.raises(NlosError, match=words):
-        stage.open_file(path)
+        blend_file.open_file(path)
     assert files(tmp_path) == before
     with links.trusting():
-        assert stage.find(stage.open_file(path), "target")
+        assert roles.find(blend_file.open_file(path), "target")
 
 
 def test_a_fluid_with_a_cache_is_never_opened(edited, tmp_path):
@@ -165,14 +166,14 @@ def test_a_fluid_with_a_cache_is_never_opened(edited, tmp_path):
         (folder / "scene.blend1").unlink()
         before = files(tmp_path)
         with pytest.raises(NlosError, match=words):
-            stage.open_file(path)
+            blend_file.open_file(path)
         assert files(tmp_path) == before
 
 
 def test_a_link_in_the_folder_that_leads_out_of_it_is_refused(edited, tmp_path):
     (tmp_path / "scenes" / "photo.png").symlink_to(tmp_path / "elsewhere" / "photo.png")
     with pytest.raises(NlosError, match="outside its own folder"):
-        stage.open_file(edited(lambda scene, elsewhere: an_image("photo", "//photo.png")))
+        blend_file.open_file(edited(lambda scene, elsewhere: an_image("photo", "//photo.png")))
 
 
 def test_what_is_packed_is_no_link(edited):
@@ -219,10 +220,10 @@ def test_a_set_that_hides_what_its_scene_refers_to_is_refused(edited, tmp_path, 
     shutil.copytree(tiny_dataset, path)
     os.replace(edited(picture), path / "scene.blend")
     # Whoever means ill seals it anew.
-    meta = spec.read_toml(path / "dataset.toml")
+    meta = read_toml(path / "dataset.toml")
     files = {**meta[seal.SEAL], "scene": file_hash(path / "scene.blend")}
     sealed = seal.sealed(meta, **{name: files[name] for name in ("scene", "poses")})
-    (path / "dataset.toml").write_text(spec.dump_toml(sealed), encoding="utf-8")
+    (path / "dataset.toml").write_text(dump_toml(sealed), encoding="utf-8")
     next(path.glob("*/0000.exr")).unlink()
     result = command("generator", "sweep", path / "scene.blend", "-o", path)
     assert result.returncode == 2
@@ -261,7 +262,7 @@ def test_nothing_in_a_scene_runs_or_writes(edited, tmp_path, command):
     )
     result = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, check=False, cwd=tmp_path)
     assert result.returncode == 0, result.stderr
-    assert worker.check_scene(stage.open_file(path), {"resolution": "8", "samples": 4})
+    assert check.check_scene(blend_file.open_file(path), {"resolution": "8", "samples": 4})
     assert planning.make(path, tolerance=0.1, count=2, most=0.0, predict=False).effects
     assert files(tmp_path) == before
     asked = f"import bpy; bpy.ops.wm.open_mainfile(filepath={str(path)!r}, use_scripts=True)"
@@ -269,13 +270,13 @@ def test_nothing_in_a_scene_runs_or_writes(edited, tmp_path, command):
     assert files(tmp_path) - before == {Path("elsewhere/text")}, "the mark is left where a file's scripts are on"
 
 
-@pytest.mark.parametrize("engine", engines.ENGINES)
+@pytest.mark.parametrize("engine", renderers.ENGINES)
 def test_what_may_run_or_write_is_off_while_a_scene_is_rendered(scene_file, engine):
     """And as it was afterwards."""
-    scene = stage.open_file(scene_file)
+    scene = blend_file.open_file(scene_file)
     names = ("use_freestyle", "use_compositing", "use_sequencer")
     for name in names:
         setattr(scene.render, name, True)
-    with engines.opened(scene, engine, resolution=(8, 8)):
+    with renderers.opened(scene, engine, resolution=(8, 8)):
         assert not any(getattr(scene.render, name) for name in names)
     assert all(getattr(scene.render, name) for name in names)

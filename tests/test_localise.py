@@ -10,7 +10,7 @@ from scipy import stats
 from classify.inference import atlas as atlases
 from classify.inference import posterior, unknown_object
 from classify.pictures.sensor import Sensor
-from generator.model.spec import NlosError
+from generator.model.errors import NlosError
 
 
 @pytest.fixture(scope="module")

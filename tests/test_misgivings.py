@@ -8,7 +8,7 @@ import sys
 import pytest
 from conftest import ROOT, TINY
 
-from generator.blender.scene import stage
+from generator.blender.scene import blend_file, roles
 from generator.sets.dataset import Dataset
 
 ORDER = "Light makes 2 reflections at most"
@@ -18,14 +18,14 @@ ORDER = "Light makes 2 reflections at most"
 def doubtful(tmp_path_factory, scene_file):
     """A scene with one error, and one with two."""
     folder = tmp_path_factory.mktemp("doubtful")
-    scene = stage.open_file(scene_file)
-    stage.limit_reflections(scene, 2)
-    stage.save_file(folder / "one.blend")
+    scene = blend_file.open_file(scene_file)
+    roles.limit_reflections(scene, 2)
+    blend_file.save_file(folder / "one.blend")
     scene.unit_settings.system, scene.unit_settings.scale_length = "METRIC", 0.5
-    stage.save_file(folder / "units.blend")
-    scene = stage.open_file(folder / "one.blend")
-    scene[stage.GRID_LO], scene[stage.GRID_HI] = (-1.5, 0.4, 0.4), (0.0, 1.9, 2.2)  # before lamp and camera
-    stage.save_file(folder / "two.blend")
+    blend_file.save_file(folder / "units.blend")
+    scene = blend_file.open_file(folder / "one.blend")
+    scene[roles.GRID_LO], scene[roles.GRID_HI] = (-1.5, 0.4, 0.4), (0.0, 1.9, 2.2)  # before lamp and camera
+    blend_file.save_file(folder / "two.blend")
     return folder
 
 
@@ -81,9 +81,9 @@ def test_units_that_are_no_metres(tmp_path, doubtful, command):
 
 def test_what_the_engine_itself_refuses_comes_first(tmp_path, doubtful, command):
     """Nobody can overrule it, so --force must not be offered for it."""
-    scene = stage.open_file(doubtful / "one.blend")
-    stage.find(scene, "spot").data.shadow_soft_size = 1.0
-    stage.save_file(tmp_path / "soft.blend")
+    scene = blend_file.open_file(doubtful / "one.blend")
+    roles.find(scene, "spot").data.shadow_soft_size = 1.0
+    blend_file.save_file(tmp_path / "soft.blend")
     done = command("generator", "sweep", tmp_path / "soft.blend", "-o", tmp_path / "set", *TINY)
     assert done.returncode == 2
     assert "cannot honour" in done.stderr

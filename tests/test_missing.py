@@ -6,8 +6,8 @@ import bpy
 import pytest
 from conftest import TINY
 
-from generator.blender.scene import references, stage
-from generator.model.spec import NlosError
+from generator.blender.scene import blend_file, references
+from generator.model.errors import NlosError
 
 
 def square(scene, name="Extra"):
@@ -154,7 +154,7 @@ def saved(tmp_path, scene_file):
 
     def save(edit):
         path = tmp_path / "scene.blend"
-        scene = stage.open_file(scene_file)
+        scene = blend_file.open_file(scene_file)
         bpy.ops.wm.save_as_mainfile(filepath=str(path))
         name = edit(scene, tmp_path)
         bpy.ops.wm.save_as_mainfile(filepath=str(path), relative_remap=True)
@@ -168,11 +168,11 @@ def saved(tmp_path, scene_file):
 def test_what_is_rendered_and_gone_is_named(case, saved):
     path, name = saved(case)
     if (path.parent / name).exists():
-        stage.open_file(path)
+        blend_file.open_file(path)
         (path.parent / name).unlink()
-        stage.new_file()
+        blend_file.new_file()
     with pytest.raises(NlosError, match=rf"/{name} is not there, which its ") as told:
-        stage.open_file(path)
+        blend_file.open_file(path)
     assert "put it back" in str(told.value)
 
 
@@ -180,14 +180,14 @@ def test_a_library_that_lacks_one_thing(saved):
     path, _ = saved(linked)
     a_library(path.parent, "Table")
     with pytest.raises(NlosError, match=r"library\.blend does not hold its object 'Chair' any more"):
-        stage.open_file(path)
+        blend_file.open_file(path)
 
 
 def test_a_file_that_is_no_picture(saved):
     path, name = saved(a_picture)
     (path.parent / name).write_text("text")
     with pytest.raises(NlosError, match=r"wallpaper\.png is no picture that Blender can read"):
-        stage.open_file(path)
+        blend_file.open_file(path)
 
 
 def unused(scene, folder):
@@ -229,7 +229,7 @@ def test_what_no_picture_needs_may_be_gone(case, saved):
     path, name = saved(case)
     for file in path.parent.glob("*.png"):
         file.unlink()
-    assert references.missing(stage.open_file(path)) == []
+    assert references.missing(blend_file.open_file(path)) == []
     assert not (path.parent / name).exists()
 
 

@@ -7,14 +7,15 @@ import numpy as np
 import pytest
 from nodetrees import WHITE, node, output, tree_of
 
-from generator.blender.scene import nodes, stage
-from generator.sets.dataset import read_picture
+from generator.blender.scene import blend_file, nodes
+from generator.blender.scene.quiet import quiet
+from generator.files.pictures import read_picture
 
 
 @pytest.fixture(scope="module")
 def studio(tmp_path_factory):
     """A camera above a plane, nothing else: what a render call gives for a material, lamp or world, (3,)."""
-    scene = stage.new_file()
+    scene = blend_file.new_file()
     scene.render.engine = "CYCLES"
     scene.render.resolution_x = scene.render.resolution_y = 1
     scene.cycles.samples, scene.cycles.use_denoising = 1, False
@@ -39,7 +40,7 @@ def studio(tmp_path_factory):
         mesh.materials.clear()
         mesh.materials.append(material)
         scene.world = world
-        with stage.quiet():
+        with quiet():
             bpy.ops.render.render(write_still=True, scene=scene.name)
         return read_picture(path)[0][0, 0]
 

@@ -6,14 +6,16 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose
 
-from generator.blender.engines import extract
-from generator.blender.scene import outlines, stage
-from generator.model.spec import Sweep, VoxelGrid, preset
+from generator.blender.engines import survey
+from generator.blender.scene import blend_file, build, outlines, roles
+from generator.model.grid import VoxelGrid
+from generator.model.presets import preset
+from generator.model.settings import Sweep
 
 
 def built(name):
-    scene = stage.new_file()
-    stage.build(scene, preset(name))
+    scene = blend_file.new_file()
+    build.build(scene, preset(name))
     return scene
 
 
@@ -36,7 +38,7 @@ def test_voxels_are_drawn_edge_by_edge():
 @pytest.mark.parametrize("name", ["room", "tabletop", "corridor"])
 def test_patches_are_those_of_the_engines(name):
     scene = built(name)
-    rim, patch = outlines.lit_patch(stage.find(scene, "spot")), extract.lit_patch(scene)
+    rim, patch = outlines.lit_patch(roles.find(scene, "spot")), survey.lit_patch(scene)
     away = rim - patch.centre
     along, across = away @ patch.major / (patch.major @ patch.major), away @ patch.minor / (patch.minor @ patch.minor)
     assert_allclose(along**2 + across**2, 1.0, rtol=1e-4)
@@ -52,21 +54,21 @@ def test_light_legs_go_from_the_lamp_to_the_camera():
     lamp, w1, target, w2, camera = outlines.legs(scene)
     assert_allclose(lamp, described.spot.location, atol=1e-6)
     assert_allclose(w1, described.spot.aim, atol=1e-5)
-    assert_allclose(target, stage.find(scene, "target").location, atol=1e-6)
+    assert_allclose(target, roles.find(scene, "target").location, atol=1e-6)
     assert_allclose(camera, described.camera.location, atol=1e-6)
     assert w2[1] == pytest.approx(0.0, abs=1e-6)
-    stage.find(scene, "spot").rotation_euler = (0.0, 0.0, 0.0)  # straight down: it lights no wall
+    roles.find(scene, "spot").rotation_euler = (0.0, 0.0, 0.0)  # straight down: it lights no wall
     import bpy
 
     bpy.context.view_layer.update()
     assert not len(outlines.legs(scene))
-    assert not len(outlines.lit_patch(stage.find(scene, "spot")))
+    assert not len(outlines.lit_patch(roles.find(scene, "spot")))
 
 
 def test_sampled_poses_lie_in_their_voxels():
     scene = built("room")
     places = outlines.sampled(scene, Sweep(poses=100, rotation=(15.0, 15.0, 90.0)))
-    grid = stage.read_grid(scene)
+    grid = roles.read_grid(scene)
     assert places.shape == (8 * 9, 3)
     for voxel in range(9):
         lo, hi = grid.bounds(voxel)

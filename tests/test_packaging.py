@@ -16,7 +16,9 @@ from matrix import builds
 
 from blender_addon.packaging import sbom
 
-NO_BLENDER = "import sys; sys.modules['bpy'] = None; from generator import cli; sys.exit(cli.main(sys.argv[1:]))"
+NO_BLENDER = (
+    "import sys; sys.modules['bpy'] = None; from generator.cli import main; sys.exit(main.main(sys.argv[1:]))"
+)
 
 
 @pytest.fixture(scope="module")

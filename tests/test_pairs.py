@@ -12,7 +12,8 @@ from scipy.stats import multivariate_normal
 from classify.inference import atlas as atlases
 from classify.inference.two_objects import locate_two
 from classify.pictures.sensor import Sensor
-from generator.model.spec import NlosError, VoxelGrid
+from generator.model.errors import NlosError
+from generator.model.grid import VoxelGrid
 from generator.transport import Sphere, Transport
 
 LIGHT = 3e-4

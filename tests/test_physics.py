@@ -16,7 +16,8 @@ from classify.pictures import feature_table, physics
 from classify.pictures.features import FeatureSettings, describe
 from classify.pictures.physics import PhysicsFeatures, Setup
 from classify.pictures.sensor import Camera, Sensor
-from generator.model.spec import NlosError, preset
+from generator.model.errors import NlosError
+from generator.model.presets import preset
 from generator.sets.simulated import Simulated, opened
 
 SCENE = preset("room")

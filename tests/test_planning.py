@@ -8,23 +8,24 @@ import bpy
 import numpy as np
 import pytest
 
-from generator.blender.engines import extract, simplify
+from generator.blender.engines import simplify, survey
 from generator.blender.measure import paired, planning
-from generator.blender.scene import stage
+from generator.blender.scene import blend_file, build, materials, roles
+from generator.blender.scene.description import read_scene
 from generator.measure import plan_file
 from generator.measure.plan_file import Effect, Plan
-from generator.model import spec
-from generator.model.spec import NlosError
+from generator.model.errors import NlosError
+from generator.model.presets import preset
 from generator.sets.dataset import Dataset
 from generator.transport.left_out import PATCH, SHADOW
 
 
 def built(target="sphere", order=3, ambient=0.0):
     """The room with all that `surfel` does not model."""
-    scene = stage.new_file()
-    wanted = spec.preset("room", target)
-    stage.build(scene, wanted.with_ambient(ambient) if ambient else wanted)
-    stage.limit_reflections(scene, order)
+    scene = blend_file.new_file()
+    wanted = preset("room", target)
+    build.build(scene, wanted.with_ambient(ambient) if ambient else wanted)
+    roles.limit_reflections(scene, order)
     return scene
 
 
@@ -73,11 +74,11 @@ def test_every_piece_is_found_and_can_be_left_out(edit, piece):
     scene = built()
     edit()
     bpy.context.view_layer.update()
-    assert extract.world(scene)[0] is None
+    assert survey.world(scene)[0] is None
     assert piece in simplify.found(scene)
     simplify.apply(scene, [piece])
     bpy.context.view_layer.update()
-    assert extract.world(scene)[1] == []
+    assert survey.world(scene)[1] == []
     assert piece not in simplify.found(scene)
 
 
@@ -86,15 +87,15 @@ def test_light_and_reflections_are_pieces():
     assert simplify.found(scene) == [simplify.BEYOND, simplify.AMBIENT]
     assert simplify.lights(scene) == [simplify.AMBIENT]
     simplify.apply(scene, [simplify.BEYOND, simplify.AMBIENT])
-    assert stage.reflection_order(scene) == 3
-    assert extract.world(scene)[1] == []
+    assert roles.reflection_order(scene) == 3
+    assert survey.world(scene)[1] == []
 
 
 def test_a_mirror_left_out_keeps_its_colour():
     scene = built()
     mirror = add("Mirror", gloss=True)
     simplify.apply(scene, ["the material 'of Mirror'"])
-    assert stage.diffuse_colour(mirror) == pytest.approx((0.6, 0.4, 0.2))
+    assert materials.diffuse_colour(mirror) == pytest.approx((0.6, 0.4, 0.2))
 
 
 def test_what_is_fine_is_made_coarse():
@@ -113,7 +114,7 @@ def test_what_is_fine_is_made_coarse():
 @pytest.mark.parametrize("name", ["no such thing", "Spot", "the lamp 'Bulb'"])
 def test_what_is_not_there_cannot_be_left_out(name):
     scene = built()
-    name = stage.find(scene, "spot").name if name == "Spot" else name
+    name = roles.find(scene, "spot").name if name == "Spot" else name
     with pytest.raises(NlosError, match=r"is not in .* plan again"):
         simplify.apply(scene, [name])
 
@@ -179,7 +180,7 @@ def test_a_small_mirror_far_away_is_left_out_and_surfel_takes_over(tmp_path):
     scene.render.resolution_x = scene.render.resolution_y = 16
     add("Speck", at=(-2.3, 3.3, 0.1), size=0.02, gloss=True)
     path = tmp_path / "speck.blend"
-    stage.save_file(path)
+    blend_file.save_file(path)
     plan = planning.make(path, tolerance=0.1, count=4, most=20.0)
     speck = next(effect for effect in plan.effects if "Speck" in effect.name)
     assert speck.share[2] < 0.1
@@ -196,8 +197,8 @@ def test_a_faint_sky_is_left_out_and_surfel_takes_over(tmp_path):
     for number, radiance in enumerate((1e-6, 2e-6)):
         scene, path = built(ambient=radiance), tmp_path / f"{number}.blend"
         scene.render.resolution_x = scene.render.resolution_y = 16
-        stage.save_file(path)
-        planned = planning._planned(scene, stage.read(scene), "patch", 2, 0)
+        blend_file.save_file(path)
+        planned = planning._planned(scene, read_scene(scene), "patch", 2, 0)
         shares.append(planning.ambient(path, sorted(planned, key=lambda p: (p.index, p.voxel))).share)
     assert shares[1][0] == pytest.approx(2.0 * shares[0][0], rel=0.1)
     plan = planning.make(tmp_path / "0.blend", tolerance=0.3, count=2, most=0.0, predict=False)
@@ -205,7 +206,7 @@ def test_a_faint_sky_is_left_out_and_surfel_takes_over(tmp_path):
     assert plan.settings["engine"] == "surfel"
     assert plan.together.share[0] > plan.effects[[e.name for e in plan.effects].index(simplify.AMBIENT)].share[0]
     built()
-    stage.save_file(tmp_path / "dark.blend")
+    blend_file.save_file(tmp_path / "dark.blend")
     assert planning.ambient(tmp_path / "dark.blend", planned) is None
 
 
@@ -213,8 +214,8 @@ def test_the_denoiser_is_wrong_in_the_mean_and_its_noise_is_not_counted(tmp_path
     """Twenty-four pictures' noise is far above their signal, yet what is told is the bias alone."""
     path = tmp_path / "room.blend"
     scene = built()
-    stage.save_file(path)
-    described = stage.read(scene)
+    blend_file.save_file(path)
+    described = read_scene(scene)
     planned = planning._planned(scene, described, "patch", paired.ROUNDS[0], 0)
     rounds = [[p for p in planned if p.index == k] for k in range(paired.ROUNDS[0])]
     probe = paired.Probe(path, "patch", rounds)

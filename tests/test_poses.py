@@ -5,8 +5,11 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from generator.model import poses, spec
-from generator.model.spec import NlosError, Sweep, preset
+from generator.model import poses
+from generator.model.arrays import rotation_matrix
+from generator.model.errors import NlosError
+from generator.model.presets import preset
+from generator.model.settings import Sweep
 
 GRID = preset("room").grid
 SHEET = np.array([(x, 0.0, z) for x in (-0.25, 0.25) for z in (-0.25, 0.25)])
@@ -34,7 +37,7 @@ def test_more_poses_leave_the_first_ones_alone():
 @settings(max_examples=30, deadline=None)
 def test_the_whole_target_stays_in_its_voxel(voxel, index):
     position, rotation = poses.draw(GRID, voxel, index, TURNING, SHEET)
-    corners = SHEET @ spec.rotation_matrix(rotation).T + position
+    corners = SHEET @ rotation_matrix(rotation).T + position
     lo, hi = GRID.bounds(voxel)
     assert (corners >= lo - 1e-6).all()
     assert (corners <= hi + 1e-6).all()
@@ -47,7 +50,7 @@ def test_rotation_matrix_is_blenders():
 
     angles = (20.0, -35.0, 110.0)
     blender = np.array(Euler(np.radians(angles), "XYZ").to_matrix())
-    np.testing.assert_allclose(spec.rotation_matrix(angles), blender, atol=1e-6)
+    np.testing.assert_allclose(rotation_matrix(angles), blender, atol=1e-6)
 
 
 def test_poses_are_uniform_where_nothing_turns():

@@ -8,20 +8,21 @@ import numpy as np
 import pytest
 import radiometry
 
-from generator.blender.engines import engines
-from generator.blender.scene import stage
-from generator.model.spec import Spot, Target, Wall, preset
+from generator.blender.engines import renderers
+from generator.blender.scene import blend_file, build, posing, roles
+from generator.model.presets import preset
+from generator.model.scene import Spot, Target, Wall
 
 ENGINES = ["path", "patch", "surfel"]
 
 
 def render(scene, engine, *, samples, seeds, target=True, pose=None):
     """Independent renders (n, height, width), first channel."""
-    blender = stage.new_file()
-    stage.build(blender, scene)
+    blender = blend_file.new_file()
+    build.build(blender, scene)
     if pose:
-        stage.move_target(blender, *pose)
-    with engines.opened(blender, engine, resolution=scene.resolution) as renderer:
+        posing.move_target(blender, *pose)
+    with renderers.opened(blender, engine, resolution=scene.resolution) as renderer:
         return np.array(
             [renderer.render(samples=samples, seed=s, target=target)[..., 0] for s in seeds], dtype=np.float64
         )
@@ -56,13 +57,13 @@ def test_directly_lit_wall_has_the_inverse_square_radiance(engine, order):
 
 def test_soft_edged_spot_keeps_its_falloff_in_the_patch_engine():
     scene = radiometry.bare_scene()
-    blender = stage.new_file()
-    stage.build(blender, scene)
-    stage.move_target(blender, (0.0, 1.2, 0.0), (0.0, 0.0, 0.0))
-    stage.find(blender, "spot").data.spot_blend = 0.6
+    blender = blend_file.new_file()
+    build.build(blender, scene)
+    posing.move_target(blender, (0.0, 1.2, 0.0), (0.0, 0.0, 0.0))
+    roles.find(blender, "spot").data.spot_blend = 0.6
     levels = {}
     for engine, samples in (("path", 8192), ("patch", 256)):
-        with engines.opened(blender, engine, resolution=(16, 16)) as renderer:
+        with renderers.opened(blender, engine, resolution=(16, 16)) as renderer:
             renders = np.array([renderer.render(samples=samples, seed=s)[..., 0].mean() for s in range(6)])
         levels[engine] = renders.mean(), renders.std(ddof=1) / np.sqrt(len(renders))
     (path, path_error), (patch, patch_error) = levels["path"], levels["patch"]
@@ -98,12 +99,12 @@ def test_order_two_reaches_what_only_order_two_can():
     scene = radiometry.bare_scene(room=radiometry.floor_room(-0.6), reflection_order=2)
     centre = (0.4, 0.7, -0.6)
     for order in (1, 2):
-        blender = stage.new_file()
-        stage.build(blender, replace(scene, reflection_order=order))
-        camera = stage.find(blender, "camera")
+        blender = blend_file.new_file()
+        build.build(blender, replace(scene, reflection_order=order))
+        camera = roles.find(blender, "camera")
         camera.location, camera.rotation_euler = (centre[0], centre[1], 0.5), (0.0, 0.0, 0.0)
         camera.data.ortho_scale, camera.data.shift_x, camera.data.shift_y = 0.02, 0.0, 0.0
-        with engines.opened(blender, "patch", resolution=(8, 8)) as renderer:
+        with renderers.opened(blender, "patch", resolution=(8, 8)) as renderer:
             got = renderer.render(samples=1024, seed=3, target=False)[..., 0].mean()
         if order == 1:
             assert got == 0.0
@@ -146,17 +147,17 @@ def test_engines_agree_in_the_room(target):
 
 
 def test_mirror_target_is_refused_by_neither_but_lamp_shapes_by_patch():
-    from generator.model.spec import NlosError
+    from generator.model.errors import NlosError
 
-    blender = stage.new_file()
-    stage.build(blender, radiometry.bare_scene())
-    stage.find(blender, "spot").data.shadow_soft_size = 0.1
+    blender = blend_file.new_file()
+    build.build(blender, radiometry.bare_scene())
+    roles.find(blender, "spot").data.shadow_soft_size = 0.1
     with (
         pytest.raises(NlosError, match=r"radius of 0\.1 m.*--engine path"),
-        engines.opened(blender, "patch", resolution=(8, 8)),
+        renderers.opened(blender, "patch", resolution=(8, 8)),
     ):
         pass
-    with engines.opened(blender, "path", resolution=(8, 8)):
+    with renderers.opened(blender, "path", resolution=(8, 8)):
         pass
 
 

@@ -6,7 +6,7 @@ import json
 
 import pytest
 
-from generator.cli.main import LineProgress
+from generator.cli.terminal import LineProgress
 from generator.jobs import journal
 from generator.jobs.remaining import Remaining
 

@@ -10,11 +10,14 @@ import pytest
 from conftest import ROOT
 from numpy.testing import assert_array_equal
 
-from generator.blender import check, worker
-from generator.blender.engines import engines
-from generator.blender.scene import replaced, stage
-from generator.model.spec import NlosError, preset
-from generator.sets.dataset import Dataset, read_picture
+from generator.blender import check, sweep_worker
+from generator.blender.engines import renderers
+from generator.blender.scene import blend_file, build, replaced, roles
+from generator.blender.scene.quiet import Overrides, quiet
+from generator.files.pictures import read_picture
+from generator.model.errors import NlosError
+from generator.model.presets import preset
+from generator.sets.dataset import Dataset
 
 SIZE = (12, 12)
 SAMPLES, SEED = 32, 3
@@ -83,9 +86,9 @@ def material(kind, **inputs):
 
 def furnished():
     """The room with a sky, more lamps, and metal, glass and a veil in view: there is something for every setting."""
-    scene = stage.new_file()
-    stage.build(scene, preset("room", "sheet"))
-    stage.limit_reflections(scene, 4)
+    scene = blend_file.new_file()
+    build.build(scene, preset("room", "sheet"))
+    roles.limit_reflections(scene, 4)
     bpy.data.objects.remove(scene.objects["Ceiling"])
     scene.world.node_tree.nodes["Background"].inputs["Strength"].default_value = 0.1
     shaders = [
@@ -109,7 +112,7 @@ def furnished():
 
 
 def path(scene, **options):
-    with engines.opened(scene, "path", resolution=SIZE, **options) as renderer:
+    with renderers.opened(scene, "path", resolution=SIZE, **options) as renderer:
         return renderer.render(samples=SAMPLES, seed=SEED)
 
 
@@ -173,7 +176,7 @@ def plain(scene, tmp_path, **changed):
         owner, _, attribute = name.rpartition(".")
         setattr(scene.path_resolve(owner), attribute, value)
     render.filepath = str(tmp_path / "plain.exr")
-    with stage.quiet():
+    with quiet():
         bpy.ops.render.render(write_still=True)
     return read_picture(tmp_path / "plain.exr")[0]
 
@@ -309,23 +312,23 @@ def test_only_the_animation_of_what_is_set_is_muted():
 
 def test_an_action_that_others_share_is_refused_rather_than_muted():
     scene = furnished()
-    spot, other = stage.find(scene, "spot"), next(o for o in scene.objects if o.name.startswith("Lamp"))
+    spot, other = roles.find(scene, "spot"), next(o for o in scene.objects if o.name.startswith("Lamp"))
     spot.keyframe_insert("hide_render", frame=1)
-    with stage.Overrides() as overrides:
+    with Overrides() as overrides:
         overrides.set(spot, "hide_render", True)  # its own: muted
     other.animation_data_create().action = spot.animation_data.action
     if hasattr(spot.animation_data, "action_slot"):
         other.animation_data.action_slot = spot.animation_data.action_slot
     with (
-        stage.Overrides() as overrides,
+        Overrides() as overrides,
         pytest.raises(NlosError, match=r"'Spot' shares the action .* give it an action of its own"),
     ):
         overrides.set(spot, "hide_render", True)
 
 
 def test_the_output_that_an_artist_set_is_put_back():
-    scene = stage.new_file()
-    stage.build(scene, preset("tabletop", "sheet"))
+    scene = blend_file.new_file()
+    build.build(scene, preset("tabletop", "sheet"))
     image = scene.render.image_settings
     neutral = path(scene)
     chosen = {"file_format": "OPEN_EXR", "color_mode": "RGBA", "color_depth": "16", "exr_codec": "DWAA"}
@@ -371,7 +374,7 @@ FOLLOWED = {
 def test_all_else_in_the_file_is_as_plain_cycles_has_it(tmp_path):
     scene = furnished()
     neutral = path(scene)
-    stage.find(scene, "camera").data.dof.focus_distance = 1.0
+    roles.find(scene, "camera").data.dof.focus_distance = 1.0
     for name, value in FOLLOWED.items():
         owner, _, attribute = name.replace("layer.", 'view_layers["ViewLayer"].').rpartition(".")
         holder = scene.path_resolve(owner)
@@ -412,13 +415,13 @@ def test_denoising_that_is_asked_for_is_done_whatever_the_layer_says():
 
 
 def test_a_set_says_what_was_replaced(tmp_path):
-    scene = stage.new_file()
-    stage.build(scene, preset("room", "sheet"))
+    scene = blend_file.new_file()
+    build.build(scene, preset("room", "sheet"))
     scene.cycles.caustics_reflective = False
     source = tmp_path / "room.blend"
-    stage.save_file(source)
+    blend_file.save_file(source)
     chosen = {"engine": "patch", "poses": 1, "samples": 4, "resolution": [8, 8]}
-    said = worker.plan(scene, source, tmp_path / "set", chosen, probe=False).meta["replaced"]
+    said = sweep_worker.plan(scene, source, tmp_path / "set", chosen, probe=False).meta["replaced"]
     assert Dataset.open(tmp_path / "set").meta["replaced"] == said
     assert "reflective caustics (off in the file, on in a sweep)" in said
     [note] = [f.text for f in check.findings(scene) if f.text.startswith("A sweep replaces")]

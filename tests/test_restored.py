@@ -6,9 +6,9 @@ import bpy
 import numpy as np
 import pytest
 
-from generator.blender.engines import engines
-from generator.blender.scene import stage
-from generator.model import spec
+from generator.blender.engines import renderers
+from generator.blender.scene import blend_file, build
+from generator.model.presets import preset
 
 FORMATS = {
     "png": {"file_format": "PNG", "color_mode": "RGBA", "color_depth": "16", "compression": 33},
@@ -59,8 +59,8 @@ def every_setting(scene):
 
 
 def opened_with(name):
-    scene = stage.new_file()
-    stage.build(scene, spec.preset("room"))
+    scene = blend_file.new_file()
+    build.build(scene, preset("room"))
     image = scene.render.image_settings
     if name in MEDIA and hasattr(image, "media_type"):
         image.media_type = MEDIA[name]
@@ -77,13 +77,13 @@ def opened_with(name):
 @pytest.fixture(scope="module")
 def plain():
     """The picture of each engine in a file that nobody has edited."""
-    scene = stage.new_file()
-    stage.build(scene, spec.preset("room"))
-    return {engine: pictures(scene, engine) for engine in engines.ENGINES}
+    scene = blend_file.new_file()
+    build.build(scene, preset("room"))
+    return {engine: pictures(scene, engine) for engine in renderers.ENGINES}
 
 
 def pictures(scene, engine):
-    with engines.opened(scene, engine, resolution=(8, 8), accuracy=0.1) as renderer:
+    with renderers.opened(scene, engine, resolution=(8, 8), accuracy=0.1) as renderer:
         return [renderer.render(samples=1, seed=1, target=target) for target in (True, False)]
 
 
@@ -92,7 +92,7 @@ def test_all_settings_are_as_they_were_and_none_reaches_the_pixels(name, plain):
     scene = opened_with(name)
     before = every_setting(scene)
     assert len(before) > 1500
-    for engine in engines.ENGINES:
+    for engine in renderers.ENGINES:
         made = pictures(scene, engine)
         after = every_setting(scene)
         assert {k: (before.get(k), after[k]) for k in after if after[k] != before.get(k)} == {}, engine
@@ -102,6 +102,6 @@ def test_all_settings_are_as_they_were_and_none_reaches_the_pixels(name, plain):
 def test_what_an_error_interrupts_is_set_back_too():
     scene = opened_with("tiff")
     before = every_setting(scene)
-    with pytest.raises(ZeroDivisionError), engines.opened(scene, "patch", resolution=(8, 8)):
+    with pytest.raises(ZeroDivisionError), renderers.opened(scene, "patch", resolution=(8, 8)):
         raise ZeroDivisionError
     assert every_setting(scene) == before

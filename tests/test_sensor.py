@@ -8,7 +8,7 @@ from classify_helpers import make_dataset
 from scipy import stats
 
 from classify.pictures.sensor import Camera, Sensor
-from generator.model.spec import NlosError
+from generator.model.errors import NlosError
 
 
 def flat(radiance, pixels=64):

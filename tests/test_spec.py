@@ -7,8 +7,11 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from generator.model import spec
-from generator.model.spec import NlosError, Scene, VoxelGrid, preset
+from generator.files.toml import dump_toml, from_dict, set_field, to_dict
+from generator.model.errors import NlosError
+from generator.model.grid import VoxelGrid
+from generator.model.presets import preset
+from generator.model.scene import Scene
 
 PRESETS = ["room", "tabletop", "corridor"]
 
@@ -17,8 +20,8 @@ PRESETS = ["room", "tabletop", "corridor"]
 @pytest.mark.parametrize("target", ["sheet", "sphere", "teapot.obj"])
 def test_scene_survives_toml(name, target):
     scene = preset(name, target)
-    text = spec.dump_toml(spec.to_dict(scene))
-    assert spec.from_dict(Scene, tomllib.loads(text)) == scene
+    text = dump_toml(to_dict(scene))
+    assert from_dict(Scene, tomllib.loads(text)) == scene
 
 
 @given(
@@ -27,7 +30,7 @@ def test_scene_survives_toml(name, target):
     )
 )
 def test_dumped_toml_reads_back(data):
-    back = tomllib.loads(spec.dump_toml(data))
+    back = tomllib.loads(dump_toml(data))
     assert back.keys() == data.keys()
     for key, value in data.items():
         assert back[key] == value or (value != value and back[key] != back[key])
@@ -54,11 +57,11 @@ def test_dumped_toml_reads_back(data):
     ],
 )
 def test_bad_figures_are_named(change, words):
-    plain = spec.to_dict(preset("room"))
+    plain = to_dict(preset("room"))
 
     def build():
-        spec.set_field(plain, change)
-        return spec.from_dict(Scene, plain)
+        set_field(plain, change)
+        return from_dict(Scene, plain)
 
     with pytest.raises(NlosError) as error:
         build()

@@ -9,25 +9,31 @@ import numpy as np
 import pytest
 import radiometry
 
-from generator.blender.engines import engines
-from generator.blender.scene import stage
+from generator.blender.engines import renderers
+from generator.blender.engines.cycles import use_gpu
+from generator.blender.scene import blend_file, build, geometry, posing, roles
 from generator.blender.scene.clearance import clearance
+from generator.blender.scene.description import read_scene
+from generator.blender.scene.quiet import Overrides
 from generator.files import meshes
-from generator.model import spec
-from generator.model.spec import NlosError, Scene, preset
+from generator.files.toml import from_dict, to_dict
+from generator.model.errors import NlosError
+from generator.model.grid import VoxelGrid
+from generator.model.presets import preset
+from generator.model.scene import Scene, Target, _leaves
 
 PRESETS = ["room", "tabletop", "corridor"]
 
 
 def built(scene):
-    blender = stage.new_file()
-    stage.build(blender, scene)
+    blender = blend_file.new_file()
+    build.build(blender, scene)
     return blender
 
 
 def assert_close(got, wanted):
     """Equal but for float32, inside Blender, and for what a mesh makes of a sphere."""
-    for (name, a), (_, b) in zip(spec._leaves(got), spec._leaves(wanted), strict=True):
+    for (name, a), (_, b) in zip(_leaves(got), _leaves(wanted), strict=True):
         if isinstance(b, float):
             tolerance = 1e-3 if name == "target.size" else 1e-6
             assert a == pytest.approx(b, rel=tolerance, abs=1e-6), name
@@ -39,7 +45,7 @@ def assert_close(got, wanted):
 @pytest.mark.parametrize("target", ["sheet", "sphere"])
 def test_what_is_built_is_read_back(name, target):
     scene = preset(name, target)
-    assert_close(stage.read(built(scene)), scene)
+    assert_close(read_scene(built(scene)), scene)
 
 
 @pytest.mark.parametrize("name", PRESETS)
@@ -47,42 +53,42 @@ def test_shipped_scenes_are_the_presets(name):
     from pathlib import Path
 
     path = Path(__file__).resolve().parents[1] / "blend_scenes" / f"{name}.blend"
-    assert_close(stage.read(stage.open_file(path)), preset(name))
+    assert_close(read_scene(blend_file.open_file(path)), preset(name))
 
 
 def test_building_twice_leaves_nothing_behind():
     blender = built(preset("room"))
     count = {kind: len(getattr(bpy.data, kind)) for kind in ("objects", "meshes", "materials", "lights", "cameras")}
-    stage.build(blender, preset("room"))
+    build.build(blender, preset("room"))
     assert {kind: len(getattr(bpy.data, kind)) for kind in count} == count
 
 
 def test_an_edited_scene_is_rendered_as_edited(tmp_path):
     blender = built(preset("room"))
-    stage.find(blender, "spot").data.energy = 500.0
-    stage.find(blender, "target").data.materials[0].node_tree.nodes["Diffuse BSDF"].inputs[0].default_value = (
+    roles.find(blender, "spot").data.energy = 500.0
+    roles.find(blender, "target").data.materials[0].node_tree.nodes["Diffuse BSDF"].inputs[0].default_value = (
         1,
         0,
         0,
         1,
     )
-    stage.write_grid(blender, spec.VoxelGrid(lo=(1, 0.5, 0.5), hi=(2, 1.5, 1.5), shape=(2, 2, 2)))
+    roles.write_grid(blender, VoxelGrid(lo=(1, 0.5, 0.5), hi=(2, 1.5, 1.5), shape=(2, 2, 2)))
     bpy.ops.mesh.primitive_cube_add(size=0.2, location=(2.4, 3.0, 0.2))
     bpy.context.object.name = "Cupboard"
-    stage.save_file(tmp_path / "edited.blend")
-    again = stage.open_file(tmp_path / "edited.blend")
-    scene = stage.read(again)
+    blend_file.save_file(tmp_path / "edited.blend")
+    again = blend_file.open_file(tmp_path / "edited.blend")
+    scene = read_scene(again)
     assert scene.spot.power == 500.0
     assert scene.grid.n_voxels == 8
     assert scene.target.albedo == pytest.approx(1 / 3, abs=1e-6)
-    assert stage.others(again) == ["Cupboard"]
+    assert roles.others(again) == ["Cupboard"]
 
 
 def test_a_mesh_file_becomes_the_target(tmp_path):
     (tmp_path / "wedge.obj").write_text("v 0 0 0\nv 2 0 0\nv 0 1 0\nv 0 0 1\nf 1 2 3\nf 1 3 4\nf 1 2 4\nf 2 3 4\n")
     scene = preset("room", str(tmp_path / "wedge.obj"))
     scene = replace(scene, target=replace(scene.target, size=0.3))
-    hull = stage.hull(built(scene))
+    hull = geometry.hull(built(scene))
     np.testing.assert_allclose(np.ptp(hull, axis=0).max(), 0.3, rtol=1e-6)
     np.testing.assert_allclose(hull.min(axis=0) + hull.max(axis=0), 0.0, atol=1e-6)
 
@@ -106,14 +112,14 @@ def test_reflection_order_is_what_cycles_shows():
     for order in (1, 2, 3, 5):
         blender = built(replace(preset("room"), reflection_order=order))
         assert blender.cycles.diffuse_bounces == order - 1
-        assert stage.read(blender).reflection_order == order
+        assert read_scene(blender).reflection_order == order
 
 
 def test_camera_sees_the_watched_rectangle():
     """A glowing cube in the corner of largest x and z shows in the picture's first pixel."""
     scene = preset("room")
     blender = built(scene)
-    got = stage.read(blender).camera
+    got = read_scene(blender).camera
     assert got.x == pytest.approx(scene.camera.x, abs=1e-6)
     assert got.z == pytest.approx(scene.camera.z, abs=1e-6)
     glow = bpy.data.materials.new("glow")
@@ -125,7 +131,7 @@ def test_camera_sees_the_watched_rectangle():
     glow.node_tree.links.new(emission.outputs[0], output.inputs[0])
     bpy.ops.mesh.primitive_cube_add(size=0.1, location=(scene.camera.x[1] - 0.05, 0.0, scene.camera.z[1] - 0.05))
     bpy.context.object.data.materials.append(glow)
-    with engines.opened(blender, "path", resolution=(10, 10)) as renderer:
+    with renderers.opened(blender, "path", resolution=(10, 10)) as renderer:
         picture = renderer.render(samples=4, seed=0)[..., 0]
     assert np.unravel_index(picture.argmax(), picture.shape) == (0, 0), "largest x is column 0, largest z row 0"
     assert picture[0, 0] > 0.5
@@ -136,18 +142,18 @@ def test_engines_leave_the_scene_as_it_was():
     watched = [(blender.render, n) for n in ("engine", "filepath", "resolution_x", "use_persistent_data")]
     watched += [(blender.cycles, n) for n in ("samples", "seed", "max_bounces", "use_light_tree", "use_denoising")]
     before = [getattr(owner, name) for owner, name in watched]
-    with engines.opened(blender, "patch", resolution=(8, 8)) as renderer:
+    with renderers.opened(blender, "patch", resolution=(8, 8)) as renderer:
         renderer.render(samples=2, seed=1, target=False)
     assert [getattr(owner, name) for owner, name in watched] == before
     assert [o.type for o in blender.objects].count("LIGHT") == 1
-    assert not stage.find(blender, "target").hide_render
-    assert not stage.find(blender, "spot").hide_render
+    assert not roles.find(blender, "target").hide_render
+    assert not roles.find(blender, "spot").hide_render
 
 
 def test_samples_and_seed_are_not_ignored():
     """With persistent data on, Cycles keeps the old ones unless it is told."""
     blender = built(preset("room"))
-    with engines.opened(blender, "patch", resolution=(16, 16)) as renderer:
+    with renderers.opened(blender, "patch", resolution=(16, 16)) as renderer:
         first = renderer.render(samples=4, seed=1)
         other_seed = renderer.render(samples=4, seed=2)
         more = renderer.render(samples=256, seed=1)
@@ -161,14 +167,14 @@ def test_pixels_do_not_depend_on_threads():
     blender = built(preset("room"))
     pictures = []
     for threads in (1, 2):
-        with engines.opened(blender, "patch", resolution=(16, 16), threads=threads) as renderer:
+        with renderers.opened(blender, "patch", resolution=(16, 16), threads=threads) as renderer:
             pictures.append(renderer.render(samples=8, seed=5))
     np.testing.assert_array_equal(*pictures)
 
 
 def test_ambient_light_adds_the_world():
     scene = radiometry.bare_scene().with_ambient(0.5)
-    with engines.opened(built(scene), "patch", resolution=(8, 8)) as renderer:
+    with renderers.opened(built(scene), "patch", resolution=(8, 8)) as renderer:
         lit = renderer.render(samples=64, seed=1, target=False)
         dark = renderer.render(samples=64, seed=1, target=False, ambient=False)
     # A lone wall under a uniform sky L shows albedo times L, whatever the order.
@@ -200,7 +206,7 @@ def test_every_voxel_of_a_preset_has_room(name, target):
 
 @pytest.mark.parametrize("projection", ["perspective", "orthographic"])
 def test_poses_are_hidden_from_lamp_and_camera_as_the_engine_has_it(projection):
-    scene = replace(preset("room"), room=None, partition=None, target=spec.Target(kind="sheet", size=0.3))
+    scene = replace(preset("room"), room=None, partition=None, target=Target(kind="sheet", size=0.3))
     scene = replace(scene, camera=replace(scene.camera, projection=projection))
     blender = built(scene)
     free = clearance(blender, scene, engine="surfel")
@@ -210,7 +216,7 @@ def test_poses_are_hidden_from_lamp_and_camera_as_the_engine_has_it(projection):
     eye = np.array(scene.camera.location)
     seen = np.array([np.mean(scene.camera.x), 0.0, np.mean(scene.camera.z)])
     refused = 0
-    with engines.opened(blender, "surfel", resolution=(4, 4), accuracy=0.1) as renderer:
+    with renderers.opened(blender, "surfel", resolution=(4, 4), accuracy=0.1) as renderer:
         for number in range(200):
             start, end = ((lamp, aim), (eye, seen))[number % 2]
             place = start + rng.uniform(0.2, 0.6) * (end - start) + rng.uniform(-0.5, 0.5, 3)
@@ -224,30 +230,30 @@ def test_poses_are_hidden_from_lamp_and_camera_as_the_engine_has_it(projection):
 
 
 def second_target(blender):
-    copy = stage.find(blender, "target").copy()
+    copy = roles.find(blender, "target").copy()
     blender.collection.objects.link(copy)
 
 
 def no_target(blender):
-    bpy.data.objects.remove(stage.find(blender, "target"))
+    bpy.data.objects.remove(roles.find(blender, "target"))
 
 
 def no_grid(blender):
-    del blender[stage.GRID_LO]
+    del blender[roles.GRID_LO]
 
 
 def wall_away(blender):
-    stage.find(blender, "relay_wall").location.y = 0.1
+    roles.find(blender, "relay_wall").location.y = 0.1
     bpy.context.view_layer.update()
 
 
 def spot_away(blender):
-    stage.find(blender, "spot").rotation_euler = (0, 0, 0)
+    roles.find(blender, "spot").rotation_euler = (0, 0, 0)
     bpy.context.view_layer.update()
 
 
 def camera_away(blender):
-    stage.find(blender, "camera").rotation_euler = (0, 0, 0)
+    roles.find(blender, "camera").rotation_euler = (0, 0, 0)
     bpy.context.view_layer.update()
 
 
@@ -266,11 +272,11 @@ def test_a_scene_that_cannot_be_rendered_says_why(spoil, words):
     blender = built(preset("room"))
     spoil(blender)
     with pytest.raises(NlosError, match=words):
-        stage.read(blender)
+        read_scene(blender)
 
 
 def held(blender):
-    constraint = stage.find(blender, "target").constraints.new("LIMIT_LOCATION")
+    constraint = roles.find(blender, "target").constraints.new("LIMIT_LOCATION")
     constraint.use_max_x, constraint.max_x = True, 0.0
 
 
@@ -278,7 +284,7 @@ def test_a_target_that_is_held_in_place_is_named():
     blender = built(preset("room"))
     held(blender)
     with pytest.raises(NlosError, match="does not go where it is put"):
-        stage.move_target(blender, (1.0, 1.0, 1.0), (0.0, 0.0, 0.0))
+        posing.move_target(blender, (1.0, 1.0, 1.0), (0.0, 0.0, 0.0))
 
 
 def something_in_the_beam(blender):
@@ -286,13 +292,13 @@ def something_in_the_beam(blender):
 
 
 def textured_wall(blender):
-    tree = stage.find(blender, "relay_wall").data.materials[0].node_tree
+    tree = roles.find(blender, "relay_wall").data.materials[0].node_tree
     noise = tree.nodes.new("ShaderNodeTexNoise")
     tree.links.new(noise.outputs[0], tree.nodes["Diffuse BSDF"].inputs[0])
 
 
 def wide_lamp(blender):
-    stage.find(blender, "spot").data.spot_size = 3.0
+    roles.find(blender, "spot").data.spot_size = 3.0
 
 
 @pytest.mark.parametrize(
@@ -307,14 +313,14 @@ def test_patch_refuses_what_it_cannot_honour(spoil, words):
     blender = built(preset("room"))
     spoil(blender)
     bpy.context.view_layer.update()
-    with pytest.raises(NlosError, match=words), engines.opened(blender, "patch", resolution=(8, 8)):
+    with pytest.raises(NlosError, match=words), renderers.opened(blender, "patch", resolution=(8, 8)):
         pass
 
 
 def test_scene_files_of_other_scales_read_back(tmp_path):
     """A thousandth and a thousand times the room: the same figures to scale."""
     for scale in (1e-3, 1e3):
-        plain = spec.to_dict(preset("room"))
+        plain = to_dict(preset("room"))
         for table, keys in {
             "wall": ("x", "z"),
             "room": ("x", "y", "z"),
@@ -327,22 +333,22 @@ def test_scene_files_of_other_scales_read_back(tmp_path):
                 plain[table][key] = [v * scale for v in plain[table][key]]
         plain["target"]["size"] *= scale
         plain["spot"]["power"] *= scale**2
-        scene = spec.from_dict(Scene, plain)
+        scene = from_dict(Scene, plain)
         blender = built(scene)
-        got = stage.read(blender)
+        got = read_scene(blender)
         assert got.camera.x == pytest.approx(scene.camera.x, abs=1e-4 * scale)
         assert got.reference_radiance == pytest.approx(preset("room").reference_radiance, rel=1e-5)
-        with engines.opened(blender, "patch", resolution=(8, 8)) as renderer:
+        with renderers.opened(blender, "patch", resolution=(8, 8)) as renderer:
             level = renderer.render(samples=64, seed=1, target=False).mean()
         reference = built(preset("room"))
-        with engines.opened(reference, "patch", resolution=(8, 8)) as renderer:
+        with renderers.opened(reference, "patch", resolution=(8, 8)) as renderer:
             assert level == pytest.approx(renderer.render(samples=64, seed=1, target=False).mean(), rel=0.02)
 
 
 def found_gpus():
-    with stage.Overrides() as overrides:
+    with Overrides() as overrides:
         try:
-            return engines.use_gpu(overrides)
+            return use_gpu(overrides)
         except NlosError:
             return []
 
@@ -351,13 +357,13 @@ def test_a_machine_without_a_gpu_says_so_and_one_with_it_renders_the_same_radian
     blender = built(preset("room", "sphere"))
     if not found_gpus():
         refused = pytest.raises(NlosError, match="finds no GPU")
-        with refused, engines.opened(blender, "patch", resolution=(8, 8), device="gpu"):
+        with refused, renderers.opened(blender, "patch", resolution=(8, 8), device="gpu"):
             pass
         assert blender.cycles.device == "CPU"
         return
     means = []
     for device in ("cpu", "gpu"):
-        with engines.opened(blender, "patch", resolution=(8, 8), device=device) as renderer:
+        with renderers.opened(blender, "patch", resolution=(8, 8), device=device) as renderer:
             means.append(renderer.render(samples=256, seed=3).astype(np.float64).mean())
     # The same random numbers, but rounding may send a ray another way.
     assert means[1] == pytest.approx(means[0], rel=1e-2)
@@ -369,7 +375,7 @@ def test_a_mesh_whose_modifiers_leave_only_curves_has_no_surface(scene_file):
     from generator.blender.engines import simplify
     from generator.blender.scene import clearance
 
-    scene = stage.open_file(scene_file)
+    scene = blend_file.open_file(scene_file)
     tree = bpy.data.node_groups.new("curves", "GeometryNodeTree")
     tree.interface.new_socket("Geometry", in_out="OUTPUT", socket_type="NodeSocketGeometry")
     line, output = tree.nodes.new("GeometryNodeCurvePrimitiveLine"), tree.nodes.new("NodeGroupOutput")
@@ -378,8 +384,8 @@ def test_a_mesh_whose_modifiers_leave_only_curves_has_no_surface(scene_file):
     scene.collection.objects.link(obj)
     obj.modifiers.new("curves", "NODES").node_group = tree
     bpy.context.view_layer.update()
-    assert stage.evaluated_vertices(obj).shape == (0, 3)
-    assert clearance.clearance(scene, stage.read(scene), engine="path")
+    assert geometry.evaluated_vertices(obj).shape == (0, 3)
+    assert clearance.clearance(scene, read_scene(scene), engine="path")
     assert simplify.found(scene)
     assert check.findings(scene, engine="path")
 
@@ -391,11 +397,11 @@ def test_a_ply_that_claims_what_it_cannot_hold_is_refused(tmp_path, monkeypatch)
         "ply\nformat ascii 1.0\nelement vertex 3\nproperty float x\nproperty float y\nproperty float z\n"
         "element face 1\nproperty list uchar int vertex_indices\nend_header\n0 0 0\n1 0 0\n0 1 0\n3 0 1 2\n"
     )
-    target = spec.Target(kind="mesh", size=0.0, albedo=0.5, mesh=str(path))
-    assert len(stage._import_mesh(target).data.polygons) == 1
+    target = Target(kind="mesh", size=0.0, albedo=0.5, mesh=str(path))
+    assert len(build._import_mesh(target).data.polygons) == 1
     monkeypatch.setattr(meshes, "_PER_BYTE", 0.01)
     with pytest.raises(NlosError, match=r"claim\.ply claims 3 elements in"):
-        stage._import_mesh(target)
+        build._import_mesh(target)
 
 
 def test_an_obj_leads_nowhere_else(tmp_path):
@@ -404,6 +410,6 @@ def test_an_obj_leads_nowhere_else(tmp_path):
     text = f"mtllib {tmp_path / 'any.mtl'}\n  mtllib any.mtl\nv 0 0 0\nv 1 0 0\nv 0 1 0\nusemtl x\nf 1 2 3\n"
     (tmp_path / "m.obj").write_text(text)
     before = len(bpy.data.images)
-    made = stage._import_mesh(spec.Target(kind="mesh", size=0.0, albedo=0.5, mesh=str(tmp_path / "m.obj")))
+    made = build._import_mesh(Target(kind="mesh", size=0.0, albedo=0.5, mesh=str(tmp_path / "m.obj")))
     assert len(made.data.polygons) == 1
     assert len(bpy.data.images) == before

@@ -8,12 +8,14 @@ import bpy
 import numpy as np
 import pytest
 
-from generator.blender import start_check, worker
-from generator.blender.scene import stage
+from generator.blender import start_check, sweep_worker
+from generator.blender.scene import blend_file, build, roles
+from generator.blender.scene.description import read_scene
+from generator.files.toml import read_toml
 from generator.measure import agreement
-from generator.model import spec
-from generator.model.spec import NlosError, read_toml
-from generator.sets.bulk import Bulk
+from generator.model.errors import NlosError
+from generator.model.presets import preset
+from generator.sets.bulk_set import Bulk
 from generator.sets.dataset import Dataset
 
 FEW = {"poses": 1, "resolution": [8, 8]}
@@ -102,21 +104,21 @@ def test_what_an_engine_owns_up_to_is_allowed():
 
 
 def _wall_dark(scene):
-    stage.find(scene, "relay_wall").active_material.node_tree.nodes["Diffuse BSDF"].inputs["Color"].default_value = (
+    roles.find(scene, "relay_wall").active_material.node_tree.nodes["Diffuse BSDF"].inputs["Color"].default_value = (
         *(0.3, 0.3, 0.3),
         1.0,
     )
 
 
 def _wall_red(scene):
-    stage.find(scene, "relay_wall").active_material.node_tree.nodes["Diffuse BSDF"].inputs["Color"].default_value = (
+    roles.find(scene, "relay_wall").active_material.node_tree.nodes["Diffuse BSDF"].inputs["Color"].default_value = (
         *(0.8, 0.5, 0.5),
         1.0,
     )
 
 
 def _camera_moved(scene):
-    stage.find(scene, "camera").location.x -= 0.8
+    roles.find(scene, "camera").location.x -= 0.8
 
 
 def _lamp_child(scene):
@@ -124,13 +126,13 @@ def _lamp_child(scene):
     made = bpy.data.objects.new("Glow", bpy.data.lights.new("Glow", "POINT"))
     made.data.energy = 1.0
     scene.collection.objects.link(made)
-    made.parent = stage.find(scene, "target")
+    made.parent = roles.find(scene, "target")
     made.location = (0.0, 0.3, 0.0)
 
 
 def _target_black(scene):
     """As a mirror is to a lamp that cannot be met by chance."""
-    target = stage.find(scene, "target")
+    target = roles.find(scene, "target")
     target.active_material.node_tree.nodes["Diffuse BSDF"].inputs["Color"].default_value = (0.0, 0.0, 0.0, 1.0)
 
 
@@ -140,7 +142,7 @@ def _stamp(scene):
 
 
 def _sky(scene):
-    stage.build(scene, replace(stage.read(scene), ambient=0.001))
+    build.build(scene, replace(read_scene(scene), ambient=0.001))
 
 
 def _nothing(scene):
@@ -148,11 +150,11 @@ def _nothing(scene):
 
 
 def made(path, edit, kind="sphere"):
-    scene = stage.new_file()
-    stage.build(scene, replace(spec.preset("room", kind), room=None))
+    scene = blend_file.new_file()
+    build.build(scene, replace(preset("room", kind), room=None))
     edit(scene)
     bpy.context.view_layer.update()
-    stage.save_file(path)
+    blend_file.save_file(path)
     return path
 
 
@@ -164,7 +166,9 @@ def plan(tmp_path):
         source = made(tmp_path / "scene.blend", by_engine, kind)
         other = made(tmp_path / "other.blend", by_cycles, kind)
         settings = {**FEW, "engine": engine, **chosen}
-        return worker.plan(stage.open_file(source), source, tmp_path / "a" / "set", settings, reference=other)
+        return sweep_worker.plan(
+            blend_file.open_file(source), source, tmp_path / "a" / "set", settings, reference=other
+        )
 
     return run
 
@@ -222,7 +226,9 @@ def test_what_renders_right_goes_on_and_says_so(plan, tmp_path, engine):
 def test_no_probe_renders_all_the_same(tmp_path):
     source, other = made(tmp_path / "a.blend", _stamp), made(tmp_path / "b.blend", _nothing)
     settings = {**FEW, "engine": "path"}
-    dataset = worker.plan(stage.open_file(source), source, tmp_path / "set", settings, probe=False, reference=other)
+    dataset = sweep_worker.plan(
+        blend_file.open_file(source), source, tmp_path / "set", settings, probe=False, reference=other
+    )
     assert "start_check" not in dataset.meta
 
 

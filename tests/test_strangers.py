@@ -9,9 +9,12 @@ import numpy as np
 import pytest
 
 from classify.cli import main
+from generator.model.errors import NlosError
+from generator.model.grid import VoxelGrid
 from generator.model.poses import Sampler
-from generator.model.spec import NlosError, Sweep, VoxelGrid, preset
-from generator.sets.bulk import Bulk
+from generator.model.presets import preset
+from generator.model.settings import Sweep
+from generator.sets.bulk_set import Bulk
 from generator.sets.unknown_objects import DARKEST, FLAT, stranger
 from generator.transport import Transport
 from generator.transport.elements import cells, is_convex_solid

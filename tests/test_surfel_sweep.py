@@ -9,10 +9,12 @@ import numpy as np
 import pytest
 from test_sweep import start, wait_for_pictures
 
-from generator.blender.engines import engines, extract
-from generator.blender.scene import stage
-from generator.model.spec import preset
-from generator.sets.dataset import HOST, Dataset, read_picture
+from generator.blender.engines import renderers, survey
+from generator.blender.scene import blend_file, build, posing, roles
+from generator.files.pictures import read_picture
+from generator.files.writing import HOST
+from generator.model.presets import preset
+from generator.sets.dataset import Dataset
 from generator.transport import Transport
 
 SMALL = ("--poses", "1", "--resolution", "8", "--workers", "1")
@@ -39,8 +41,8 @@ def test_data_set_is_like_any_other(surfel_dataset, command):
 
 def test_pictures_are_those_of_the_integral(surfel_dataset):
     dataset = Dataset.open(surfel_dataset)
-    scene = stage.open_file(surfel_dataset / "scene.blend")
-    transport = Transport(extract.surfel_world(scene, resolution=(8, 8)), accuracy=1e-2)
+    scene = blend_file.open_file(surfel_dataset / "scene.blend")
+    transport = Transport(survey.surfel_world(scene, resolution=(8, 8)), accuracy=1e-2)
     for pose in dataset.poses[:3]:
         pixels, _ = read_picture(surfel_dataset / pose.file)
         np.testing.assert_array_equal(pixels, transport.pictures([pose.position], [pose.rotation])[0])
@@ -75,15 +77,15 @@ def test_settings_of_another_engine_are_refused_in_one_sentence(options, words, 
 
 
 def test_auto_says_what_asks_for_a_dearer_engine(command, tmp_path):
-    scene = stage.new_file()
-    stage.build(scene, preset("room", "sheet"))
-    target = stage.find(scene, "target")
+    scene = blend_file.new_file()
+    build.build(scene, preset("room", "sheet"))
+    target = roles.find(scene, "target")
     tree = target.material_slots[0].material.node_tree
     shader = tree.nodes.new("ShaderNodeBsdfGlossy")
     output = next(n for n in tree.nodes if n.type == "OUTPUT_MATERIAL")
     tree.links.new(shader.outputs[0], output.inputs["Surface"])
     file = tmp_path / "mirror.blend"
-    stage.save_file(file)
+    blend_file.save_file(file)
     options = ("--poses", "1", "--resolution", "4", "--workers", "1", "--samples", "1", "--engine", "auto")
     result = command("generator", "sweep", file, "-o", tmp_path / "set", *options)
     assert result.returncode == 0, result.stderr
@@ -95,10 +97,10 @@ def test_auto_says_what_asks_for_a_dearer_engine(command, tmp_path):
 
 
 def test_one_interface_renders_the_target_where_it_stands():
-    scene = stage.new_file()
-    stage.build(scene, preset("room", "sphere"))
-    stage.move_target(scene, (1.0, 0.75, 1.25), (0.0, 0.0, 0.0))
-    with engines.opened(scene, "surfel", resolution=(8, 8), accuracy=1e-2) as renderer:
+    scene = blend_file.new_file()
+    build.build(scene, preset("room", "sphere"))
+    posing.move_target(scene, (1.0, 0.75, 1.25), (0.0, 0.0, 0.0))
+    with renderers.opened(scene, "surfel", resolution=(8, 8), accuracy=1e-2) as renderer:
         seen, background = renderer.render(), renderer.render(target=False)
         np.testing.assert_allclose(renderer.at((1.0, 0.75, 1.25), (0.0, 0.0, 0.0)), seen, rtol=1e-5)
     assert (seen > background).mean() > 0.5

@@ -12,25 +12,28 @@ import numpy as np
 import pytest
 from mathutils import Matrix
 
-from generator.blender import check, worker
-from generator.blender.engines import engines, extract
-from generator.blender.scene import stage
+from generator.blender import check, sweep_worker
+from generator.blender.engines import renderers, survey
+from generator.blender.scene import blend_file, build, geometry, posing, roles
 from generator.blender.scene.clearance import Solid, clearance
-from generator.model import spec
-from generator.model.spec import NlosError, preset
+from generator.blender.scene.description import read_scene
+from generator.files.toml import from_dict
+from generator.model.errors import NlosError
+from generator.model.presets import preset
+from generator.model.scene import Scene
 
 POSITION, ROTATION = (1.5, 1.0, 1.2), (0.0, 0.0, 20.0)
 
 
 def built(target="sheet", **changes):
-    blender = stage.new_file()
-    stage.build(blender, replace(preset("room", target), **changes))
+    blender = blend_file.new_file()
+    build.build(blender, replace(preset("room", target), **changes))
     return blender
 
 
 def picture(blender, engine="patch", samples=16, seed=3, **options):
-    with engines.opened(blender, engine, resolution=(8, 8)) as renderer:
-        stage.move_target(blender, POSITION, ROTATION)
+    with renderers.opened(blender, engine, resolution=(8, 8)) as renderer:
+        posing.move_target(blender, POSITION, ROTATION)
         return renderer.render(samples=samples, seed=seed, **options)
 
 
@@ -49,7 +52,7 @@ def cube(name="Cube", at=(1.55, 1.15, 1.3), size=0.4, **flags):
 
 
 def keyed(blender):
-    target = stage.find(blender, "target")
+    target = roles.find(blender, "target")
     for frame, x in ((1, 1.1), (50, 2.0)):
         target.location.x = x
         target.keyframe_insert("location", frame=frame)
@@ -57,23 +60,23 @@ def keyed(blender):
 
 def nla(blender):
     keyed(blender)
-    moves = stage.find(blender, "target").animation_data
+    moves = roles.find(blender, "target").animation_data
     moves.nla_tracks.new().strips.new("strip", 1, moves.action)
     moves.action = None
 
 
 def turned_by_keys(blender):
-    target = stage.find(blender, "target")
+    target = roles.find(blender, "target")
     target.keyframe_insert("rotation_euler", frame=1)
 
 
 def driven(blender):
-    driver = stage.find(blender, "target").driver_add("location", 2).driver
+    driver = roles.find(blender, "target").driver_add("location", 2).driver
     driver.expression = "1.3"
 
 
 def parent_held(blender):
-    target = stage.find(blender, "target")
+    target = roles.find(blender, "target")
     hook = bpy.data.objects.new("Hook", None)
     blender.collection.objects.link(hook)
     constraint = target.constraints.new("COPY_LOCATION")
@@ -90,14 +93,14 @@ HELD = {
 
 
 @pytest.mark.parametrize("name", HELD)
-@pytest.mark.parametrize("engine", engines.ENGINES)
+@pytest.mark.parametrize("engine", renderers.ENGINES)
 def test_a_target_that_something_holds_is_refused_by_every_engine(name, engine):
     blender = built()
     edit, words = HELD[name]
     edit(blender)
     with (
         pytest.raises(NlosError, match=f"cannot be swept: the target 'Target' does not go where it is put.*{words}"),
-        engines.opened(blender, engine, resolution=(8, 8)),
+        renderers.opened(blender, engine, resolution=(8, 8)),
     ):
         pass
 
@@ -106,20 +109,20 @@ def test_a_target_that_something_holds_is_refused_by_every_engine(name, engine):
 def test_check_and_plan_refuse_it_too_before_any_work(name, tmp_path):
     blender = built()
     HELD[name][0](blender)
-    stage.save_file(tmp_path / "held.blend")
-    blender = stage.open_file(tmp_path / "held.blend")
+    blend_file.save_file(tmp_path / "held.blend")
+    blender = blend_file.open_file(tmp_path / "held.blend")
     found = check.findings(blender, engine="auto")
     assert any(f.level == check.ERROR and "does not go where it is put" in f.text for f in found)
     with pytest.raises(NlosError, match="does not go where it is put"):
-        worker.plan(blender, tmp_path / "held.blend", tmp_path / "set", {"poses": 1, "samples": 4})
+        sweep_worker.plan(blender, tmp_path / "held.blend", tmp_path / "set", {"poses": 1, "samples": 4})
     assert not (tmp_path / "set").exists()
 
 
 def test_keys_that_hold_nothing_that_is_set_are_no_matter():
     blender = built()
-    target = stage.find(blender, "target")
+    target = roles.find(blender, "target")
     target.keyframe_insert("scale", frame=1)
-    assert extract.survey(blender).never == []
+    assert survey.survey(blender).never == []
 
 
 def test_cameras_bound_to_the_timeline_change_no_pixel():
@@ -145,8 +148,8 @@ def test_cameras_bound_to_the_timeline_change_no_pixel():
 
 def tracks(role):
     def edit(blender):
-        constraint = stage.find(blender, role).constraints.new("TRACK_TO")
-        constraint.target = stage.find(blender, "target")
+        constraint = roles.find(blender, role).constraints.new("TRACK_TO")
+        constraint.target = roles.find(blender, "target")
         constraint.track_axis, constraint.up_axis = "TRACK_NEGATIVE_Z", "UP_Y"
         constraint.influence = 0.02
 
@@ -154,24 +157,24 @@ def tracks(role):
 
 
 def wall_follows(blender):
-    constraint = stage.players(blender, "room")[0].constraints.new("COPY_LOCATION")
-    constraint.target = stage.find(blender, "target")
+    constraint = roles.players(blender, "room")[0].constraints.new("COPY_LOCATION")
+    constraint.target = roles.find(blender, "target")
     constraint.influence = 0.01
 
 
 def cut_by_the_target(blender):
     obj = cube(at=(2.2, 3.0, 0.5))
     modifier = obj.modifiers.new("Displaced", "SHRINKWRAP")
-    modifier.target = stage.find(blender, "target")
+    modifier.target = roles.find(blender, "target")
 
 
 def colour_is_driven(blender):
-    obj = stage.players(blender, "room")[0]
+    obj = roles.players(blender, "room")[0]
     socket = obj.data.materials[0].node_tree.nodes["Diffuse BSDF"].inputs["Color"]
     driver = socket.driver_add("default_value", 0).driver
     variable = driver.variables.new()
     variable.type = "TRANSFORMS"
-    variable.targets[0].id = stage.find(blender, "target")
+    variable.targets[0].id = roles.find(blender, "target")
     variable.targets[0].transform_type = "LOC_X"
     driver.expression = f"{variable.name} / 4"
 
@@ -180,22 +183,22 @@ def lamp_follows(blender):
     lamp = bpy.data.objects.new("Torch", bpy.data.lights.new("Torch", "POINT"))
     blender.collection.objects.link(lamp)
     constraint = lamp.constraints.new("COPY_LOCATION")
-    constraint.target = stage.find(blender, "target")
+    constraint.target = roles.find(blender, "target")
 
 
 def power_is_driven(blender):
-    driver = stage.find(blender, "spot").data.driver_add("energy").driver
+    driver = roles.find(blender, "spot").data.driver_add("energy").driver
     variable = driver.variables.new()
     variable.type = "TRANSFORMS"
-    variable.targets[0].id = stage.find(blender, "target")
+    variable.targets[0].id = roles.find(blender, "target")
     variable.targets[0].transform_type = "LOC_Y"
     driver.expression = f"100 * {variable.name}"
 
 
 def textured_by_it(blender):
-    tree = stage.players(blender, "room")[0].data.materials[0].node_tree
+    tree = roles.players(blender, "room")[0].data.materials[0].node_tree
     where, noise = tree.nodes.new("ShaderNodeTexCoord"), tree.nodes.new("ShaderNodeTexNoise")
-    where.object = stage.find(blender, "target")
+    where.object = roles.find(blender, "target")
     tree.links.new(where.outputs["Object"], noise.inputs["Vector"])
     tree.links.new(noise.outputs[0], tree.nodes["Diffuse BSDF"].inputs["Color"])
 
@@ -213,14 +216,14 @@ FOLLOWERS = {
 
 
 @pytest.mark.parametrize("name", FOLLOWERS)
-@pytest.mark.parametrize("engine", engines.ENGINES)
+@pytest.mark.parametrize("engine", renderers.ENGINES)
 def test_what_follows_the_target_is_refused_by_every_engine(name, engine):
     blender = built()
     edit, words = FOLLOWERS[name]
     edit(blender)
     with (
         pytest.raises(NlosError, match=f"cannot be swept: .*{words}"),
-        engines.opened(blender, engine, resolution=(8, 8)),
+        renderers.opened(blender, engine, resolution=(8, 8)),
     ):
         pass
 
@@ -231,7 +234,7 @@ def test_a_lamp_that_the_target_carries_is_hidden_with_it():
     lamp = bpy.data.objects.new("Torch", bpy.data.lights.new("Torch", "POINT"))
     lamp.data.energy = 1.0
     blender.collection.objects.link(lamp)
-    lamp.parent = stage.find(blender, "target")
+    lamp.parent = roles.find(blender, "target")
     with_torch, without = picture(blender), picture(blender, target=False)
     assert with_torch.mean() > 3.0 * without.mean()
     assert without.mean() == pytest.approx(empty.mean(), rel=0.2)  # noise of 16 samples
@@ -243,7 +246,7 @@ def test_a_lamp_that_the_target_carries_is_hidden_with_it():
 
 
 def array_of_four(blender, viewport, render):
-    modifier = stage.find(blender, "target").modifiers.new("Four", "ARRAY")
+    modifier = roles.find(blender, "target").modifiers.new("Four", "ARRAY")
     modifier.count = 4
     modifier.show_viewport, modifier.show_render = viewport, render
 
@@ -252,15 +255,15 @@ def array_of_four(blender, viewport, render):
 def test_the_target_is_planned_as_it_is_rendered(viewport, render, size):
     blender = built()
     array_of_four(blender, viewport, render)
-    assert stage.read(blender).target.size == pytest.approx(size, rel=1e-6)
+    assert read_scene(blender).target.size == pytest.approx(size, rel=1e-6)
 
 
 def test_subdivision_is_that_of_renders():
     blender = built("sphere")
-    modifier = stage.find(blender, "target").modifiers.new("Finer", "SUBSURF")
+    modifier = roles.find(blender, "target").modifiers.new("Finer", "SUBSURF")
     modifier.levels, modifier.render_levels = 0, 1
-    few = len(stage.evaluated_vertices(stage.find(blender, "target")))
-    assert len(stage.hull(blender)) > 3 * few
+    few = len(geometry.evaluated_vertices(roles.find(blender, "target")))
+    assert len(geometry.hull(blender)) > 3 * few
 
 
 def test_geometry_nodes_that_ask_for_the_viewport_are_told_no():
@@ -278,18 +281,18 @@ def test_geometry_nodes_that_ask_for_the_viewport_are_told_no():
     link(next(s for s in choice.outputs if s.enabled), scale.inputs["Scale"])
     link(first.outputs[0], scale.inputs[0])
     link(scale.outputs[0], last.inputs[0])
-    stage.find(blender, "target").modifiers.new("Nodes", "NODES").node_group = tree
-    assert stage.read(blender).target.size == pytest.approx(1.5, rel=1e-6)
+    roles.find(blender, "target").modifiers.new("Nodes", "NODES").node_group = tree
+    assert read_scene(blender).target.size == pytest.approx(1.5, rel=1e-6)
 
 
 @pytest.mark.parametrize("role", ["spot", "target", "camera", "relay_wall"])
 def test_what_only_the_viewport_hides_is_rendered(role):
     blender = built()
-    described, plain = stage.read(blender), picture(blender)
-    stage.find(blender, role).hide_viewport = True
-    assert stage.read(blender) == described
+    described, plain = read_scene(blender), picture(blender)
+    roles.find(blender, role).hide_viewport = True
+    assert read_scene(blender) == described
     np.testing.assert_array_equal(picture(blender), plain)
-    with engines.opened(blender, "surfel", resolution=(8, 8)) as renderer:
+    with renderers.opened(blender, "surfel", resolution=(8, 8)) as renderer:
         assert renderer.render().mean() == pytest.approx(plain.mean(), rel=0.1)
 
 
@@ -297,15 +300,15 @@ def test_what_only_the_viewport_hides_is_rendered(role):
 def test_so_it_is_in_a_file_that_was_saved_like_that(role, tmp_path):
     """Blender does not know where things are that were hidden when it opened the file."""
     blender = built()
-    described, plain = stage.read(blender), picture(blender)
-    obj = stage.find(blender, role)
+    described, plain = read_scene(blender), picture(blender)
+    obj = roles.find(blender, role)
     obj.hide_viewport = True
-    stage.save_file(tmp_path / "hidden.blend")
-    blender = stage.open_file(tmp_path / "hidden.blend")
-    assert stage.read(blender) == described
+    blend_file.save_file(tmp_path / "hidden.blend")
+    blender = blend_file.open_file(tmp_path / "hidden.blend")
+    assert read_scene(blender) == described
     np.testing.assert_array_equal(picture(blender), plain)
-    with engines.opened(blender, "surfel", resolution=(8, 8)) as renderer:
-        stage.move_target(blender, POSITION, ROTATION)
+    with renderers.opened(blender, "surfel", resolution=(8, 8)) as renderer:
+        posing.move_target(blender, POSITION, ROTATION)
         assert renderer.render().mean() == pytest.approx(plain.mean(), rel=0.1)
     assert not any(f.level == check.ERROR for f in check.findings(blender, engine="auto"))
 
@@ -315,7 +318,7 @@ def test_a_cupboard_that_the_viewport_hides_is_kept_clear_of():
     for hidden in (False, True):
         blender = built()
         cube(hide_viewport=hidden)
-        is_free = clearance(blender, stage.read(blender), engine="patch")
+        is_free = clearance(blender, read_scene(blender), engine="patch")
         places.append([is_free((x, 1.15, 1.3), (0.0, 0.0, 0.0)) for x in np.linspace(0.9, 2.2, 14)])
     assert places[0] == places[1]
     assert any(places[0])
@@ -325,7 +328,7 @@ def test_a_cupboard_that_the_viewport_hides_is_kept_clear_of():
 def test_what_only_the_viewport_shows_is_not_in_the_way():
     blender = built()
     cube(hide_render=True)
-    assert clearance(blender, stage.read(blender), engine="patch")((1.55, 1.15, 1.3), (0.0, 0.0, 0.0))
+    assert clearance(blender, read_scene(blender), engine="patch")((1.55, 1.15, 1.3), (0.0, 0.0, 0.0))
 
 
 # --------------------------------------------------------------------------------------------------------------------
@@ -336,7 +339,7 @@ def test_what_only_the_viewport_shows_is_not_in_the_way():
 def test_inside_a_closed_solid_is_not_free():
     blender = built()
     cube(size=0.9)
-    is_free = clearance(blender, stage.read(blender), engine="path")
+    is_free = clearance(blender, read_scene(blender), engine="path")
     assert not is_free((1.55, 1.15, 1.3), (0.0, 0.0, 0.0))
     assert is_free((1.0, 1.15, 0.7), (0.0, 0.0, 0.0)) == (abs(1.0 + 0.25 - 1.1) > 0.25)
 
@@ -351,7 +354,7 @@ def test_inside_an_open_box_is_free():
     bmesh.ops.delete(shape, geom=[max(shape.faces, key=lambda f: f.calc_center_median().y)], context="FACES")
     shape.to_mesh(obj.data)
     shape.free()
-    assert clearance(blender, stage.read(blender), engine="path")((1.55, 1.15, 1.3), (0.0, 0.0, 0.0))
+    assert clearance(blender, read_scene(blender), engine="path")((1.55, 1.15, 1.3), (0.0, 0.0, 0.0))
 
 
 def made_of(obj, kind, socket):
@@ -376,19 +379,19 @@ def made_of(obj, kind, socket):
 def test_what_light_comes_through_may_hold_the_target(kind, socket, inside, across):
     blender = built()
     made_of(cube(size=0.9), kind, socket)
-    is_free = clearance(blender, stage.read(blender), engine="path")
+    is_free = clearance(blender, read_scene(blender), engine="path")
     assert is_free((1.55, 1.15, 1.3), (0.0, 0.0, 0.0)) == inside
     assert is_free((1.1, 1.15, 1.3), (0.0, 0.0, 0.0)) == across
 
 
 def test_a_room_that_is_one_closed_box_is_free_inside_and_not_outside():
     blender = built()
-    for obj in stage.players(blender, "room") + stage.players(blender, "partition"):
+    for obj in roles.players(blender, "room") + roles.players(blender, "partition"):
         bpy.data.objects.remove(obj)
     box = cube("Box", at=(0.1, 1.69, 1.3), size=1.0)
     box.scale = (5.2, 3.42, 2.8)  # a little beyond the wall
     bpy.context.view_layer.update()
-    is_free = clearance(blender, stage.read(blender), engine="path")
+    is_free = clearance(blender, read_scene(blender), engine="path")
     assert is_free((1.5, 1.0, 1.2), (0.0, 0.0, 0.0))
     assert not is_free((1.5, 5.0, 1.2), (0.0, 0.0, 0.0))
 
@@ -396,7 +399,7 @@ def test_a_room_that_is_one_closed_box_is_free_inside_and_not_outside():
 def test_what_a_closed_target_swallows_is_in_its_way():
     blender = built("sphere")
     cube(at=(1.5, 1.0, 1.2), size=0.05)
-    is_free = clearance(blender, stage.read(blender), engine="path")
+    is_free = clearance(blender, read_scene(blender), engine="path")
     assert not is_free((1.5, 1.0, 1.2), (0.0, 0.0, 0.0))
     assert is_free((1.5, 1.4, 1.2), (0.0, 0.0, 0.0))
 
@@ -423,8 +426,8 @@ def test_solids_hold_what_is_inside():
 def test_what_was_rendered_before_changes_no_bit(engine, before):
     blender = built()
     alone = picture(blender, engine, samples=64)
-    with engines.opened(blender, engine, resolution=(8, 8)) as renderer:
-        stage.move_target(blender, POSITION, ROTATION)
+    with renderers.opened(blender, engine, resolution=(8, 8)) as renderer:
+        posing.move_target(blender, POSITION, ROTATION)
         for samples in before:
             renderer.render(samples=samples, seed=9)
             renderer.render(samples=samples, seed=9, target=False)
@@ -447,7 +450,7 @@ def test_persistent_data_of_the_file_changes_no_bit():
 
 
 def parented(blender, scale, turn=0.5, place=(0.2, 0.1, 0.0)):
-    target = stage.find(blender, "target")
+    target = roles.find(blender, "target")
     parent = bpy.data.objects.new("Parent", None)
     blender.collection.objects.link(parent)
     parent.scale, parent.location = scale, place
@@ -457,13 +460,13 @@ def parented(blender, scale, turn=0.5, place=(0.2, 0.1, 0.0)):
     return target
 
 
-@pytest.mark.parametrize("engine", engines.ENGINES)
+@pytest.mark.parametrize("engine", renderers.ENGINES)
 def test_a_sheared_target_is_refused(engine):
     blender = built()
     parented(blender, (1.0, 1.0, 0.6))
     with (
         pytest.raises(NlosError, match="the target 'Target' is sheared by its parents' scale"),
-        engines.opened(blender, engine, resolution=(8, 8)),
+        renderers.opened(blender, engine, resolution=(8, 8)),
     ):
         pass
 
@@ -472,8 +475,8 @@ def test_a_sheared_target_is_refused(engine):
 def test_a_parent_that_does_not_shear_is_followed(scale):
     blender = built()
     target = parented(blender, scale)
-    assert stage.read(blender).target.size == pytest.approx(0.5 * scale[0], rel=1e-5)
-    stage.move_target(blender, POSITION, ROTATION)
+    assert read_scene(blender).target.size == pytest.approx(0.5 * scale[0], rel=1e-5)
+    posing.move_target(blender, POSITION, ROTATION)
     assert target.dimensions.x == pytest.approx(0.5 * scale[0], rel=1e-5)
 
 
@@ -488,20 +491,20 @@ def test_a_parent_that_does_not_shear_is_followed(scale):
 )
 def test_delta_transforms_are_taken_into_the_pose(deltas):
     blender = built()
-    target = stage.find(blender, "target")
+    target = roles.find(blender, "target")
     for name, value in deltas.items():
         setattr(target, name, value)
     bpy.context.view_layer.update()
     before = target.matrix_world.copy()
-    with stage.put_back(blender):
-        stage.move_target(blender, POSITION, ROTATION)
+    with posing.put_back(blender):
+        posing.move_target(blender, POSITION, ROTATION)
         wanted = Matrix.LocRotScale(POSITION, None, None) @ Matrix.Rotation(math.radians(20.0), 4, "Z")
         scale = deltas.get("delta_scale", (1.0, 1.0, 1.0))
         np.testing.assert_allclose(
             np.array(target.matrix_world), np.array(wanted @ Matrix.Diagonal((*scale, 1.0))), atol=1e-6
         )
     np.testing.assert_array_equal(np.array(target.matrix_world), np.array(before))
-    assert extract.survey(blender).never == []
+    assert survey.survey(blender).never == []
 
 
 # --------------------------------------------------------------------------------------------------------------------
@@ -511,10 +514,10 @@ def test_delta_transforms_are_taken_into_the_pose(deltas):
 
 def planned(blender, tmp_path, **chosen):
     path = tmp_path / "scene.blend"
-    stage.save_file(path)
+    blend_file.save_file(path)
     chosen = {"poses": 1, "samples": 4, "engine": "patch", **chosen}
-    dataset = worker.plan(stage.open_file(path), path, tmp_path / "set", chosen, probe=False)
-    return spec.from_dict(spec.Scene, dataset.meta["scene"], "").camera
+    dataset = sweep_worker.plan(blend_file.open_file(path), path, tmp_path / "set", chosen, probe=False)
+    return from_dict(Scene, dataset.meta["scene"], "").camera
 
 
 def test_a_wide_picture_is_described_as_such(tmp_path):
@@ -536,10 +539,10 @@ def test_pixels_are_square_whatever_the_file_says(tmp_path, aspect, resolution):
 @pytest.mark.parametrize("projection", ["perspective", "orthographic"])
 def test_cameras_have_no_scale(scale, projection):
     blender = built(camera=replace(preset("room").camera, projection=projection))
-    plain, described = picture(blender, samples=4), stage.read(blender).camera
-    stage.find(blender, "camera").scale = scale
+    plain, described = picture(blender, samples=4), read_scene(blender).camera
+    roles.find(blender, "camera").scale = scale
     np.testing.assert_allclose(picture(blender, samples=4), plain, rtol=1e-5)
-    scaled = stage.read(blender).camera
+    scaled = read_scene(blender).camera
     assert scaled.x == pytest.approx(described.x, abs=1e-6)
     assert scaled.z == pytest.approx(described.z, abs=1e-6)
 
@@ -551,22 +554,22 @@ def test_cameras_have_no_scale(scale, projection):
 
 def test_an_instanced_collection_can_be_the_target():
     blender = built()
-    old = stage.find(blender, "target")
+    old = roles.find(blender, "target")
     plain = picture(blender, samples=64)
     hidden = bpy.data.collections.new("Kept")
     shape = old.copy()
-    del shape[stage.ROLE]
+    del shape[roles.ROLE]
     shape.location = (0.0, 0.0, 0.0)
     hidden.objects.link(shape)
     empty = bpy.data.objects.new("Instance", None)
     blender.collection.objects.link(empty)
     empty.instance_type, empty.instance_collection = "COLLECTION", hidden
     empty.location = old.location
-    empty[stage.ROLE] = "target"
+    empty[roles.ROLE] = "target"
     bpy.data.objects.remove(old)
     bpy.context.view_layer.update()
-    assert stage.read(blender).target.size == pytest.approx(0.5, rel=1e-6)
-    is_free = clearance(blender, stage.read(blender), engine="patch")
+    assert read_scene(blender).target.size == pytest.approx(0.5, rel=1e-6)
+    is_free = clearance(blender, read_scene(blender), engine="patch")
     assert is_free(POSITION, ROTATION)
     assert not is_free((1.5, 0.1, 1.2), (0.0, 0.0, 80.0))
     assert not any(f.level == check.ERROR for f in check.findings(blender))

@@ -14,8 +14,9 @@ import numpy as np
 import pytest
 from conftest import ROOT, TINY
 
+from generator.files.pictures import read_picture
 from generator.jobs import sweep
-from generator.sets.dataset import Dataset, read_picture
+from generator.sets.dataset import Dataset
 
 SLOW = ("--engine", "patch", "--poses", "2", "--samples", "48", "--resolution", "24", "--no-probe")
 
@@ -142,13 +143,13 @@ def test_the_noise_of_no_two_poses_is_the_same(tmp_path, scene_file, command):
 
 def test_paired_noise_is_unbiased_and_smaller(scene_file):
     """The control variate changes no mean and shrinks the error of the difference."""
-    from generator.blender.engines import engines
-    from generator.blender.scene import stage
+    from generator.blender.engines import renderers
+    from generator.blender.scene import blend_file, posing
 
-    scene = stage.open_file(scene_file)
-    stage.move_target(scene, (2.05, 1.65, 1.3), (0.0, 0.0, 45.0))
+    scene = blend_file.open_file(scene_file)
+    posing.move_target(scene, (2.05, 1.65, 1.3), (0.0, 0.0, 45.0))
     seeds = range(1, 9)
-    with engines.opened(scene, "patch", resolution=(16, 16)) as renderer:
+    with renderers.opened(scene, "patch", resolution=(16, 16)) as renderer:
         reference = renderer.render(samples=4096, seed=100, target=False)[..., 0].astype(float)
         plain = np.array([renderer.render(samples=64, seed=s)[..., 0] for s in seeds], dtype=float)
         own = np.array([renderer.render(samples=64, seed=s, target=False)[..., 0] for s in seeds], dtype=float)
@@ -207,6 +208,7 @@ def test_what_was_spoilt_is_rendered_again(tmp_path, scene_file, tiny_dataset, c
 def test_a_worker_that_dies_is_replaced_and_a_hopeless_pose_is_listed(tmp_path, tiny_dataset, monkeypatch):
     """The first worker process dies on its first pose; one pose kills every worker."""
     from generator.jobs import sweep
+    from generator.jobs.workers import TRIES
 
     path = copied(tiny_dataset, tmp_path)
     for label in "AB":
@@ -236,16 +238,16 @@ def test_a_worker_that_dies_is_replaced_and_a_hopeless_pose_is_listed(tmp_path, 
     outcome = sweep.run(tiny_dataset / "scene.blend", path, {}, workers=1)
     assert outcome.failed == ["A/0000.exr: out of memory (exit code 9)"]
     assert (outcome.rendered, outcome.remaining) == (1, 1)
-    assert len(started) == sweep.TRIES + (1 if len(started) > sweep.TRIES else 0)
+    assert len(started) == TRIES + (1 if len(started) > TRIES else 0)
 
 
 def test_a_hidden_target_is_refused_before_anything_is_written(tmp_path, scene_file, command):
-    from generator.blender.scene import stage
+    from generator.blender.scene import blend_file, roles
 
-    scene = stage.open_file(scene_file)
-    stage.find(scene, "target").hide_render = True
+    scene = blend_file.open_file(scene_file)
+    roles.find(scene, "target").hide_render = True
     spoilt = tmp_path / "hidden.blend"
-    stage.save_file(spoilt)
+    blend_file.save_file(spoilt)
     for engine in ("path", "patch", "surfel"):
         result = command("generator", "sweep", spoilt, "-o", tmp_path / "set", "--engine", engine)
         assert result.returncode == 2
@@ -274,7 +276,8 @@ def test_a_run_can_be_stopped_and_gone_on_with(tmp_path, scene_file):
 
 
 def test_one_hopeless_unit_fails_alone_of_its_batch(monkeypatch):
-    from generator.jobs import sweep
+    from generator.jobs import workers
+    from generator.jobs.workers import WorkerPool
 
     class Mortal:
         pid, done = 1, 0
@@ -303,9 +306,9 @@ def test_one_hopeless_unit_fails_alone_of_its_batch(monkeypatch):
         def stop(self):
             pass
 
-    monkeypatch.setattr(sweep, "Worker", Mortal)
+    monkeypatch.setattr(workers, "Worker", Mortal)
     told = []
-    crew = sweep.Crew(lambda threads: [], str, lambda done, total: told.append((done, total)))
+    crew = WorkerPool(lambda threads: [], str, lambda done, total: told.append((done, total)))
     crew.work(range(64), 1, batch=8)
     assert crew.failed == ["3: out of memory"]
     assert told[1] == (8, 64), "the others go on in batches"

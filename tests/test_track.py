@@ -19,7 +19,9 @@ from classify.inference.posterior import holds, locate
 from classify.inference.tracker import Filter
 from classify.pictures.sensor import Sensor
 from generator.model import poses
-from generator.model.spec import NlosError, Sweep, VoxelGrid
+from generator.model.errors import NlosError
+from generator.model.grid import VoxelGrid
+from generator.model.settings import Sweep
 from generator.sets.dataset import Dataset
 
 GRID = VoxelGrid(lo=(0.0, 0.0, 0.0), hi=(1.5, 0.6, 0.2), shape=(3, 2, 1))

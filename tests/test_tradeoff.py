@@ -7,10 +7,15 @@ import pytest
 
 from classify.cli import main as classify_cli
 from generator.cli import main as cli
+from generator.files.toml import to_dict
 from generator.measure import tradeoff
 from generator.measure.tradeoff import Cost, Rung
-from generator.model.spec import NlosError, Sweep, preset, to_dict
-from generator.sets.dataset import BACKGROUND, Dataset, PoseRecord
+from generator.model.errors import NlosError
+from generator.model.poses import PoseRecord
+from generator.model.presets import preset
+from generator.model.settings import Sweep
+from generator.sets.dataset import Dataset
+from generator.sets.manifest import BACKGROUND
 
 SHAPE = (6, 8)
 

@@ -13,7 +13,8 @@ import worlds
 from conftest import ROOT
 from scipy.spatial.transform import Rotation
 
-from generator.model.spec import NlosError, rotation_matrix
+from generator.model.arrays import rotation_matrix
+from generator.model.errors import NlosError
 from generator.transport import Mesh, Sphere, Transport, kernel, picture
 
 POSES = {

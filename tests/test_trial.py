@@ -17,7 +17,8 @@ from classify.inference import atlas as atlases
 from classify.inference import evaluation
 from classify.inference.detect import Detector, detections, evidence
 from classify.pictures.sensor import Sensor
-from generator.model.spec import NlosError, VoxelGrid
+from generator.model.errors import NlosError
+from generator.model.grid import VoxelGrid
 
 FLOOR = worlds.quad((-2.0, 0.0, -1.0), (4.0, 0.0, 0.0), (0.0, 3.0, 0.0), 0.5)
 DIM = Sensor(full_well=300.0, bits=10)

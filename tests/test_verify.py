@@ -17,10 +17,14 @@ from classify.inference import atlas as atlases
 from classify.pictures import feature_table
 from classify.pictures.features import FeatureSettings
 from generator.cli import main as cli
-from generator.model import spec
-from generator.model.spec import NlosError
-from generator.sets import audit, bulk, seal, simulated
-from generator.sets.dataset import BACKGROUND, MANIFEST, POSES, SCENE, Dataset, read_picture, write_picture
+from generator.cli.terminal import report
+from generator.files.pictures import read_picture, write_picture
+from generator.files.toml import dump_toml, merge, read_toml
+from generator.model.errors import NlosError
+from generator.model.presets import preset
+from generator.sets import audit, bulk_set, seal, simulated
+from generator.sets.dataset import Dataset
+from generator.sets.manifest import BACKGROUND, MANIFEST, POSES, SCENE
 
 
 @pytest.fixture
@@ -32,7 +36,7 @@ def path(tmp_path, tiny_dataset):
 def any_atlas(tmp_path_factory):
     """An atlas that can be opened; sets are refused before it is looked at."""
     path = tmp_path_factory.mktemp("atlas") / "a.atlas"
-    grid = spec.preset("room").grid
+    grid = preset("room").grid
     middles = [np.mean(grid.bounds(voxel), axis=0) for voxel in range(9)]
     atlases.save(path, plain_atlas(np.eye(9), middles, np.arange(9), grid))
     return path
@@ -65,7 +69,7 @@ def write_rows(path, rows):
 
 def field(path, change):
     """Change fields of dataset.toml, and nothing of the seal."""
-    (path / MANIFEST).write_text(spec.dump_toml(spec.merge(spec.read_toml(path / MANIFEST), change)))
+    (path / MANIFEST).write_text(dump_toml(merge(read_toml(path / MANIFEST), change)))
 
 
 def swapped(path, first, second):
@@ -240,7 +244,7 @@ def leaves(table, where=()):
 
 @pytest.mark.parametrize("how", ["changed", "taken out"])
 def test_every_field_of_the_manifest_is_held(path, how, capsys):
-    whole = spec.read_toml(path / MANIFEST)
+    whole = read_toml(path / MANIFEST)
     every = list(leaves(whole))
     assert len(every) > 40
     for where in every:
@@ -252,7 +256,7 @@ def test_every_field_of_the_manifest_is_held(path, how, capsys):
             table[where[-1]] = other(table[where[-1]])
         else:
             del table[where[-1]]
-        (path / MANIFEST).write_text(spec.dump_toml(meta))
+        (path / MANIFEST).write_text(dump_toml(meta))
         with pytest.raises(NlosError):
             Dataset.open(path)
         lines, code = verified(path, capsys)
@@ -272,9 +276,9 @@ def test_a_sound_set_and_its_copy_have_no_fault(path, capsys):
 
 def unsealed(path):
     """Make a set what an older version wrote."""
-    meta = spec.read_toml(path / MANIFEST)
+    meta = read_toml(path / MANIFEST)
     meta = {name: value for name, value in meta.items() if name not in ("seal", "colour_space")}
-    (path / MANIFEST).write_text(spec.dump_toml({**meta, "format": 1}))
+    (path / MANIFEST).write_text(dump_toml({**meta, "format": 1}))
     for file in (BACKGROUND, *(f"{v}/0000.exr" for v in "ABCDEFGHI")):
         pixels, header = read_picture(path / file)
         write_picture(
@@ -336,7 +340,7 @@ def test_pictures_of_nothing_are_a_fault_with_count_and_voxel(tmp_path, capsys):
     assert "no path met it in 512 samples" in faults[0]
     assert faults[1] == f"{made.path / 'C/0000.exr'}: equals C/0002.exr to the bit, though the poses differ"
     assert set(faults) <= set(made.verify())
-    assert cli._report(made, 1, 0, []) == 0
+    assert report(made, 1, 0, []) == 0
     told = capsys.readouterr()
     assert told.err == f"warning: {faults[0]} (nlos-generate verify lists 2 such faults)\n"
     assert "in full shadow or hidden" in audit.alike(alike_set(tmp_path / "surfel", engine="surfel"))[0]
@@ -398,7 +402,7 @@ def moved(path):
 
 
 def bulk_field(path, change):
-    (path / bulk.MANIFEST).write_text(spec.dump_toml(spec.merge(spec.read_toml(path / bulk.MANIFEST), change)))
+    (path / bulk_set.MANIFEST).write_text(dump_toml(merge(read_toml(path / bulk_set.MANIFEST), change)))
 
 
 BULK = {
@@ -448,7 +452,7 @@ def test_the_file_that_shows_all_parts_is_compared_and_made_anew(what, simulated
             file["voxel"].attrs["about"] = "nothing"
     lines, code = verified(path, capsys)
     assert (code, "set.h5: missing, broken or changed" in lines[0]) == (1, True)
-    bulk.Bulk.open(path).finish()
+    bulk_set.Bulk.open(path).finish()
     assert verified(path, capsys)[1] == 0
 
 
@@ -456,10 +460,10 @@ def test_parts_are_read_once_and_again_after_a_change(simulated_set, tmp_path, m
     """A million pictures are not read whole whenever a set is opened."""
     path = shutil.copytree(simulated_set, tmp_path / "set")
     looked = []
-    fault = bulk.Bulk._fault
-    monkeypatch.setattr(bulk.Bulk, "_fault", lambda self, n, *more: looked.append(n) or fault(self, n, *more))
+    fault = bulk_set.Bulk._fault
+    monkeypatch.setattr(bulk_set.Bulk, "_fault", lambda self, n, *more: looked.append(n) or fault(self, n, *more))
     found = simulated.opened(path)
-    assert looked == list(range(bulk.Bulk.open(path).parts))
+    assert looked == list(range(bulk_set.Bulk.open(path).parts))
     looked.clear()
     again = simulated.opened(path)
     assert looked == []
@@ -475,7 +479,7 @@ def test_simulated_pictures_of_nothing_are_a_fault(tmp_path):
     """A black ball before a bare wall that it takes no light from changes nothing; the same picture twice is told."""
     made = make_bulk(tmp_path / "set", pictures=8, resolution=(8, 8))
     background = made.background
-    look = bulk._Alike(made)
+    look = bulk_set._Alike(made)
     pictures = np.array([made.pictures[i] for i in range(8)])
     pictures[3] = background[..., 0]
     pictures[6] = pictures[5]
@@ -531,24 +535,26 @@ def test_a_blend_files_working_space_is_recorded(tmp_path, scene_file):
     """Blender 5 renders in the working space of the file: a red world in ACEScg has other numbers, and says so."""
     import bpy
 
-    from generator.blender import worker
-    from generator.blender.scene import stage
+    from generator.blender import sweep_worker
+    from generator.blender.scene import blend_file
 
     if not hasattr(bpy.data, "colorspace"):
         pytest.skip(f"Blender {bpy.app.version_string} knows one working space")
-    scene = stage.open_file(scene_file)
-    assert worker.colour_space() == "Rec.709"
+    scene = blend_file.open_file(scene_file)
+    assert sweep_worker.colour_space() == "Rec.709"
     bpy.ops.wm.set_working_color_space(working_space="ACEScg", convert_colors=True)
     wide = tmp_path / "wide.blend"
-    stage.save_file(wide)
-    scene = stage.open_file(wide)
-    made = worker.plan(scene, wide, tmp_path / "set", {"poses": 1, "samples": 1, "resolution": [4, 4]}, probe=False)
+    blend_file.save_file(wide)
+    scene = blend_file.open_file(wide)
+    made = sweep_worker.plan(
+        scene, wide, tmp_path / "set", {"poses": 1, "samples": 1, "resolution": [4, 4]}, probe=False
+    )
     assert made.colour_space == "ACEScg"
-    worker.render(scene, made, [])
+    sweep_worker.render(scene, made, [])
     _, header = read_picture(made.path / BACKGROUND)
     assert header["colour_space"] == "ACEScg"
-    stage.open_file(scene_file)
-    assert worker.colour_space() == "Rec.709"
+    blend_file.open_file(scene_file)
+    assert sweep_worker.colour_space() == "Rec.709"
 
 
 # The seal itself
@@ -569,6 +575,6 @@ def test_a_seal_names_what_was_changed():
         ({"seal": {"poses": "13"}}, "'seal' was changed"),
         ({"seal": {"more": "13"}}, "'seal' was changed"),
     ):
-        assert words in seal.broken(spec.merge(json.loads(json.dumps(whole)), change))
+        assert words in seal.broken(merge(json.loads(json.dumps(whole)), change))
     del whole["e"]
     assert "a field was taken out" in seal.broken(whole)

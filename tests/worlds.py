@@ -8,7 +8,7 @@ from dataclasses import replace
 import numpy as np
 from numpy.polynomial.legendre import leggauss
 
-from generator.model.spec import rotation_matrix
+from generator.model.arrays import rotation_matrix
 from generator.transport import LitPatch, Mesh, Sphere, Watched, World
 
 WALL = 0.8

@@ -16,9 +16,9 @@ from typing import Any
 import bpy
 from bpy.props import StringProperty
 
-from generator.blender import worker
-from generator.model.spec import NlosError
-from generator.sets import dataset
+from generator.blender import sweep_worker
+from generator.files.pictures import write_picture
+from generator.model.errors import NlosError
 
 from ..session import background, state
 from ..view import overlay
@@ -171,7 +171,7 @@ class NLOS_OT_answer(bpy.types.Operator):
                 raise NlosError("There is no picture yet: render the wall first")
             files = [background.folder() / f"{name}.exr" for name in ("asked", "asked-background")]
             for path, picture in zip(files, (state.shown.wall, state.shown.background), strict=True):
-                dataset.write_picture(path, picture, {"colour_space": worker.colour_space()})
+                write_picture(path, picture, {"colour_space": sweep_worker.colour_space()})
         except NlosError as error:
             self.report({"ERROR"}, str(error))
             return {"CANCELLED"}

@@ -14,11 +14,13 @@ from bpy.props import BoolProperty
 from generator.blender import misgivings
 from generator.jobs import budget, sweep
 from generator.jobs.remaining import Remaining
-from generator.model.spec import NlosError
-from generator.sets.dataset import SCENE, Dataset
+from generator.model.errors import NlosError
+from generator.model.quantities import clock
+from generator.sets.dataset import Dataset
+from generator.sets.manifest import SCENE
 
+from ..draft import sweep_of, wished
 from ..session import background, state
-from ..ui import properties
 
 
 class Job:
@@ -95,7 +97,7 @@ class Job:
             return "Planning the poses"
         if not self.done:
             return f"Rendering the background, then {self.total} pictures"
-        left = "" if self.left is None else f", {sweep.clock(self.left)} left"
+        left = "" if self.left is None else f", {clock(self.left)} left"
         return f"{self.done} of {self.total} pictures{left}"
 
     def _chose(self, words: str) -> None:
@@ -216,7 +218,7 @@ class NLOS_OT_sweep_start(_Running, bpy.types.Operator):
         source = background.snapshot("dataset.blend")
         settings = scene.nlos
         return Job(
-            *(source, path, properties.sweep_of(settings), settings.workers, properties.wished(settings)),
+            *(source, path, sweep_of(settings), settings.workers, wished(settings)),
             force=self.force,
         )
 

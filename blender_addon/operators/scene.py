@@ -9,13 +9,13 @@ import bpy
 from bpy.props import EnumProperty, IntProperty, StringProperty
 
 from generator.blender import check
-from generator.blender.engines import engines
-from generator.blender.scene import adopt, stage
-from generator.model import spec
-from generator.sets.dataset import read_picture
+from generator.blender.scene import adopt, build, roles
+from generator.blender.scene.description import lamp_power, read_scene
+from generator.files.pictures import read_picture
+from generator.model.errors import NlosError
 
+from ..draft import fill, grid_of, spec_of, sweep_of
 from ..session import background, state
-from ..ui import properties
 from ..view import images, live
 
 _ROLE_WORDS = {
@@ -47,7 +47,7 @@ class _Task:
         """Do the work, or report why not and cancel."""
         try:
             kind, message = self.work(context.scene)
-        except spec.NlosError as error:
+        except NlosError as error:
             self.report({"ERROR"}, str(error))
             return {"CANCELLED"}
         self.report({kind}, message)
@@ -63,10 +63,10 @@ class NLOS_OT_build_scene(_Task, bpy.types.Operator):
 
     def work(self, scene: Any) -> tuple[str, str]:
         """Build; return what to report."""
-        wanted = properties.spec_of(scene.nlos)
-        stage.build(scene, wanted)
+        wanted = spec_of(scene.nlos)
+        build.build(scene, wanted)
         done = f"Built the {wanted.preset} with {wanted.grid.n_voxels} voxels"
-        others = stage.others(scene)
+        others = roles.others(scene)
         if others:  # such as the cube and the lamp that Blender starts with
             return (
                 "WARNING",
@@ -84,16 +84,16 @@ class NLOS_OT_apply(_Task, bpy.types.Operator):
     def work(self, scene: Any) -> tuple[str, str]:
         """Apply; return what to report."""
         settings = scene.nlos
-        grid, lamp = properties.grid(settings), stage.find(scene, "spot")
+        grid, lamp = grid_of(settings), roles.find(scene, "spot")
         if lamp.type != "LIGHT" or lamp.data.type != "SPOT":
-            raise spec.NlosError(f"the spot {lamp.name!r} must be a spot lamp")
-        stage.write_grid(scene, grid)
-        stage.limit_reflections(scene, settings.reflection_order)
+            raise NlosError(f"the spot {lamp.name!r} must be a spot lamp")
+        roles.write_grid(scene, grid)
+        roles.limit_reflections(scene, settings.reflection_order)
         scene.render.resolution_x, scene.render.resolution_y = settings.resolution
         scene.render.resolution_percentage = 100
         # The lamp may have a colour or an exposure of its own, which the power in watts includes.
         lamp.data.energy = 1.0
-        lamp.data.energy = settings.light_power / (stage.lamp_power(lamp.data) or 1.0)
+        lamp.data.energy = settings.light_power / (lamp_power(lamp.data) or 1.0)
         lamp.data.spot_size = 2.0 * settings.light_half_angle
         return "INFO", f"Applied; light is followed over {settings.reflection_order} reflections"
 
@@ -106,8 +106,8 @@ class NLOS_OT_read_scene(_Task, bpy.types.Operator):
 
     def work(self, scene: Any) -> tuple[str, str]:
         """Read; return what to report."""
-        found = stage.read(scene)
-        properties.fill(scene.nlos, found)
+        found = read_scene(scene)
+        fill(scene.nlos, found)
         if found.target.albedo is None:
             return "WARNING", "The target's material is not plainly diffuse, so its albedo was not read"
         return "INFO", "Read the scene"
@@ -133,12 +133,12 @@ class NLOS_OT_adopt(_Task, bpy.types.Operator):
         role = "" if self.role == "none" else self.role
         chosen = bpy.context.selected_objects
         active = bpy.context.active_object
-        if role in stage.SINGLE_ROLES and active in chosen:
+        if role in roles.SINGLE_ROLES and active in chosen:
             chosen = [active]  # as everywhere in Blender, the active one of many is the one that is meant
         adopt.assign(scene, role, chosen)
         done = f"{', '.join(o.name for o in chosen)}: {_ROLE_WORDS[role][0].lower()}"
-        complete = all(stage.players(scene, each) for each in stage.SINGLE_ROLES)
-        if complete and stage.GRID_SHAPE not in scene:
+        complete = all(roles.players(scene, each) for each in roles.SINGLE_ROLES)
+        if complete and roles.GRID_SHAPE not in scene:
             grid = adopt.fit_grid(scene)
             done += f". Voxels {grid.labels[0]} to {grid.labels[-1]} were laid around the target"
         return "INFO", done
@@ -158,7 +158,7 @@ class NLOS_OT_check(_Task, bpy.types.Operator):
         if worst:
             return "WARNING", worst[0].text
         state.checking = True
-        arguments = [str(background.snapshot("check.blend")), json.dumps(properties.sweep_of(scene.nlos))]
+        arguments = [str(background.snapshot("check.blend")), json.dumps(sweep_of(scene.nlos))]
         background.ask(["generator.blender.worker", "check", *arguments], _checked).settle()
         return "INFO", "Nothing stands in the way of a sweep; signal and noise are being measured"
 
@@ -206,7 +206,7 @@ class NLOS_OT_select(_Task, bpy.types.Operator):
         obj = scene.objects.get(self.name)
         layer = bpy.context.view_layer
         if obj is None or obj.name not in layer.objects:
-            raise spec.NlosError(f"there is no object {self.name!r} in this view layer; check again")
+            raise NlosError(f"there is no object {self.name!r} in this view layer; check again")
         for other in bpy.context.selected_objects:
             other.select_set(False)
         obj.hide_set(False)
@@ -224,11 +224,9 @@ class NLOS_OT_render_wall(_Task, bpy.types.Operator):
     def work(self, scene: Any) -> tuple[str, str]:
         """Start; return what to report."""
         settings = scene.nlos
-        described = stage.read(scene)  # what is wrong is said now, not by the other Blender later
-        engines.refuse_hidden(scene)
-        chosen = {
-            name: value for name, value in properties.sweep_of(settings).items() if name not in ("poses", "inside")
-        }
+        described = read_scene(scene)  # what is wrong is said now, not by the other Blender later
+        roles.refuse_hidden(scene)
+        chosen = {name: value for name, value in sweep_of(settings).items() if name not in ("poses", "inside")}
         difference, reference = settings.difference, described.reference_radiance
         width = described.camera.x[1] - described.camera.x[0]
         folder = background.folder()
@@ -261,7 +259,7 @@ class NLOS_OT_render_wall(_Task, bpy.types.Operator):
         state.rendering = "Rendering ..."
         task = background.ask(["generator.blender.worker", "picture", *arguments], then).settle()
         if task.error:
-            raise spec.NlosError(task.error)
+            raise NlosError(task.error)
         return "INFO", state.rendering
 
 
@@ -282,7 +280,7 @@ class NLOS_OT_experiment(_Task, bpy.types.Operator):
 
     def work(self, scene: Any) -> tuple[str, str]:
         """Start; return what to report."""
-        reference, number = stage.read(scene).reference_radiance, self.number
+        reference, number = read_scene(scene).reference_radiance, self.number
         file = background.folder() / "experiment.exr"
         source = background.snapshot("experiment.blend")
 
@@ -298,7 +296,7 @@ class NLOS_OT_experiment(_Task, bpy.types.Operator):
             ["generator.blender.worker", "experiment", str(source), str(file), str(number)], then
         ).settle()
         if task.error:
-            raise spec.NlosError(task.error)
+            raise NlosError(task.error)
         turned = "turned about" if number == 3 else "moved along"
         return "INFO", f"{images.EXPERIMENT.format(number)}: {turned} x, y and z, a row each"
 
@@ -360,8 +358,8 @@ class NLOS_OT_new_room(bpy.types.Operator):
             bpy.data.objects.remove(obj)
         bpy.ops.outliner.orphans_purge(do_recursive=True)
         try:
-            stage.build(scene, properties.spec_of(scene.nlos))
-        except spec.NlosError as error:
+            build.build(scene, spec_of(scene.nlos))
+        except NlosError as error:
             self.report({"ERROR"}, str(error))
             return {"CANCELLED"}
         state.remember("New Room")

@@ -15,9 +15,9 @@ from typing import Any
 
 import bpy
 
-from generator.blender.scene import stage
-from generator.jobs import sweep
-from generator.model.spec import NlosError
+from generator.blender.scene import blend_file
+from generator.jobs.workers import Launch, Worker
+from generator.model.errors import NlosError
 from generator.sets import links
 
 from . import state
@@ -129,12 +129,12 @@ def _poll() -> float | None:
     return _EVERY if _tasks else None
 
 
-def _kill_when(stop: threading.Event, worker: sweep.Worker) -> None:
+def _kill_when(stop: threading.Event, worker: Worker) -> None:
     stop.wait()
     worker.kill()
 
 
-def launcher() -> sweep.Launch:
+def launcher() -> Launch:
     """Return what starts a worker in a Blender without a window, the same as this one."""
     binary = bpy.app.binary_path  # to be asked in Blender's own thread
     # The bpy module has no Blender beside it, but Python can import it.
@@ -155,7 +155,7 @@ def ask(arguments: Sequence[str], then: Callable[[Task], None]) -> Task:
     launch = launcher()
 
     def work(task: Task) -> dict[str, Any]:
-        with sweep.Worker(arguments, launch) as worker:
+        with Worker(arguments, launch) as worker:
             threading.Thread(target=_kill_when, args=(task.stop, worker), daemon=True).start()
             answer = worker.answer()
             task.stop.set()
@@ -183,7 +183,7 @@ def folder() -> Path:
 def snapshot(name: str) -> Path:
     """Save the scene as it stands under a temporary name, for another Blender to open; return the file."""
     path = folder() / name
-    stage.save_file(path)
+    blend_file.save_file(path)
     return path
 
 

@@ -9,7 +9,7 @@ from typing import Any
 import bpy
 
 from generator.blender.check import Finding
-from generator.sets.dataset import Picture
+from generator.files.pictures import Picture
 
 
 @dataclass

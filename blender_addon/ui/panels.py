@@ -8,7 +8,7 @@ import bpy
 from bl_ui.utils import PresetPanel
 
 from generator.blender import check
-from generator.blender.scene import stage
+from generator.blender.scene import roles
 
 from ..operators import answer, dataset
 from ..session import state
@@ -107,8 +107,8 @@ class NLOS_PT_roles(_Tab, bpy.types.Panel):
     def draw(self, context: Any) -> None:
         """Draw each part with its player."""
         layout = self.layout
-        for role in stage.SINGLE_ROLES:
-            players = stage.players(context.scene, role)
+        for role in roles.SINGLE_ROLES:
+            players = roles.players(context.scene, role)
             row = layout.row(align=True)
             words = role.replace("_", " ").title()
             row.operator("nlos.adopt", text=words).role = role

@@ -8,7 +8,6 @@ brings it in line with a spec that was read from the scene.
 # mypy: disable-error-code="valid-type,misc"
 
 import math
-from dataclasses import replace
 from typing import Any
 
 import bpy
@@ -23,19 +22,12 @@ from bpy.props import (
     StringProperty,
 )
 
-from generator.blender import worker
-from generator.blender.scene import stage
-from generator.model import spec
+from generator.model.presets import preset
+from generator.model.settings import AUTO, Sweep
 
+from ..draft import PRESETS, ROOM, fill
 from ..view import live, overlay
 
-_ROOM = spec.preset("room")
-
-_PRESETS = (
-    ("room", "Room", "A room 5 m wide with a matt black partition that hides the object"),
-    ("tabletop", "Tabletop", "2 m x 2 m of wall seen orthographically, a small object half a metre from it"),
-    ("corridor", "Corridor", "An L-shaped corridor at building scale; the object is behind the corner"),
-)
 _KINDS = (
     ("sheet", "Sheet", "A square sheet, two-sided; unrotated it faces the wall"),
     ("sphere", "Sphere", "A sphere"),
@@ -64,14 +56,14 @@ _ENGINES = (
 
 def _preset_changed(settings: Any, _: Any) -> None:
     kind = settings.target_kind
-    fill(settings, spec.preset(settings.preset, "sheet" if kind == "mesh" else kind), target=kind != "mesh")
+    fill(settings, preset(settings.preset, "sheet" if kind == "mesh" else kind), target=kind != "mesh")
 
 
 def _kind_changed(settings: Any, _: Any) -> None:
     if settings.target_kind == "mesh":
         settings.target_size = 0.0
     else:
-        target = spec.preset(settings.preset, settings.target_kind).target
+        target = preset(settings.preset, settings.target_kind).target
         settings.target_size, settings.target_albedo = target.size, target.albedo
 
 
@@ -85,7 +77,7 @@ class NlosSettings(bpy.types.PropertyGroup):
     preset: EnumProperty(
         name="Preset",
         description="Scene to start from. Choosing one sets all figures below to its own",
-        items=_PRESETS,
+        items=PRESETS,
         update=_preset_changed,
     )
     target_kind: EnumProperty(
@@ -95,7 +87,7 @@ class NlosSettings(bpy.types.PropertyGroup):
         name="Size",
         description="Edge of the sheet, diameter of the sphere, longest edge of the mesh's bounding box; "
         "for a mesh, 0 keeps the file's own size",
-        default=_ROOM.target.size,
+        default=ROOM.target.size,
         min=0.0,
         soft_max=10.0,
         step=1,
@@ -106,7 +98,7 @@ class NlosSettings(bpy.types.PropertyGroup):
     target_albedo: FloatProperty(
         name="Albedo",
         description="Fraction of the light that the target reflects, alike in all directions (Lambertian)",
-        default=_ROOM.target.albedo,
+        default=ROOM.target.albedo,
         min=0.0,
         max=1.0,
         precision=3,
@@ -117,7 +109,7 @@ class NlosSettings(bpy.types.PropertyGroup):
         name="Power",
         description="Power of the spot lamp. Its radiant intensity is power / 4 pi inside the cone, whatever the "
         "cone's angle; radiance grows in proportion",
-        default=_ROOM.spot.power,
+        default=ROOM.spot.power,
         min=0.0,
         soft_max=1e5,
         subtype="POWER",
@@ -126,7 +118,7 @@ class NlosSettings(bpy.types.PropertyGroup):
     light_half_angle: FloatProperty(
         name="Half Angle",
         description="Between the lamp's axis and the edge of its cone: how wide a patch of wall it lights",
-        default=math.radians(_ROOM.spot.half_angle),
+        default=math.radians(ROOM.spot.half_angle),
         min=math.radians(0.001),
         max=math.radians(89.0),
         soft_min=math.radians(0.1),
@@ -153,7 +145,7 @@ class NlosSettings(bpy.types.PropertyGroup):
         description="How many voxels the hidden volume is cut into along each axis. They are named A, B, C and so "
         "on, along X first, then Y, then Z",
         size=3,
-        default=_ROOM.grid.shape,
+        default=ROOM.grid.shape,
         min=1,
         soft_max=10,
         subtype="XYZ",
@@ -162,7 +154,7 @@ class NlosSettings(bpy.types.PropertyGroup):
         name="From",
         description="Corner of the hidden volume with the smallest coordinates",
         size=3,
-        default=_ROOM.grid.lo,
+        default=ROOM.grid.lo,
         step=1,
         precision=3,
         subtype="XYZ_LENGTH",
@@ -172,7 +164,7 @@ class NlosSettings(bpy.types.PropertyGroup):
         name="To",
         description="Corner of the hidden volume with the largest coordinates",
         size=3,
-        default=_ROOM.grid.hi,
+        default=ROOM.grid.hi,
         step=1,
         precision=3,
         subtype="XYZ_LENGTH",
@@ -182,12 +174,12 @@ class NlosSettings(bpy.types.PropertyGroup):
         name="Reflections",
         description="How many diffuse reflections light may make on its way. "
         "Three are: wall, hidden object, wall again",
-        default=_ROOM.reflection_order,
+        default=ROOM.reflection_order,
         min=1,
         max=1024,
         soft_max=8,
     )
-    engine: EnumProperty(name="Engine", description="How the light is followed", items=_ENGINES, default=spec.AUTO)
+    engine: EnumProperty(name="Engine", description="How the light is followed", items=_ENGINES, default=AUTO)
     samples: IntProperty(
         name="Samples",
         description="Rays per pixel. Four times as many halve the noise",
@@ -235,7 +227,7 @@ class NlosSettings(bpy.types.PropertyGroup):
         name="Resolution",
         description="Width and height of the picture in pixels; pixels must be square on the wall",
         size=2,
-        default=_ROOM.resolution,
+        default=ROOM.resolution,
         min=1,
         max=65536,
         soft_max=512,
@@ -279,7 +271,7 @@ class NlosSettings(bpy.types.PropertyGroup):
     poses: IntProperty(
         name="Poses",
         description="Pictures per voxel, each with the object at another place in it, turned another way",
-        default=spec.Sweep().poses,
+        default=Sweep().poses,
         min=1,
         max=1_000_000,
         soft_max=1000,
@@ -302,120 +294,6 @@ class NlosSettings(bpy.types.PropertyGroup):
     model: StringProperty(
         name="Model", description="Trained by nlos-classify train (.skops)", subtype="FILE_PATH", default=""
     )
-
-
-def sweep_of(settings: Any) -> dict[str, Any]:
-    """Return what the draft says of a sweep: fields of `spec.Sweep`, those that mean something to its engine."""
-    chosen = {
-        "engine": settings.engine,
-        "samples": settings.samples,
-        "accuracy": settings.accuracy,
-        "resolution": list(settings.resolution),
-        "poses": settings.poses,
-        "seed": settings.seed,
-        "inside": settings.inside,
-    }
-    idle = () if settings.engine == "auto" else spec.Sweep.idle(settings.engine)
-    if settings.quality != "figures":
-        idle = ("samples", "accuracy")
-    return {name: value for name, value in chosen.items() if name not in idle}
-
-
-def wished(settings: Any) -> dict[str, float]:
-    """Return the time and error that decide on a data set, as `budget.choose` takes them; nothing if none does."""
-    if settings.quality == "time":
-        return {"budget": 60.0 * settings.minutes}
-    return {"accuracy": settings.error / 100.0} if settings.quality == "error" else {}
-
-
-def resolved_sweep(scene: Any) -> spec.Sweep:
-    """Return the sweep that the draft describes, as far as it decides the poses.
-
-    Raises
-    ------
-    NlosError
-        The scene cannot be read, or a figure cannot be.
-    """
-    chosen = sweep_of(scene.nlos)
-    if chosen["engine"] == "auto":  # which it will be decides nothing about them
-        chosen["engine"] = "patch"
-    made: spec.Sweep = spec.from_dict(spec.Sweep, worker.with_defaults(stage.read(scene), chosen), "")
-    return made
-
-
-def spec_of(settings: Any) -> spec.Scene:
-    """Return the scene that the draft describes: the preset with the draft's figures in place of its own.
-
-    Raises
-    ------
-    NlosError
-        The figures contradict each other, or a mesh target has no file.
-    """
-    kind, mesh = settings.target_kind, ""
-    if kind == "mesh":
-        if not settings.target_mesh:
-            raise spec.NlosError("target: choose a mesh file (OBJ, PLY or STL)")
-        mesh = spec.Target.named(bpy.path.abspath(settings.target_mesh)).mesh
-    base = spec.preset(settings.preset)
-    wanted = replace(
-        base,
-        target=spec.Target(
-            kind=kind, size=stage.short(settings.target_size), albedo=stage.short(settings.target_albedo), mesh=mesh
-        ),
-        spot=replace(base.spot, power=stage.short(settings.light_power), half_angle=half_angle(settings)),
-        grid=grid(settings),
-        reflection_order=settings.reflection_order,
-        resolution=tuple(settings.resolution),
-    )
-    return wanted.with_ambient(stage.short(settings.ambient_radiance) if settings.use_ambient else 0.0)
-
-
-def grid(settings: Any) -> spec.VoxelGrid:
-    """Return the draft's voxel grid.
-
-    Raises
-    ------
-    NlosError
-        A corner is not below the other.
-    """
-    return spec.VoxelGrid(
-        lo=stage.vector(settings.grid_lo), hi=stage.vector(settings.grid_hi), shape=tuple(settings.grid_counts)
-    )
-
-
-def half_angle(settings: Any) -> float:
-    """Return the half angle of the lamp's cone, degrees."""
-    return stage.short(math.degrees(settings.light_half_angle))
-
-
-def fill(settings: Any, scene: spec.Scene, *, target: bool = True) -> None:
-    """Set the draft to a scene's figures; what it says on rendering stays.
-
-    Parameters
-    ----------
-    settings : NlosSettings
-    scene : spec.Scene
-        A preset of no known name and albedos of None leave the draft's own.
-    target : bool
-        The target's figures too.
-    """
-    known = scene.preset in {name for name, *_ in _PRESETS}
-    if known and settings.preset != scene.preset:
-        settings.preset = scene.preset  # fills in the preset's figures, so it comes first
-    if target:
-        settings.target_kind = scene.target.kind
-        settings.target_size = scene.target.size
-        if scene.target.albedo is not None:
-            settings.target_albedo = scene.target.albedo
-    settings.light_power = scene.spot.power
-    settings.light_half_angle = math.radians(scene.spot.half_angle)
-    settings.use_ambient = scene.ambient > 0
-    if scene.ambient > 0:
-        settings.ambient_radiance = scene.ambient
-    settings.grid_counts = scene.grid.shape
-    settings.grid_lo, settings.grid_hi = scene.grid.lo, scene.grid.hi
-    settings.reflection_order = scene.reflection_order
-    settings.resolution = scene.resolution
 
 
 class NlosSession(bpy.types.PropertyGroup):

@@ -9,7 +9,7 @@ from typing import Any
 import bpy
 import numpy as np
 
-from generator.sets.dataset import Picture
+from generator.files.pictures import Picture
 
 WALL = "NLOS wall"
 DIFFERENCE = "NLOS difference"

@@ -15,10 +15,11 @@ import bpy
 import numpy as np
 from bpy.app.handlers import persistent
 
-from generator.blender.engines import engines, extract
-from generator.blender.scene import stage
-from generator.model import spec
-from generator.model.spec import NlosError
+from generator.blender.engines import renderers, survey
+from generator.blender.scene import materials, roles
+from generator.blender.scene.description import read_scene
+from generator.model.errors import NlosError
+from generator.model.settings import AUTO
 from generator.transport import Transport
 from generator.transport.compiled import COMPILED
 
@@ -111,7 +112,7 @@ def _noted(scene: Any, depsgraph: Any) -> None:
     """Take note of an update of the scene."""
     if _look.busy:
         return
-    players = stage.players(scene, "target")
+    players = roles.players(scene, "target")
     moved = False
     for update in depsgraph.updates:
         thing = update.id.original
@@ -135,10 +136,10 @@ def _around(scene: Any) -> tuple[Any, ...]:
         layer = layers.pop()
         shown.append((layer.name, layer.exclude, layer.collection.hide_render))
         layers += layer.children
-    objects = tuple((o.name, o.hide_render, len(o.constraints), o.get(stage.ROLE)) for o in scene.objects)
+    objects = tuple((o.name, o.hide_render, len(o.constraints), o.get(roles.ROLE)) for o in scene.objects)
     cycles = getattr(scene, "cycles", None)
     bounces = (cycles.max_bounces, cycles.diffuse_bounces) if cycles else ()
-    return objects, tuple(shown), bounces, stage.ambient(scene), scene.camera and scene.camera.name
+    return objects, tuple(shown), bounces, materials.ambient(scene), scene.camera and scene.camera.name
 
 
 def _draw() -> float | None:
@@ -194,17 +195,17 @@ def _draw() -> float | None:
 
 def _pose(scene: Any) -> tuple[tuple[float, ...], tuple[float, ...], tuple[float, ...]]:
     """Where the target stands: metres; degrees about x, then y, then z; and how it is scaled."""
-    place, turn, scale = stage.find(scene, "target").matrix_world.decompose()
+    place, turn, scale = roles.find(scene, "target").matrix_world.decompose()
     return tuple(place), tuple(math.degrees(angle) for angle in turn.to_euler("XYZ")), tuple(scale)
 
 
-def _instead(scene: Any, found: extract.Survey) -> str:
+def _instead(scene: Any, found: survey.Survey) -> str:
     """What can show a scene that the look cannot, if anything does."""
     if found.never:
         return ""
-    able, _ = engines.choose(scene, found)
+    able, _ = renderers.choose(scene, found)
     engine = scene.nlos.engine
-    chosen = engine == spec.AUTO or not found.reasons(engine)
+    chosen = engine == AUTO or not found.reasons(engine)
     return ". Render Wall can show it" if chosen else f". Render Wall can show it by the engine {able}"
 
 
@@ -213,10 +214,10 @@ def _read(scene: Any) -> None:
     _look.world_changed, _look.transport = False, None
     pixels = int(scene.nlos.look_resolution)
     _look.scene = scene.name
-    described = stage.read(scene)
+    described = read_scene(scene)
     width, height = described.resolution
     size = (pixels, max(1, round(pixels * height / width)))
-    found = extract.survey(scene, resolution=size)
+    found = survey.survey(scene, resolution=size)
     world = found.world
     if world is None:
         raise NlosError(f"No live picture: {found.reasons('surfel')[0]}{_instead(scene, found)}")

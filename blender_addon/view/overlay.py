@@ -13,8 +13,8 @@ from bpy_extras.view3d_utils import location_3d_to_region_2d
 from gpu_extras.batch import batch_for_shader
 from mathutils import Vector
 
-from generator.blender.scene import outlines, stage
-from generator.model.spec import NlosError
+from generator.blender.scene import geometry, outlines, roles
+from generator.model.errors import NlosError
 
 from ..session import state
 
@@ -86,7 +86,7 @@ def _measure(scene: Any, session: Any) -> dict[str, Any]:
         ]
     try:
         if session.show_patches:
-            found["lit"] = outlines.closed(outlines.lit_patch(stage.find(scene, "spot")))
+            found["lit"] = outlines.closed(outlines.lit_patch(roles.find(scene, "spot")))
             found["watched"] = outlines.closed(outlines.watched(scene))
         if session.show_legs:
             way = outlines.legs(scene)
@@ -100,7 +100,7 @@ def _measure(scene: Any, session: Any) -> dict[str, Any]:
 
 def _grid(scene: Any) -> Any:
     try:
-        return stage.read_grid(scene)
+        return roles.read_grid(scene)
     except NlosError:
         return None
 
@@ -118,18 +118,18 @@ def _crosses(scene: Any) -> Any:
 
 def _deciding(scene: Any) -> tuple[Any, ...]:
     """What decides where the poses are, as far as it can be told while drawing, when nothing may be rendered."""
-    from ..ui import properties
+    from ..draft import sweep_of
 
     others = tuple(
         (o.name, o.hide_render, tuple(map(tuple, o.matrix_world)))
         for o in scene.objects
         if o.type in ("MESH", "LIGHT", "CAMERA")
     )
-    target = stage.find(scene, "target")
+    target = roles.find(scene, "target")
     around = tuple(other for other in others if other[0] != target.name)
-    corners = stage.evaluated_vertices(target) @ np.diag(target.matrix_world.to_scale())
-    chosen = sorted((name, str(value)) for name, value in properties.sweep_of(scene.nlos).items())
-    return stage.read_grid(scene), tuple(chosen), corners.tobytes(), around
+    corners = geometry.evaluated_vertices(target) @ np.diag(target.matrix_world.to_scale())
+    chosen = sorted((name, str(value)) for name, value in sweep_of(scene.nlos).items())
+    return roles.read_grid(scene), tuple(chosen), corners.tobytes(), around
 
 
 def _plan() -> float | None:
@@ -141,11 +141,11 @@ def _plan() -> float | None:
     if state.rendering_now():
         return _SETTLED
     try:
-        from ..ui import properties
+        from ..draft import resolved_sweep
 
         key = _deciding(context.scene)
         _poses = key, np.empty((0, 3))  # where nothing fits, it is not tried again until something changes
-        _poses = key, outlines.sampled(context.scene, properties.resolved_sweep(context.scene))
+        _poses = key, outlines.sampled(context.scene, resolved_sweep(context.scene))
     except NlosError:  # the Check panel says why
         pass
     changed()

@@ -14,11 +14,12 @@ from numpy.typing import NDArray
 from sklearn.model_selection import train_test_split
 
 from classify.classifiers import models
-from classify.classifiers.evaluate import Interval, fit_and_test, wilson
+from classify.classifiers.evaluate import fit_and_test
 from classify.classifiers.models import Settings
+from classify.intervals import Interval, wilson
 from classify.pictures.feature_table import Features, check_comparable
 from generator.measure import figures
-from generator.model.spec import NlosError
+from generator.model.errors import NlosError
 
 HELD_OUT = 0.2
 """Of a set that is tested on itself."""

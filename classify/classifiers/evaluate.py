@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 import pickle
 import time
 import warnings
@@ -19,30 +18,13 @@ from sklearn.model_selection import StratifiedKFold
 
 from classify.classifiers import models
 from classify.classifiers.models import Settings
+from classify.intervals import Interval, wilson
 from classify.pictures.feature_table import Features, check_comparable
-from generator.model.spec import NlosError
+from generator.model.errors import NlosError
 
 Array = NDArray[np.float64]
 
 _RESAMPLES = 2000
-_Z95 = 1.959963984540054
-
-
-@dataclass(frozen=True)
-class Interval:
-    """A figure with its 95 % confidence interval."""
-
-    value: float
-    low: float
-    high: float
-
-    def percent(self) -> str:
-        """Return a proportion as text."""
-        return f"{100 * self.value:.1f} % ({100 * self.low:.1f} to {100 * self.high:.1f})"
-
-    def centimetres(self) -> str:
-        """Return a length in metres as text."""
-        return f"{100 * self.value:.2f} cm ({100 * self.low:.2f} to {100 * self.high:.2f})"
 
 
 @dataclass(frozen=True)
@@ -92,14 +74,6 @@ class Result:
     def scenario(self) -> str:
         """The scenario in words."""
         return self.train if self.train == self.test else f"{self.train} -> {self.test}"
-
-
-def wilson(successes: int, trials: int) -> Interval:
-    """Return a proportion with its 95 % score interval (Wilson 1927)."""
-    p, z2 = successes / trials, _Z95**2
-    centre = (p + z2 / (2 * trials)) / (1 + z2 / trials)
-    half = _Z95 / (1 + z2 / trials) * math.sqrt(p * (1 - p) / trials + z2 / (4 * trials**2))
-    return Interval(p, max(0.0, centre - half), min(1.0, centre + half))
 
 
 def macro_scores(confusion: Array) -> Array:

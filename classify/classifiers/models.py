@@ -29,8 +29,11 @@ from sklearn.tree._tree import Tree
 from classify.pictures.feature_table import Features
 from classify.pictures.features import FeatureSettings, describe, feature_names
 from generator.files.limits import check_archive
-from generator.model.spec import NlosError, VoxelGrid, from_dict, to_dict
-from generator.sets.dataset import COLOUR_SPACE, Picture, atomic
+from generator.files.pictures import COLOUR_SPACE, Picture
+from generator.files.toml import from_dict, to_dict
+from generator.files.writing import atomic
+from generator.model.errors import NlosError
+from generator.model.grid import VoxelGrid
 
 Settings = Literal["paper", "tuned"]
 

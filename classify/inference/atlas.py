@@ -26,9 +26,15 @@ from classify.inference import unknown_object
 from classify.inference.unknown_object import Strengths
 from classify.pictures.feature_table import numbers, opened
 from classify.pictures.sensor import Sensor
-from generator.model.spec import Array, NlosError, VoxelGrid, from_dict, to_dict
-from generator.sets.bulk import Bulk, Engine
-from generator.sets.dataset import COLOUR_SPACE, Picture, atomic, check_colours
+from generator.files.pictures import COLOUR_SPACE, Picture
+from generator.files.toml import from_dict, to_dict
+from generator.files.writing import atomic
+from generator.jobs.bulk import Engine
+from generator.model.arrays import Array
+from generator.model.errors import NlosError
+from generator.model.grid import VoxelGrid
+from generator.sets.bulk_set import Bulk
+from generator.sets.readable import check_colours
 
 FORMAT = 2
 

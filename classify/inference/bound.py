@@ -17,11 +17,12 @@ from matplotlib import pyplot as plt
 from matplotlib.colors import LogNorm
 from scipy.stats import norm
 
-from classify.classifiers.evaluate import Interval, wilson
 from classify.inference.atlas import Atlas
 from classify.inference.posterior import Synthesis, locate
+from classify.intervals import Interval, wilson
 from generator.measure import figures
-from generator.model.spec import Array, NlosError
+from generator.model.arrays import Array
+from generator.model.errors import NlosError
 
 _RESAMPLES = 2000
 

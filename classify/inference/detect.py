@@ -12,10 +12,11 @@ from matplotlib import pyplot as plt
 from numpy.typing import NDArray
 from scipy.special import logsumexp
 
-from classify.classifiers.evaluate import Interval, wilson
 from classify.inference.atlas import Atlas
+from classify.intervals import Interval, wilson
 from generator.measure import figures
-from generator.model.spec import Array, NlosError
+from generator.model.arrays import Array
+from generator.model.errors import NlosError
 
 _POSES = 8192
 """Of the atlas, that share in the evidence: more change it by less than the noise does."""

@@ -12,15 +12,18 @@ from matplotlib import pyplot as plt
 from numpy.typing import NDArray
 from scipy.stats import chi2
 
-from classify.classifiers.evaluate import Interval, wilson
 from classify.inference.atlas import Atlas
 from classify.inference.bound import median
 from classify.inference.detect import Detector, evidence
 from classify.inference.posterior import Place, holds, locate
+from classify.intervals import Interval, wilson
 from classify.pictures.sensor import Camera
+from generator.files.writing import csv_text
 from generator.measure import figures
-from generator.model.spec import Array, NlosError
-from generator.sets.dataset import PoseRecord, Readable, check_colours, csv_text
+from generator.model.arrays import Array
+from generator.model.errors import NlosError
+from generator.model.poses import PoseRecord
+from generator.sets.readable import Readable, check_colours
 
 _EMPTY = 1000
 _MOST_LABELS = 30

@@ -20,7 +20,8 @@ from scipy.stats import chi2
 from classify.inference.atlas import Atlas
 from classify.inference.tracker import Step
 from classify.inference.unknown_object import Strengths
-from generator.model.spec import Array, NlosError, Vector
+from generator.model.arrays import Array, Vector
+from generator.model.errors import NlosError
 from generator.transport import Transport, World
 
 ENOUGH = 200.0

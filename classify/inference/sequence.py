@@ -12,15 +12,19 @@ from matplotlib import pyplot as plt
 from matplotlib.axes import Axes
 from matplotlib.patches import Ellipse
 
-from classify.classifiers.evaluate import Interval, wilson
 from classify.inference.atlas import Atlas
 from classify.inference.bound import median
 from classify.inference.posterior import holds
 from classify.inference.tracker import Filter, Step
+from classify.intervals import Interval, wilson
 from classify.pictures.sensor import Camera
+from generator.files.writing import csv_text
 from generator.measure import figures
-from generator.model.spec import Array, NlosError
-from generator.sets.dataset import Dataset, PoseRecord, check_colours, csv_text
+from generator.model.arrays import Array
+from generator.model.errors import NlosError
+from generator.model.poses import PoseRecord
+from generator.sets.dataset import Dataset
+from generator.sets.readable import check_colours
 
 _REST = 0.5
 """Seconds between two looks at a folder that fills."""

@@ -22,7 +22,8 @@ from scipy.spatial import cKDTree
 from scipy.special import ive
 
 from classify.inference.atlas import Atlas
-from generator.model.spec import Array, NlosError
+from generator.model.arrays import Array
+from generator.model.errors import NlosError
 
 _CELLS = 15
 """Along the longer of the grid's horizontal edges: of 10 cm in the room."""

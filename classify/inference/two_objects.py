@@ -9,7 +9,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from classify.inference.atlas import Atlas
-from generator.model.spec import Array, NlosError
+from generator.model.arrays import Array
+from generator.model.errors import NlosError
 
 _POSES = 1500
 _STARTS, _ROUNDS = 64, 6

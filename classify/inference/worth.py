@@ -9,10 +9,10 @@ from pathlib import Path
 import numpy as np
 from matplotlib import pyplot as plt
 
-from classify.classifiers.evaluate import Interval, wilson
 from classify.inference import evaluation
 from classify.inference.atlas import Atlas
 from classify.inference.bound import median
+from classify.intervals import Interval, wilson
 from generator.measure import figures
 from generator.measure.tradeoff import REFERENCE, family, rungs
 

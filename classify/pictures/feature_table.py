@@ -18,8 +18,14 @@ from classify.pictures.features import FeatureSettings, describe, feature_names,
 from classify.pictures.physics import Setup
 from classify.pictures.sensor import Camera, Sensor
 from generator.files.limits import check_heaps, excessive, limited
-from generator.model.spec import NlosError, Scene, VoxelGrid, from_dict, to_dict
-from generator.sets.dataset import COLOUR_SPACE, Picture, PoseRecord, Readable, atomic, check_colours
+from generator.files.pictures import COLOUR_SPACE, Picture
+from generator.files.toml import from_dict, to_dict
+from generator.files.writing import atomic
+from generator.model.errors import NlosError
+from generator.model.grid import VoxelGrid
+from generator.model.poses import PoseRecord
+from generator.model.scene import Scene
+from generator.sets.readable import Readable, check_colours
 
 FORMAT = 1
 

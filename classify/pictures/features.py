@@ -18,8 +18,9 @@ from numpy.typing import NDArray
 
 from classify.pictures import physics
 from classify.pictures.physics import Setup
-from generator.model.spec import NlosError, from_dict
-from generator.sets.dataset import Picture
+from generator.files.pictures import Picture
+from generator.files.toml import from_dict
+from generator.model.errors import NlosError
 
 Array = NDArray[np.float64]
 

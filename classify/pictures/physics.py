@@ -18,7 +18,9 @@ from numpy.polynomial import legendre
 from numpy.typing import NDArray
 from sklearn.base import BaseEstimator, TransformerMixin
 
-from generator.model.spec import NlosError, Scene, Vector
+from generator.model.arrays import Vector
+from generator.model.errors import NlosError
+from generator.model.scene import Scene
 
 Array = NDArray[np.float64]
 

@@ -17,8 +17,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from generator.model.spec import Array, NlosError
-from generator.sets.dataset import Picture, PoseRecord, Readable
+from generator.files.pictures import Picture
+from generator.model.arrays import Array
+from generator.model.errors import NlosError
+from generator.model.poses import PoseRecord
+from generator.sets.readable import Readable
 
 Floats = NDArray[Any]
 

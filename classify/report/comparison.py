@@ -18,11 +18,12 @@ from matplotlib import pyplot as plt
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 
-from classify.classifiers.evaluate import Interval, Result
+from classify.classifiers.evaluate import Result
 from classify.classifiers.models import NAMES
+from classify.intervals import Interval
 from classify.pictures.feature_table import Features
-from generator.model.spec import VoxelGrid
-from generator.sets.dataset import atomic, csv_text, write_text
+from generator.files.writing import atomic, csv_text, write_text
+from generator.model.grid import VoxelGrid
 
 # Table 1 of the paper: accuracy, precision, recall, F1. Its data set 1 is the sheet and 2 the sphere (5.2, and the
 # accuracies named in section 6); 5.3.2 says the reverse, a slip.

@@ -12,7 +12,7 @@ from pathlib import Path
 import jinja2
 
 from classify.inference.atlas import Atlas
-from generator.sets.dataset import write_text
+from generator.files.writing import write_text
 
 
 @dataclass(frozen=True)

@@ -1,6 +1,6 @@
 """One process, one Blender: plans a bulk set from a scene, and makes the parts it is told to.
 
-Run as ``python -m generator.blender.bulk_worker`` by the coordinator (`generator.sets.bulk`); the talk is
+Run as ``python -m generator.blender.bulk_worker`` by the coordinator (`generator.sets.bulk_set`); the talk is
 `generator.blender.worker`'s. Blender is here for the scene, once, and to tell whether a pose cuts a surface; the
 pictures need none.
 """
@@ -19,16 +19,21 @@ from typing import Any
 import bpy
 import numpy as np
 
-from generator.blender import misgivings, start_check, worker
-from generator.blender.engines import extract
-from generator.blender.scene import references, stage
+from generator.blender import misgivings, start_check, sweep_worker
+from generator.blender.engines import survey
+from generator.blender.engines.settings import TURNS, with_defaults
+from generator.blender.scene import blend_file, geometry, references, roles
 from generator.blender.scene.clearance import Surroundings, clearance
-from generator.jobs.sweep import FORCE, NO_PROBE
-from generator.model import poses, spec
-from generator.model.spec import NlosError
-from generator.sets import bulk, links
-from generator.sets.bulk import Bulk, Engine, Settings
-from generator.sets.dataset import SCENE, PoseRecord, scene_hash
+from generator.blender.scene.description import read_scene
+from generator.files.toml import from_dict, to_dict
+from generator.jobs.bulk import Engine
+from generator.jobs.protocol import FORCE, NO_PROBE, answer, commands
+from generator.model import poses
+from generator.model.errors import NlosError
+from generator.model.poses import PoseRecord
+from generator.sets import bulk_set, links
+from generator.sets.bulk_set import Bulk, Settings
+from generator.sets.manifest import SCENE, scene_hash
 from generator.sets.unknown_objects import stranger
 from generator.transport import Transport
 
@@ -67,13 +72,13 @@ def plan(
         The scene lacks a role, the engine cannot honour it, the target fits nowhere, or nothing can be written;
         or it refers to files elsewhere; or plain Cycles makes another picture of it.
     """
-    bulk.check_free(path)
+    bulk_set.check_free(path)
     linked = links.recorded(references.refuse(source), path)
-    described = stage.read(scene)
+    described = read_scene(scene)
     if chosen.get("unknown"):
-        chosen = {"rotation": list(worker.TURNS["mesh"]), **chosen}
-    settings: Settings = spec.from_dict(Settings, worker.with_defaults(described, chosen), "")
-    world, reasons = extract.world(scene, resolution=settings.resolution, ambient=True)
+        chosen = {"rotation": list(TURNS["mesh"]), **chosen}
+    settings: Settings = from_dict(Settings, with_defaults(described, chosen), "")
+    world, reasons = survey.world(scene, resolution=settings.resolution, ambient=True)
     if world is None:
         raise NlosError(
             f"{source}: a bulk set is made by the engine 'surfel', which cannot honour that "
@@ -90,26 +95,26 @@ def plan(
     background = Transport(world, accuracy=settings.accuracy).background().astype(np.float32)
     meta = {
         "reference_radiance": described.reference_radiance,
-        "colour_space": worker.colour_space(),
-        "scene": spec.to_dict(described),
+        "colour_space": sweep_worker.colour_space(),
+        "scene": to_dict(described),
         **({"forced": found.errors} if found.errors else {}),
         **({"links": linked} if linked else {}),
         "software": {
-            "nlos-lab": worker.version(),
+            "nlos-lab": sweep_worker.version(),
             "blender": bpy.app.version_string,
             "numpy": np.__version__,
-            "numba": worker.version("numba"),
+            "numba": sweep_worker.version("numba"),
         },
     }
     first = _first(scene, settings) if probe else None
     with start_check.withdrawn(path, SCENE):
-        stage.save_file(path / SCENE)
+        blend_file.save_file(path / SCENE)
         if first:
             sweep = replace(settings.sweep, engine="surfel", accuracy=settings.accuracy)
-            likewise = {**meta, "sweep": {**spec.to_dict(sweep), "scene_sha256": scene_hash(source)}}
+            likewise = {**meta, "sweep": {**to_dict(sweep), "scene_sha256": scene_hash(source)}}
             known = links.of_dataset(linked, path)
             meta["start_check"] = start_check.run(
-                path / SCENE, source, known, likewise, first, settings.pictures, worker.render
+                path / SCENE, source, known, likewise, first, settings.pictures, sweep_worker.render
             )
     return Bulk.create(path, settings, meta, world, background, scene_hash(source))
 
@@ -120,15 +125,15 @@ def _first(scene: bpy.types.Scene, settings: Settings) -> PoseRecord | None:
         place, turn = _poses(scene, replace(settings, unknown=False))(0, 0)
     except NlosError:  # which does not matter where unknown objects take its place
         return None
-    return PoseRecord(0, 0, stage.read_grid(scene).labels[0], place, turn, seed=0, file="")
+    return PoseRecord(0, 0, roles.read_grid(scene).labels[0], place, turn, seed=0, file="")
 
 
 def _poses(scene: bpy.types.Scene, settings: Settings) -> Callable[[int, int], poses.Pose]:
     """What draws the pose of (voxel, index)."""
-    described = stage.read(scene)
+    described = read_scene(scene)
     if not settings.unknown:
         is_free = clearance(scene, described, engine="surfel")
-        return poses.Sampler(described.grid, settings.sweep, stage.hull(scene), is_free).draw
+        return poses.Sampler(described.grid, settings.sweep, geometry.hull(scene), is_free).draw
     around = Surroundings(scene, described, engine="surfel")
     sweep = replace(settings.sweep, rotation=(0.0, 0.0, 0.0))  # they come turned
 
@@ -143,13 +148,13 @@ def _poses(scene: bpy.types.Scene, settings: Settings) -> Callable[[int, int], p
 
 def render(found: Bulk, parts: Iterable[int], *, threads: int = 0) -> None:
     """Make parts of a set, telling of each."""
-    worker.check_blender(found)
-    scene = worker.open_scene(found)
+    sweep_worker.check_blender(found)
+    scene = sweep_worker.open_scene(found)
     draw = _poses(scene, found.plan)
     renderer = Engine(found, threads=threads)
     for number in parts:
         found.write_part(number, draw, renderer)
-        worker.answer(part=number)
+        answer(part=number)
 
 
 def main(argv: list[str]) -> int:
@@ -160,15 +165,15 @@ def main(argv: list[str]) -> int:
     try:
         if argv[0] == "plan":
             source, notes = Path(argv[1]), list[str]()
-            scene, chosen = stage.open_file(source), json.loads(argv[3])
+            scene, chosen = blend_file.open_file(source), json.loads(argv[3])
             options = {"force": FORCE in argv[4:], "probe": NO_PROBE not in argv[4:]}
             plan(scene, source, Path(argv[2]), chosen, **options, tell=notes.append)
-            worker.answer(planned=True, notes=notes)
+            answer(planned=True, notes=notes)
         else:
-            parts = itertools.chain.from_iterable(worker.commands())
+            parts = itertools.chain.from_iterable(commands())
             render(Bulk.open(Path(argv[1])), parts, threads=int(argv[2]))
     except NlosError as error:
-        worker.answer(error=str(error))
+        answer(error=str(error))
         return 2
     return 0
 

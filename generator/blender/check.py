@@ -13,12 +13,23 @@ from typing import Any
 import bpy
 import numpy as np
 
-from generator.blender.engines import engines, extract
-from generator.blender.engines.extract import Light
+from generator.blender import check
+from generator.blender.engines import renderers, survey
+from generator.blender.engines.lit_patch import other_lights
+from generator.blender.engines.reading import MAX_ORDER, lights
+from generator.blender.engines.settings import settled
+from generator.blender.engines.surface import Light
+from generator.blender.engines.surfel import SurfelRenderer
 from generator.blender.lighting import Beam, Eyes
-from generator.blender.scene import adopt, clearance, replaced, stage
-from generator.model import poses, spec
-from generator.model.spec import Array, NlosError, Sweep
+from generator.blender.scene import adopt, clearance, geometry, replaced, roles
+from generator.blender.scene.description import read_scene
+from generator.model import poses
+from generator.model.arrays import Array
+from generator.model.errors import NlosError
+from generator.model.grid import VoxelGrid
+from generator.model.quantities import byte_size, rough_time
+from generator.model.scene import Scene
+from generator.model.settings import AUTO, Sweep
 
 GOOD, NOTE, WARNING, ERROR = "good", "note", "warning", "error"
 
@@ -85,11 +96,11 @@ def mend(scene: bpy.types.Scene, fix: str) -> None:
     elif fix == "align":
         adopt.align(scene)
     elif fix == "reflections":
-        stage.limit_reflections(scene, extract.MAX_ORDER)
+        roles.limit_reflections(scene, MAX_ORDER)
     elif fix == "voxels":
         adopt.fit_grid(scene)
     elif fix == "show":
-        stage.show(scene, stage.find(scene, "target"))
+        roles.show(scene, roles.find(scene, "target"))
     else:
         raise NlosError(f"fix {fix!r}: there is none; choose from {', '.join(FIXES)}")
 
@@ -110,7 +121,7 @@ def findings(scene: bpy.types.Scene, *, engine: str = "patch") -> list[Finding]:
             readable = not hopeless(found)
             found += _settings(scene)
             if readable:
-                described = stage.read(scene)
+                described = read_scene(scene)
                 found += [*_sight(scene, described), *_engine(scene, engine)]
         except NlosError as error:
             found.append(_told(scene, error))
@@ -137,8 +148,8 @@ def _named(scene: bpy.types.Scene, text: str) -> str:
 
 def _roles(scene: bpy.types.Scene) -> list[Finding]:
     found = []
-    for role in stage.SINGLE_ROLES:
-        players, words = stage.players(scene, role), role.replace("_", " ")
+    for role in roles.SINGLE_ROLES:
+        players, words = roles.players(scene, role), role.replace("_", " ")
         if not players:
             found.append(Finding(ERROR, f"No object is the {words}: select yours and adopt it, or build a preset"))
         elif len(players) > 1:
@@ -151,14 +162,14 @@ def _roles(scene: bpy.types.Scene) -> list[Finding]:
 
 def _frame(scene: bpy.types.Scene) -> list[Finding]:
     found = []
-    wall, target = stage.find(scene, "relay_wall"), stage.find(scene, "target")
-    if why := stage.unseen(scene, target):
+    wall, target = roles.find(scene, "relay_wall"), roles.find(scene, "target")
+    if why := roles.unseen(scene, target):
         found.append(Finding(ERROR, f"The target {target.name!r} {why}", target.name, "show"))
     if not adopt.in_metres(scene):
         unit = scene.unit_settings.scale_length
         text = f"A Blender unit is {unit:g} m here; light, voxels and poses count in metres"
         found.append(Finding(ERROR, text, fix="metres"))
-    if not stage.in_frame(wall, stage.snapshot(scene)):
+    if not geometry.in_frame(wall, geometry.snapshot(scene)):
         text = f"The relay wall {wall.name!r} is not in the plane y = 0, which the lab's frame starts from"
         found.append(Finding(ERROR, text, wall.name, "align"))
     return found
@@ -170,14 +181,14 @@ def _settings(scene: bpy.types.Scene) -> list[Finding]:
         found.append(
             Finding(WARNING, "Cycles is not the scene's render engine: F12 shows another picture", fix="reflections")
         )
-    order = stage.reflection_order(scene)
-    if order < extract.MAX_ORDER:
+    order = roles.reflection_order(scene)
+    if order < MAX_ORDER:
         text = f"Light makes {order} reflections at most: by way of the hidden object it takes three"
         found.append(Finding(ERROR, text, fix="reflections"))
-    elif order > extract.MAX_ORDER:
+    elif order > MAX_ORDER:
         text = f"Light makes up to {order} reflections: more than three cost time and wash the signal out"
         found.append(Finding(NOTE, text, fix="reflections"))
-    if others := stage.others(scene):
+    if others := roles.others(scene):
         some = ", ".join(others[:3]) + (f" and {len(others) - 3} more" if len(others) > 3 else "")
         found.append(Finding(NOTE, f"Also rendered, without a role: {some}", others[0]))
     if differing := replaced.replaced(scene):
@@ -190,27 +201,27 @@ def _settings(scene: bpy.types.Scene) -> list[Finding]:
 
 
 def _engine(scene: bpy.types.Scene, engine: str) -> list[Finding]:
-    surveyed = extract.survey(scene)
+    surveyed = survey.survey(scene)
     if surveyed.never:
         return [Finding(ERROR, f"It cannot be swept: {why}", _named(scene, why)) for why in surveyed.never]
-    chosen, _ = engines.choose(scene, surveyed)
-    if engine in (spec.AUTO, chosen):
+    chosen, _ = renderers.choose(scene, surveyed)
+    if engine in (AUTO, chosen):
         return []
     # Whoever asks for `surfel` gets ambient light to a few per cent; nobody is advised to.
-    reasons = (extract.survey(scene, ambient=True) if engine == "surfel" else surveyed).reasons(engine)
+    reasons = (survey.survey(scene, ambient=True) if engine == "surfel" else surveyed).reasons(engine)
     if reasons:
         return [
             Finding(ERROR, f"The engine {engine!r} cannot honour that {why}; {chosen!r} can", _named(scene, why))
             for why in reasons
         ]
-    if engines.ENGINES.index(chosen) > engines.ENGINES.index(engine):
+    if renderers.ENGINES.index(chosen) > renderers.ENGINES.index(engine):
         return [Finding(NOTE, f"The engine {chosen!r} can render this scene too, in less time")]
     return []
 
 
-def _sight(scene: bpy.types.Scene, described: spec.Scene) -> list[Finding]:
+def _sight(scene: bpy.types.Scene, described: Scene) -> list[Finding]:
     """Lines of sight that must not be, and those that must."""
-    seen, grid = stage.snapshot(scene), described.grid
+    seen, grid = geometry.snapshot(scene), described.grid
     eyes = Eyes.of(scene, seen)
     along = _LATTICE if grid.n_voxels <= _MANY else _LATTICE[1:2]
     u, v, w = np.meshgrid(along, along, along, indexing="ij")
@@ -220,9 +231,9 @@ def _sight(scene: bpy.types.Scene, described: spec.Scene) -> list[Finding]:
     bounds = [grid.bounds(int(voxel)) for voxel in looked]
     points = [lo + lattice * (hi - lo) for lo, hi in bounds]
     found = []
-    lamp, camera = stage.find(scene, "spot"), stage.find(scene, "camera")
+    lamp, camera = roles.find(scene, "spot"), roles.find(scene, "camera")
     at = seen.matrices["spot"][:3, 3]
-    starts, corners = stage.view(scene, camera, seen.matrices["camera"])
+    starts, corners = geometry.view(scene, camera, seen.matrices["camera"])
     shown = {lamp: eyes.of_lamp(lamp), camera: eyes.rays("camera")}
     for obj, solid, does in zip(
         (lamp, camera), clearance.sights(scene, described.spot, seen), ("shines", "looks"), strict=True
@@ -277,12 +288,12 @@ def _sight(scene: bpy.types.Scene, described: spec.Scene) -> list[Finding]:
 
 
 def _lights(
-    scene: bpy.types.Scene, eyes: Eyes, watched: Array, voxels: Mapping[str, Any], grid: spec.VoxelGrid
+    scene: bpy.types.Scene, eyes: Eyes, watched: Array, voxels: Mapping[str, Any], grid: VoxelGrid
 ) -> list[Finding]:
     """What lights there are besides the spot, and what they shine on directly."""
     told: dict[tuple[str, str], list[str]] = {}
     shining: dict[str, list[Light]] = {}
-    for light in extract.other_lights(extract.lights(scene)):
+    for light in other_lights(lights(scene)):
         shining.setdefault(light.name, []).append(light)
     for name, alike in shining.items():
         what = _one_light(scene, alike, eyes, watched, voxels, grid.labels)
@@ -304,7 +315,7 @@ def _one_light(
     every: Sequence[str],
 ) -> tuple[str, str] | None:
     """What is to be said of the lights that are the same object, instanced; None if they light nothing here."""
-    wall, target = stage.find(scene, "relay_wall"), stage.find(scene, "target")
+    wall, target = roles.find(scene, "relay_wall"), roles.find(scene, "target")
     if alike[0].kind == "WORLD":
         layers = [layer for layer in scene.view_layers if layer.use]
         shows = scene.world is None or scene.world.cycles_visibility.diffuse
@@ -366,14 +377,14 @@ def _voxels(labels: Sequence[str], every: Sequence[str]) -> str:
 
 def places(scene: bpy.types.Scene, sweep: Sweep) -> list[Finding]:
     """Return the voxel, if there is one, in which the target finds no place."""
-    described = stage.read(scene)
+    described = read_scene(scene)
     is_free = clearance.clearance(scene, described, engine=sweep.engine)
-    sampler = poses.Sampler(described.grid, sweep, stage.hull(scene), is_free)
+    sampler = poses.Sampler(described.grid, sweep, geometry.hull(scene), is_free)
     for voxel in range(described.grid.n_voxels):
         try:
             sampler.draw(voxel, 0)
         except NlosError as error:
-            return [Finding(ERROR, str(error), stage.find(scene, "target").name, "voxels")]
+            return [Finding(ERROR, str(error), roles.find(scene, "target").name, "voxels")]
     return []
 
 
@@ -415,7 +426,7 @@ class Probe:
 
     def findings(self) -> list[Finding]:
         """Return it in sentences."""
-        cost = f"A sweep takes about {_clock(self.seconds)} and {_size(self.bytes)} on disk"
+        cost = f"A sweep takes about {rough_time(self.seconds)} and {byte_size(self.bytes)} on disk"
         return [self._signal(), Finding(NOTE, cost)]
 
     def _signal(self) -> Finding:
@@ -460,12 +471,12 @@ def probe(scene: bpy.types.Scene, sweep: Sweep) -> Probe:
     NlosError
         The engine cannot honour something in the scene.
     """
-    voxels = stage.read(scene).grid.n_voxels
+    voxels = read_scene(scene).grid.n_voxels
     pictures = sweep.poses * voxels
     few = min(_PROBE_SAMPLES, sweep.samples)
-    other = sweep.engine == "surfel" or not extract.survey(scene, ambient=True).reasons("surfel")
-    with engines.opened(scene, sweep.engine, **engines.settings(sweep)) as renderer:
-        exact = isinstance(renderer, engines.SurfelRenderer)
+    other = sweep.engine == "surfel" or not survey.survey(scene, ambient=True).reasons("surfel")
+    with renderers.opened(scene, sweep.engine, **renderers.settings(sweep)) as renderer:
+        exact = isinstance(renderer, SurfelRenderer)
         renderer.render(samples=few, seed=0)  # what is made once is no part of a picture's time
         if not exact:
             renderer.render(samples=few, seed=0, target=False)
@@ -513,7 +524,7 @@ def _exactly(scene: bpy.types.Scene, resolution: tuple[int, int]) -> tuple[float
     """What the object changes by the engine `surfel`: mean, of the picture's, and mean square of the difference."""
     longer = max(1.0, max(resolution) / _SMALL)
     size = (max(1, round(resolution[0] / longer)), max(1, round(resolution[1] / longer)))
-    with engines.opened(scene, "surfel", resolution=size, accuracy=_ROUGH) as renderer:
+    with renderers.opened(scene, "surfel", resolution=size, accuracy=_ROUGH) as renderer:
         picture = renderer.render(samples=0, seed=0).astype(np.float64).mean(axis=2)
         difference = picture - renderer.render(samples=0, seed=0, target=False).mean(axis=2)
     level = float(picture.mean())
@@ -539,11 +550,11 @@ def _share(share: float) -> str:
     return f"{share:.2%}" if abs(share) >= 1e-3 or share == 0.0 else f"{100.0 * share:.2g} %"
 
 
-def _clock(seconds: float) -> str:
-    if seconds < 90.0:
-        return f"{seconds:.0f} s"
-    return f"{seconds / 60.0:.0f} min" if seconds < 5400.0 else f"{seconds / 3600.0:.1f} h"
-
-
-def _size(count: float) -> str:
-    return f"{count / 1e6:.3g} MB" if count < 1e9 else f"{count / 1e9:.3g} GB"
+def check_scene(scene: bpy.types.Scene, chosen: Mapping[str, Any]) -> list[check.Finding]:
+    """Return what is to be said of a scene before a sweep with the settings that the user chose."""
+    found = check.findings(scene, engine=chosen.get("engine", AUTO))
+    if check.hopeless(found):
+        return found
+    sweep, _ = settled(scene, read_scene(scene), chosen)
+    found += check.places(scene, sweep)
+    return found if check.hopeless(found) else [*found, *check.probe(scene, sweep).findings()]

@@ -12,9 +12,9 @@ import numpy as np
 from mathutils import Vector
 from mathutils.bvhtree import BVHTree
 
-from generator.blender.engines.extract import Light
-from generator.blender.scene import clearance, stage
-from generator.model.spec import Array
+from generator.blender.engines.surface import Light
+from generator.blender.scene import clearance, geometry, roles
+from generator.model.arrays import Array
 
 _STEPS = np.linspace(0.0, 1.0, 200)
 """Where a cone of light is looked at, along it."""
@@ -51,7 +51,7 @@ class Eyes:
         self.size = size
 
     @classmethod
-    def of(cls, scene: bpy.types.Scene, seen: stage.Snapshot) -> Eyes:
+    def of(cls, scene: bpy.types.Scene, seen: geometry.Snapshot) -> Eyes:
         """Return those of a scene in which everything is in the way."""
         obstacles, corners = [], [np.zeros((0, 3))]
         for shape in clearance.others(scene, seen):
@@ -137,7 +137,7 @@ class Beam:
         """Whether it lights one of points (n, 3) of the target, wherever it may be, or of the front of the wall."""
         if self._object is not None and not self._lights(receiver):
             return False
-        return any(self._reaches(point, front=receiver.get(stage.ROLE) == "relay_wall") for point in points)
+        return any(self._reaches(point, front=receiver.get(roles.ROLE) == "relay_wall") for point in points)
 
     def passes(self, receiver: bpy.types.Object, low: Array, high: Array) -> bool:
         """Whether a narrow cone of light goes through a box on its way, between its corners (3,)."""
@@ -173,7 +173,7 @@ class Beam:
         """Whether its rays may be reflected by an object at all."""
         lamp: Any = self._object
         # What the target is made of may change; the wall is diffuse.
-        kinds = _RAYS if receiver.get(stage.ROLE) == "target" else ("diffuse",)
+        kinds = _RAYS if receiver.get(roles.ROLE) == "target" else ("diffuse",)
         if not any(getattr(lamp, f"visible_{kind}") for kind in kinds):
             return False
         linking = getattr(lamp, "light_linking", None)

@@ -7,7 +7,8 @@ from dataclasses import dataclass, field
 import bpy
 
 from generator.blender import check
-from generator.model.spec import AUTO, NlosError
+from generator.model.errors import NlosError
+from generator.model.settings import AUTO
 
 
 @dataclass(frozen=True)

@@ -1,8 +1,8 @@
 """The check at the start of a sweep: does the chosen engine render what the file says, as plain Cycles does?
 
 One pose, by both. The reference is the scene's file opened in Blender, the target put where the pose says, and F12:
-nothing of `generator.blender.engines.engines` takes part, so that a fault there, or in what is read out of the scene,
-shows. The engine's side is a data set of that pose in a temporary folder, made as the sweep would make it.
+nothing of `generator.blender.engines.renderers` takes part, so that a fault there, or in what is read out of the
+scene, shows. The engine's side is a data set of that pose in a temporary folder, made as the sweep would make it.
 
 Plain Cycles must find the small lit patch by chance, and is noisy. More of its paths find a wider one, so both render
 the scene a second time with the spot's cone as wide as the scene lets it be.
@@ -23,13 +23,18 @@ import bpy
 import numpy as np
 from mathutils import Euler, Matrix, Vector
 
-from generator.blender.scene import stage
-from generator.jobs.sweep import BACKGROUND_FACTOR
+from generator.blender.scene import blend_file
+from generator.blender.scene.quiet import Overrides, quiet
+from generator.files.pictures import read_picture
+from generator.files.toml import from_dict, to_dict
 from generator.measure import agreement
 from generator.measure.agreement import Figure
-from generator.model import poses, spec
-from generator.model.spec import Array, NlosError, Sweep
-from generator.sets.dataset import Dataset, PoseRecord, read_picture
+from generator.model import poses
+from generator.model.arrays import Array
+from generator.model.errors import NlosError
+from generator.model.poses import PoseRecord
+from generator.model.settings import BACKGROUND_FACTOR, Sweep
+from generator.sets.dataset import Dataset
 
 SIDE = 16
 """Longer side of the pictures, pixels: radiance is a mean over a pixel, and the fewer there are the more paths has
@@ -71,7 +76,7 @@ Found = tuple[list[Figure], float]
 """What a view shows, and the full angle of its spot, radians, or 0 where that is the file's."""
 
 Draw = Callable[[bpy.types.Scene, Dataset, Sequence[Mapping[int, int]]], None]
-"""Renders poses of a data set: `generator.blender.worker.render`."""
+"""Renders poses of a data set: `generator.blender.sweep_worker.render`."""
 
 
 @dataclass
@@ -139,7 +144,7 @@ class Plain:
     def render(self, samples: int, seed: int, *, target: bool = True) -> Array:
         """Return one picture, (height, width, 3), W/m^2/sr."""
         hidden = [] if target else [self.target, *self.target.children_recursive]
-        with stage.Overrides() as overrides:
+        with Overrides() as overrides:
             for part in hidden:
                 overrides.set(part, "hide_render", True)
             return self._render(samples, seed)
@@ -150,7 +155,7 @@ class Plain:
         with tempfile.TemporaryDirectory(prefix="nlos-") as folder:
             scene.render.filepath = str(Path(folder) / "plain.exr")
             scene.update_tag()
-            with stage.quiet():
+            with quiet():
                 bpy.ops.render.render(write_still=True, scene=scene.name)
             pixels = read_picture(Path(scene.render.filepath))[0].astype(np.float64)
         self.seconds = time.perf_counter() - begun
@@ -167,7 +172,7 @@ class Plain:
             return {}
         half = light.spot_size / 2.0
         made = {}
-        with stage.Overrides() as overrides:
+        with Overrides() as overrides:
             for name in ("max_bounces", "volume_bounces"):
                 overrides.set(self.scene.cycles, name, 0)
             overrides.set(self.scene, "world", None)
@@ -194,7 +199,7 @@ class Plain:
         eye.data.clip_end = 1e6 * max(abs(place.y), 1e-6)
         self.scene.collection.objects.link(eye)
         try:
-            with stage.Overrides() as overrides:
+            with Overrides() as overrides:
                 overrides.set(self.scene, "camera", eye)
                 overrides.set(self.scene.render, "resolution_x", 2 * SIDE)
                 overrides.set(self.scene.render, "resolution_y", 2 * SIDE)
@@ -244,7 +249,7 @@ def run(
         They differ by more than their noise.
     """
     begun = time.perf_counter()
-    sweep: Sweep = spec.from_dict(Sweep, {k: v for k, v in meta["sweep"].items() if k in _FIELDS}, "")
+    sweep: Sweep = from_dict(Sweep, {k: v for k, v in meta["sweep"].items() if k in _FIELDS}, "")
     checked = _Check(stored, source, known, meta, sweep, pose, draw)
     found = checked.exact() if sweep.engine == "path" else checked.noisy(pictures)
     for figures, width in found:
@@ -282,7 +287,7 @@ class _Check:
         return max(1, round(width * factor)), max(1, round(height * factor))
 
     def plain(self) -> Plain:
-        return Plain(stage.open_file(self.source, self.known), self.pose, self.size)
+        return Plain(blend_file.open_file(self.source, self.known), self.pose, self.size)
 
     def noisy(self, pictures: int) -> list[Found]:
         """Compare with an engine whose noise is its own: in the scene as it is, and with a wider spot."""
@@ -312,7 +317,7 @@ class _Check:
 
     def _by_engine(self, widths: Mapping[float, Array]) -> tuple[list[_View], float]:
         """What the engine makes of the scene, as it is and with a wider spot; and the seconds of a picture."""
-        scene = stage.open_file(self.stored, self.known)
+        scene = blend_file.open_file(self.stored, self.known)
         drawn, seconds = self._drawn(scene)
         views = [_View(0.0, drawn, self._peak(wide=False))]
         spot = _player(scene, "spot").data
@@ -360,7 +365,7 @@ class _Check:
         sweep = self.sweep
         copies, samples = (_COPIES, _SAMPLES) if sweep.engine == "patch" else (1, _PATH_SAMPLES)
         small = replace(sweep, resolution=self.size, samples=samples, denoise=False, poses=copies, frames=0)
-        settings = {k: v for k, v in spec.to_dict(small).items() if k not in small.unused}
+        settings = {k: v for k, v in to_dict(small).items() if k not in small.unused}
         meta = {**self.meta, "sweep": {**settings, "scene_sha256": self.meta["sweep"]["scene_sha256"]}}
         some = [replace(self.pose, index=k, seed=self._seed(k), file=f"{k:04d}.exr") for k in range(copies)]
         with tempfile.TemporaryDirectory(prefix="nlos-") as folder:
@@ -390,7 +395,7 @@ class _Check:
         return [self._exactly(width) for width in (0.0, 2.0 * _WIDEST)]
 
     def _exactly(self, width: float) -> Found:
-        scene = stage.open_file(self.stored, self.known)
+        scene = blend_file.open_file(self.stored, self.known)
         _widen(_player(scene, "spot"), width)
         engine, _ = self._drawn(scene)
         plain = self.plain()

@@ -8,13 +8,17 @@ from dataclasses import replace
 import bpy
 import numpy as np
 
-from generator.blender.engines import engines, simplify
-from generator.blender.scene import stage
+from generator.blender.engines import renderers, simplify
+from generator.blender.engines.cycles import Renderer
+from generator.blender.engines.surfel import SurfelRenderer
+from generator.blender.scene import geometry, posing
 from generator.blender.scene.clearance import clearance
+from generator.blender.scene.description import read_scene
 from generator.jobs.budget import REHEARSED, Rehearsal
 from generator.model import poses
-from generator.model.spec import Array, Sweep
-from generator.sets.dataset import PoseRecord
+from generator.model.arrays import Array
+from generator.model.poses import PoseRecord
+from generator.model.settings import Sweep
 
 SAMPLES = (8, 48)
 ACCURACIES = (1e-1, 1e-3)
@@ -39,12 +43,12 @@ def rehearse(scene: bpy.types.Scene, sweep: Sweep, *, share: tuple[int, int] = (
     NlosError
         The scene cannot be swept so.
     """
-    described = stage.read(scene)
+    described = read_scene(scene)
     voxels = np.unique(
         np.linspace(0, described.grid.n_voxels - 1, min(REHEARSED, described.grid.n_voxels)).astype(int)
     )
     is_free = clearance(scene, described, engine=sweep.engine)
-    planned = {r.voxel: r for r in poses.plan(described.grid, replace(sweep, poses=1), stage.hull(scene), is_free)}
+    planned = {r.voxel: r for r in poses.plan(described.grid, replace(sweep, poses=1), geometry.hull(scene), is_free)}
     mine = [planned[int(voxel)] for voxel in voxels][share[0] :: share[1]]
     simplify.apply(scene, sweep.leave_out)
     if sweep.engine == "surfel":
@@ -57,11 +61,11 @@ def rehearse(scene: bpy.types.Scene, sweep: Sweep, *, share: tuple[int, int] = (
 
 def _exact(scene: bpy.types.Scene, sweep: Sweep, mine: list[PoseRecord], threads: int) -> tuple[float, float]:
     took = []
-    settings = engines.settings(sweep)
+    settings = renderers.settings(sweep)
     for accuracy in ACCURACIES:
         settings["accuracy"] = accuracy
-        with engines.opened(scene, sweep.engine, threads=threads, **settings) as renderer:
-            assert isinstance(renderer, engines.SurfelRenderer)
+        with renderers.opened(scene, sweep.engine, threads=threads, **settings) as renderer:
+            assert isinstance(renderer, SurfelRenderer)
             places, turns = [p.position for p in mine], [p.rotation for p in mine]
             renderer.pictures(places, turns)  # what is compiled and made once is no part of a picture's time
             start = time.perf_counter()
@@ -75,11 +79,11 @@ def _noisy(
 ) -> tuple[tuple[float, float], list[float]]:
     share = 1.0 / SAMPLES[0] - 1.0 / SAMPLES[1]
     took, noise = np.zeros(2), []
-    with engines.opened(scene, sweep.engine, threads=threads, **engines.settings(sweep)) as renderer:
-        assert isinstance(renderer, engines.Renderer)
+    with renderers.opened(scene, sweep.engine, threads=threads, **renderers.settings(sweep)) as renderer:
+        assert isinstance(renderer, Renderer)
         renderer.render(samples=1, seed=0)
         for pose in mine:
-            stage.move_target(scene, pose.position, pose.rotation)
+            posing.move_target(scene, pose.position, pose.rotation)
             seen: list[Array] = []
             for round_, samples in enumerate(SAMPLES):
                 start = time.perf_counter()

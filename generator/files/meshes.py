@@ -7,7 +7,7 @@ import tempfile
 from collections.abc import Iterator
 from pathlib import Path
 
-from generator.model.spec import NlosError
+from generator.model.errors import NlosError
 
 _HEAD = 2**16
 """Bytes within which a PLY's header ends."""

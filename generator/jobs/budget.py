@@ -5,7 +5,6 @@ from __future__ import annotations
 import contextlib
 import json
 import math
-import re
 import threading
 import time
 from collections.abc import Callable, Mapping, Sequence
@@ -15,9 +14,12 @@ from typing import Any
 
 import numpy as np
 
-from generator.jobs import sweep
-from generator.jobs.sweep import BACKGROUND_FACTOR
-from generator.model.spec import NlosError, Sweep
+from generator.jobs.protocol import FORCE
+from generator.jobs.workers import Launch, Worker, available_cores, python
+from generator.model.errors import NlosError
+from generator.model.quantities import clock, percent
+from generator.model.settings import BACKGROUND_FACTOR, Sweep
+from generator.transport import caching
 
 FINE = 1e-4
 """Of `surfel`: finer than this, float32 pictures do not hold what an object changes by a thousandth."""
@@ -35,39 +37,6 @@ REHEARSED = 9
 
 _WRITING = 2e-3
 """Seconds to write a picture and its line."""
-_UNITS = {"": 1.0, "s": 1.0, "min": 60.0, "m": 60.0, "h": 3600.0, "d": 86400.0}
-
-
-def seconds(text: str) -> float:
-    """Return a time in seconds: 90, 90s, 10min, 1.5h, 2d.
-
-    Raises
-    ------
-    NlosError
-        It is none.
-    """
-    match = re.fullmatch(r"\s*(\d+\.?\d*|\.\d+)\s*([a-z]*)\s*", text)
-    if not match or match[2] not in _UNITS or float(match[1]) <= 0.0:
-        raise NlosError(f"time {text!r}: must read like 90s, 10min, 1.5h or 2d")
-    return float(match[1]) * _UNITS[match[2]]
-
-
-def fraction(text: str) -> float:
-    """Return a relative accuracy: 0.01 or 1%.
-
-    Raises
-    ------
-    NlosError
-        It is none.
-    """
-    number, percent, rest = text.strip().partition("%")
-    try:
-        value = float(number) / (100.0 if percent else 1.0)
-    except ValueError:
-        value = math.nan
-    if rest or not 0.0 < value < 1.0:
-        raise NlosError(f"accuracy {text!r}: must be between 0 and 1, or read like 1%")
-    return value
 
 
 @dataclass(frozen=True)
@@ -228,7 +197,7 @@ def choose(
     accuracy: float = 0.0,
     workers: int = 0,
     tell: Callable[[str], None] = lambda words: None,
-    launch: sweep.Launch = sweep.python,
+    launch: Launch = python,
     force: bool = False,
 ) -> Choice:
     """Return the settings of a sweep that ends in a time, or is as exact as asked for, whichever takes less.
@@ -263,7 +232,7 @@ def choose(
         raise NlosError("samples: follow from --budget and --accuracy; leave them out, or leave these out")
     begun = time.monotonic()
     settings = {"engine": "auto", **{k: v for k, v in chosen.items() if k != "accuracy"}}
-    if words := sweep.compiling_words(str(settings["engine"])):
+    if words := caching.compiling_words(str(settings["engine"])):
         tell(words)
     known = rehearsed(scene, settings, workers, launch, force=force)
     pictures = int(settings.get("poses", Sweep.poses)) * known.voxels
@@ -277,13 +246,13 @@ def choose(
     least = known.total(low, pictures)
     if least > left:
         raise NlosError(
-            f"--budget: {pictures} pictures take {sweep.clock(least)} at the very least, and "
-            f"{sweep.clock(max(left, 0.0))} are left of it; ask for fewer poses, a lower resolution, or more time"
+            f"--budget: {pictures} pictures take {clock(least)} at the very least, and "
+            f"{clock(max(left, 0.0))} are left of it; ask for fewer poses, a lower resolution, or more time"
         )
     settings["engine"] = known.engine
     pace = None
     reason = "as exact as asked for" if accuracy and work >= high else "what the budget allows"
-    took = sweep.clock(known.total(work, pictures))
+    took = clock(known.total(work, pictures))
     if surfel:
         settings["accuracy"] = float(f"{1.0 / work:.2g}")
         error, words = settings["accuracy"], f"accuracy {settings['accuracy']:g}"
@@ -295,32 +264,26 @@ def choose(
             pace = Pace(known, settings["samples"], pictures, begun + _FILL * budget)
     if surfel and work >= 1.0 / FINE:
         reason = "as exact as float32 pictures can hold"
-    tell(f"{known.engine}, {words}: {reason}; about {took}, error of a difference picture {_percent(error)}")
+    tell(f"{known.engine}, {words}: {reason}; about {took}, error of a difference picture {percent(error)}")
     return Choice(settings, pace)
-
-
-def _percent(share: float) -> str:
-    return f"{100.0 * share:.2g} %"
 
 
 def rehearsed(
     scene: Path,
     settings: Mapping[str, Any],
     workers: int = 0,
-    launch: sweep.Launch = sweep.python,
+    launch: Launch = python,
     *,
     force: bool = False,
 ) -> Measured:
     """Rehearse a sweep, on as many workers as it will have, side by side; 0 is one per core."""
-    cores = sweep.available_cores()
+    cores = available_cores()
     crew = max(1, min(workers or cores, REHEARSED))
     begun = time.monotonic()
     arguments = ["generator.blender.worker", "rehearse", str(scene), json.dumps(settings), str(max(1, cores // crew))]
-    forced = [sweep.FORCE] if force else []
+    forced = [FORCE] if force else []
     with contextlib.ExitStack() as stack:
-        started = [
-            stack.enter_context(sweep.Worker([*arguments, f"{i}/{crew}", *forced], launch)) for i in range(crew)
-        ]
+        started = [stack.enter_context(Worker([*arguments, f"{i}/{crew}", *forced], launch)) for i in range(crew)]
         told = [worker.answer() for worker in started]
         for worker, answer in zip(started, told, strict=True):
             if answer is None:

@@ -10,9 +10,10 @@ from pathlib import Path
 from typing import Any
 
 from generator.jobs import journal, sweep
-from generator.model.spec import NlosError
+from generator.model.errors import NlosError
+from generator.model.quantities import Progress
 from generator.sets import links
-from generator.sets.dataset import SCENE
+from generator.sets.manifest import SCENE
 
 LOGS = ".jobs"
 """Folder of what jobs print, in the data set."""
@@ -59,7 +60,7 @@ def run(
     shares: int = 8,
     workers: int = 0,
     options: Mapping[str, Any] | None = None,
-    progress: sweep.Progress = lambda done, total: None,
+    progress: Progress = lambda done, total: None,
     tell: Callable[[str], None] = lambda words: None,
     force: bool = False,
     probe: bool = True,

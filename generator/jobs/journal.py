@@ -17,9 +17,11 @@ from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Any
 
+from generator.files.writing import is_alive, write_text
 from generator.jobs import remaining
-from generator.model.spec import NlosError
-from generator.sets.dataset import LOG, Dataset, is_alive, write_text
+from generator.model.errors import NlosError
+from generator.sets.dataset import Dataset
+from generator.sets.manifest import LOG
 
 RUNS = ".runs"
 RUNNING, ENDED = "running", "ended"
@@ -246,7 +248,7 @@ def read(path: Path) -> dict[str, Any]:
 
 def words(found: Mapping[str, Any]) -> list[str]:
     """Return what `read` found, for a person."""
-    from generator.jobs.sweep import clock  # which keeps a journal itself
+    from generator.model.quantities import clock  # which keeps a journal itself
 
     made = [f"{found['path']}: {found['done']} of {found['planned']} pictures"]
     if found["seconds_left"] is not None:

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from generator.model.spec import Array
+from generator.model.arrays import Array
 
 SURE = 6.0
 """Standard errors beyond the tolerance from which on two figures differ. A normal figure goes so far once in 5e8; the

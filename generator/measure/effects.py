@@ -14,7 +14,7 @@ import numpy as np
 
 from generator.measure.intervals import relative
 from generator.measure.plan_file import Effect
-from generator.model.spec import Array
+from generator.model.arrays import Array
 from generator.transport import Transport, World
 from generator.transport.left_out import PARTS, PATCH
 

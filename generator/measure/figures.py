@@ -13,8 +13,8 @@ import numpy as np
 from matplotlib import pyplot as plt
 from matplotlib.figure import Figure
 
-from generator.model.spec import Array
-from generator.sets.dataset import atomic
+from generator.files.writing import atomic
+from generator.model.arrays import Array
 
 _QUANTILE = 0.995
 

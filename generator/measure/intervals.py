@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from scipy import stats
 
-from generator.model.spec import Array
+from generator.model.arrays import Array
 
 _RESAMPLES = 2000
 

@@ -10,9 +10,11 @@ from typing import Any
 
 import numpy as np
 
-from generator.jobs.sweep import clock
-from generator.model.spec import NlosError, dump_toml, read_toml
-from generator.sets.dataset import PLAN, csv_text, scene_hash, write_text
+from generator.files.toml import dump_toml, read_toml
+from generator.files.writing import csv_text, write_text
+from generator.model.errors import NlosError
+from generator.model.quantities import clock
+from generator.sets.manifest import PLAN, scene_hash
 
 FORMAT = 1
 FILE = PLAN

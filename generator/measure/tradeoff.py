@@ -11,11 +11,16 @@ from typing import Any
 import numpy as np
 from matplotlib import pyplot as plt
 
+from generator.files.writing import csv_text, write_text
 from generator.jobs import sweep
+from generator.jobs.workers import available_cores
 from generator.measure import figures
 from generator.measure.intervals import bootstrap
-from generator.model.spec import Array, NlosError
-from generator.sets.dataset import Dataset, csv_text, write_text
+from generator.model.arrays import Array
+from generator.model.errors import NlosError
+from generator.model.quantities import clock
+from generator.sets.dataset import Dataset
+from generator.transport import caching
 
 REFERENCE = "reference"
 
@@ -35,7 +40,7 @@ class Rung:
     name : str
         Of its folder.
     settings : dict
-        Fields of `generator.model.spec.Sweep`.
+        Fields of `generator.model.settings.Sweep`.
     """
 
     name: str
@@ -120,7 +125,7 @@ def run(
     common: dict[str, Any] = {"poses": poses, "seed": seed}
     if resolution:
         common["resolution"] = resolution
-    if words := sweep.compiling_words("auto"):
+    if words := caching.compiling_words("auto"):
         tell(words)
     with tempfile.TemporaryDirectory(prefix="nlos-") as trial:
         settings = {**common, "poses": 1, "engine": "auto"}
@@ -133,14 +138,14 @@ def run(
         kind, work = _kind(rung), float(rung.settings.get("samples", 1))
         guess = took.get(kind, 0.0) * work
         if guess > most:
-            tell(f"{rung.name}: left out, would take about {sweep.clock(guess)}")
+            tell(f"{rung.name}: left out, would take about {clock(guess)}")
             continue
         options: dict[str, Any] = {"workers": workers, "force": force, "probe": False}
         outcome = sweep.run(scene, folder / rung.name, {**common, **rung.settings}, **options)
         if outcome.failed:
             raise NlosError(f"{folder / rung.name}: {outcome.failed[0]}")
         seconds = sum(record.seconds for record in outcome.dataset.records)
-        took[kind] = seconds / work / max(1, workers or sweep.available_cores())
+        took[kind] = seconds / work / max(1, workers or available_cores())
         tell(f"{rung.name}: {seconds / len(outcome.dataset.records):.3g} core seconds a picture")
     return costs(folder)
 
@@ -208,14 +213,14 @@ HEADINGS = ("way", "core s a picture", "error", "light that is there", "900 pict
 def rows(found: Sequence[Cost]) -> list[tuple[str, ...]]:
     """Return a table: a row for each rung."""
     best = front([c.seconds for c in found], [c.error[0] for c in found])
-    cores = sweep.available_cores()
+    cores = available_cores()
     return [
         (
             cost.name,
             f"{cost.seconds:.3g}",
             "{:.3g} % ({:.3g} to {:.3g})".format(*(100.0 * e for e in cost.error)),
             "{:.4g} ({:.4g} to {:.4g})".format(*cost.level),
-            sweep.clock(900.0 * cost.seconds / cores),
+            clock(900.0 * cost.seconds / cores),
             "yes" if number in best else "",
         )
         for number, cost in enumerate(found)
@@ -225,19 +230,17 @@ def rows(found: Sequence[Cost]) -> list[tuple[str, ...]]:
 def advice(found: Sequence[Cost], budgets: Sequence[float] = (60.0, 600.0, 3600.0, 86400.0)) -> list[str]:
     """Return which way to take for each time that 900 pictures may last here, and when the next is worth it."""
     best = [found[k] for k in front([c.seconds for c in found], [c.error[0] for c in found])]
-    whole = [900.0 * cost.seconds / sweep.available_cores() for cost in best]
+    whole = [900.0 * cost.seconds / available_cores() for cost in best]
     told = []
     for limit in budgets:
         within = [k for k, seconds in enumerate(whole) if seconds <= limit]
         if not within:
-            told.append(
-                f"900 pictures in {sweep.clock(limit)}: none ends; the quickest takes {sweep.clock(whole[0])}"
-            )
+            told.append(f"900 pictures in {clock(limit)}: none ends; the quickest takes {clock(whole[0])}")
             continue
         k = within[-1]
-        line = f"900 pictures in {sweep.clock(limit)}: take {best[k].name}, error {100.0 * best[k].error[0]:.3g} %"
+        line = f"900 pictures in {clock(limit)}: take {best[k].name}, error {100.0 * best[k].error[0]:.3g} %"
         if k + 1 < len(best):
-            line += f"; the next useful step, {best[k + 1].name}, takes {sweep.clock(whole[k + 1])}"
+            line += f"; the next useful step, {best[k + 1].name}, takes {clock(whole[k + 1])}"
         told.append(line)
         if k + 1 == len(best):
             break

@@ -7,15 +7,18 @@ more poses later changes it.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
-from dataclasses import replace
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, replace
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from generator.model.spec import Array, NlosError, Sweep, Vector, VoxelGrid, rotation_matrix, rotation_rows
-from generator.sets.dataset import PoseRecord
+from generator.model.arrays import Array, Vector, rotation_matrix, rotation_rows
+from generator.model.errors import NlosError
+from generator.model.grid import VoxelGrid
+from generator.model.settings import Sweep
 
 Pose = tuple[Vector, Vector]
 
@@ -322,3 +325,87 @@ def _spread(points: Array) -> Array:
     directions = np.stack([ring * np.cos(turn), ring * np.sin(turn), z])
     chosen: Array = points[np.unique((points @ directions).argmax(axis=0))]
     return chosen
+
+
+PLANNED_COLUMNS = ["index", "voxel", "label", "x", "y", "z", "rx", "ry", "rz", "seed", "file"]
+
+
+POSE_COLUMNS = [*PLANNED_COLUMNS, "pixel_hash", "seconds", "samples"]
+
+
+@dataclass(frozen=True)
+class PoseRecord:
+    """One row of ``poses.csv``.
+
+    Attributes
+    ----------
+    index : int
+        Of the pose within its voxel.
+    voxel, label : int, str
+        Which voxel the target stands in.
+    position : (float, float, float)
+        Of the target's origin, metres.
+    rotation : (float, float, float)
+        Euler angles about x, then y, then z, degrees.
+    seed : int
+        Of the renderer's noise, 31 bits.
+    file : str
+        Picture, relative to the data set.
+    pixel_hash : str
+        Empty until the picture is rendered.
+    seconds : float
+        Spent on rendering it.
+    samples : int
+        Camera rays per pixel.
+    """
+
+    index: int
+    voxel: int
+    label: str
+    position: Vector
+    rotation: Vector
+    seed: int
+    file: str
+    pixel_hash: str = ""
+    seconds: float = 0.0
+    samples: int = 0
+
+    @property
+    def plan(self) -> tuple[Any, ...]:
+        """What was planned, without what rendering added."""
+        return self.index, self.voxel, self.label, self.position, self.rotation, self.seed, self.file
+
+    @property
+    def done(self) -> bool:
+        """Whether the picture has been rendered."""
+        return bool(self.pixel_hash)
+
+    def row(self) -> list[str]:
+        """Return the record as strings, in the manifest's order; floats keep every digit."""
+        plan = [self.index, self.voxel, self.label, *self.position, *self.rotation, self.seed, self.file]
+        result = [self.pixel_hash, f"{self.seconds:.3f}", self.samples] if self.done else ["", "", ""]
+        return [repr(float(v)) if isinstance(v, float) else str(v) for v in plan] + [str(v) for v in result]
+
+    @classmethod
+    def from_row(cls, row: Mapping[str, str]) -> PoseRecord:
+        """Return the record of a manifest's row; ValueError or KeyError if it is none."""
+        if set(row) - set(POSE_COLUMNS):
+            raise ValueError("it has more columns than this software writes")
+        file = row["file"]
+        if Path(file).is_absolute() or ".." in Path(file).parts:
+            raise ValueError(f"file {file!r} lies outside the data set")
+        x, y, z, rx, ry, rz = (float(row[name]) for name in ("x", "y", "z", "rx", "ry", "rz"))
+        if not all(map(math.isfinite, (x, y, z, rx, ry, rz))):
+            raise ValueError("its place or rotation is not finite")
+        return cls(
+            index=int(row["index"]),
+            voxel=int(row["voxel"]),
+            label=row["label"],
+            position=(x, y, z),
+            rotation=(rx, ry, rz),
+            seed=int(row["seed"]),
+            file=file,
+            pixel_hash=row["pixel_hash"],
+            seconds=float(row["seconds"] or 0.0),
+            samples=int(row["samples"] or 0),
+        )

@@ -11,27 +11,18 @@ import os
 from collections import Counter, defaultdict
 from collections.abc import Collection, Iterator, Mapping
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from generator.model.poses import noise_seed
+from generator.files.writing import fingerprint
+from generator.model.poses import PoseRecord, noise_seed
 from generator.sets import seal
-from generator.sets.dataset import (
-    FORMAT,
-    LOG,
-    MANIFEST,
-    PLAN,
-    POSES,
-    RENDER_AGAIN,
-    SCENE,
-    Dataset,
-    PoseRecord,
-    fingerprint,
-    plan_hash,
-    rendered,
-    scene_hash,
-)
+from generator.sets.manifest import FORMAT, LOG, MANIFEST, PLAN, POSES, SCENE, plan_hash, scene_hash
+from generator.sets.readable import RENDER_AGAIN, rendered
+
+if TYPE_CHECKING:
+    from generator.sets.dataset import Dataset
 
 PUT_BACK = "put the file back as it was"
 

@@ -8,8 +8,8 @@ from collections.abc import Collection, Iterator, Mapping
 from pathlib import Path
 from typing import Any
 
-from generator.model.spec import NlosError
-from generator.sets.dataset import file_hash
+from generator.files.writing import file_hash
+from generator.model.errors import NlosError
 
 TRUST = "NLOS_TRUST_LINKS"
 """Environment variable by which ``--trust-links`` reaches the workers, wherever they run."""

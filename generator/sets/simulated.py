@@ -1,4 +1,4 @@
-"""A bulk set (`generator.sets.bulk`), read as if it were a data set of pictures in files."""
+"""A bulk set (`generator.sets.bulk_set`), read as if it were a data set of pictures in files."""
 
 from __future__ import annotations
 
@@ -9,9 +9,13 @@ from typing import Any
 
 import numpy as np
 
-from generator.model.spec import NlosError, VoxelGrid
-from generator.sets.bulk import Bulk
-from generator.sets.dataset import Dataset, Picture, PoseRecord, Readable
+from generator.files.pictures import Picture
+from generator.model.errors import NlosError
+from generator.model.grid import VoxelGrid
+from generator.model.poses import PoseRecord
+from generator.sets.bulk_set import Bulk
+from generator.sets.dataset import Dataset
+from generator.sets.readable import Readable
 
 
 class Simulated:

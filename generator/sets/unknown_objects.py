@@ -10,7 +10,10 @@ import itertools
 
 import numpy as np
 
-from generator.model.spec import Array, NlosError, Sweep, VoxelGrid, rotation_matrix
+from generator.model.arrays import Array, rotation_matrix
+from generator.model.errors import NlosError
+from generator.model.grid import VoxelGrid
+from generator.model.settings import Sweep
 from generator.transport.world import Mesh
 
 SMALLEST, LARGEST, TALLEST = 0.2, 1.0, 1.6

@@ -26,7 +26,7 @@ import numpy as np
 from numpy.polynomial.legendre import leggauss, legvander
 from numpy.typing import NDArray
 
-from generator.model.spec import NlosError
+from generator.model.errors import NlosError
 from generator.transport import picture
 from generator.transport.prepared import Setting
 from generator.transport.rays import Surfaces

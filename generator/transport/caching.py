@@ -11,6 +11,8 @@ import tempfile
 from collections.abc import Iterator
 from pathlib import Path
 
+from generator.transport import caching
+
 _HERE = Path(__file__).resolve().parent
 
 
@@ -62,3 +64,15 @@ def _private() -> Path:
     if not stat.S_ISDIR(found.st_mode) or found.st_uid != os.getuid() or found.st_mode & 0o077:
         raise PermissionError(f"{made}: is not this user's alone")
     return made
+
+
+def compiling_words(engine: str | None) -> str:
+    """Return what to say before an engine's first run, which compiles it; nothing if there is nothing to wait for."""
+    newest = max(source.stat().st_mtime for source in caching.sources())
+    kept = caching.folder()
+    compiled = kept is not None and any(index.stat().st_mtime > newest for index in kept.glob("*/*.nbi"))
+    if compiled or engine not in ("surfel", "auto"):
+        return ""
+    when = "engine surfel" if engine == "surfel" else "engine auto: surfel, if the scene allows it,"
+    again = "once" if kept else "by every process, for nothing that it makes can be kept (set NUMBA_CACHE_DIR)"
+    return f"{when} is compiled for this machine first, {again}; that takes a minute or so"

@@ -14,10 +14,12 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from generator.model.spec import NlosError
-from generator.transport import compiled, elements, integral, picture, shaded, silhouettes, traced
+from generator.model.errors import NlosError
+from generator.transport import compiled, elements, integral, picture, shaded, traced
 from generator.transport.prepared import Setting
 from generator.transport.rays import Placed
+from generator.transport.shadows import shadowed
+from generator.transport.shadows.cones import facets, ring
 
 Floats = NDArray[Any]
 
@@ -82,9 +84,9 @@ class Fields:
         self._light = shaded.Light(setting.patch, setting.whole, self._digits)
         self.few = compiled.COMPILED and max(len(setting.room.origin), len(setting.target.origin)) <= CUT
         first = np.argsort(~setting.obstacles.is_blocker, kind="stable")
-        self._room, self._room_tint = silhouettes.facets(setting.room)[first], setting.room.tint[first]
+        self._room, self._room_tint = facets(setting.room)[first], setting.room.tint[first]
         # A sphere's outline is a polygon of its area, which errs with the fourth power of the angle.
-        self._ring = silhouettes.ring(12 if accuracy > 3e-3 else 24 if accuracy > 3e-4 else 48)
+        self._ring = ring(12 if accuracy > 3e-3 else 24 if accuracy > 3e-4 else 48)
         # Widest cell where rays are tested, as a share of the target: an edge must not slip between its corners.
         self._widest = min(0.2, 0.25 * (100.0 * accuracy) ** (1.0 / 3.0))
         # A quadrature point is a ray into the room there, whose light varies more slowly than the near field's.
@@ -221,7 +223,7 @@ class Fields:
 
             def cut(owner: Floats, walls: Floats, values: Floats) -> None:
                 every = (owner, walls, *target, *room, elements.GAUSS, self._digits + 1.0, values)
-                compiled.in_parts(silhouettes.hidden_panels, len(owner), *every)
+                compiled.in_parts(shadowed.hidden_panels, len(owner), *every)
 
             level = level.copy()
             level[:, :, 1:] *= max(_SLOPES[0], _SLOPES[1] / self._accuracy) ** 2
@@ -245,7 +247,7 @@ class Fields:
 
         def cut(owner: Floats, walls: Floats, values: Floats) -> None:
             compiled.in_parts(
-                *(silhouettes.received_panels, len(owner), owner, walls, flat, turns, places, self._room, tint),
+                *(shadowed.received_panels, len(owner), owner, walls, flat, turns, places, self._room, tint),
                 *(hiders, orders, setting.whole, setting.patch, elements.GAUSS, self._digits + 1.0, values),
             )
 

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from generator.model.spec import NlosError
+from generator.model.errors import NlosError
 from generator.transport.rays import Surfaces
 
 Floats = NDArray[Any]

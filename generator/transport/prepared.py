@@ -8,7 +8,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from generator.model.spec import Array, NlosError
+from generator.model.arrays import Array
+from generator.model.errors import NlosError
 from generator.transport import elements, integral
 from generator.transport.faces import Faces
 from generator.transport.obstacles import Obstacles

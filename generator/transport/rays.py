@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from generator.model.spec import NlosError
+from generator.model.errors import NlosError
 from generator.transport.compiled import jit
 from generator.transport.elements import TRIANGLE, merge_parallelograms
 

@@ -9,7 +9,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from generator.model.spec import Array, NlosError, rotation_matrix, rotation_rows
+from generator.model.arrays import Array, rotation_matrix, rotation_rows
+from generator.model.errors import NlosError
 from generator.transport import compiled, direct, picture
 from generator.transport.ambient import Ambient, Sky
 from generator.transport.fields import Fields

@@ -11,8 +11,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from generator.files.limits import check_archive
-from generator.model.spec import NlosError
-from generator.sets.dataset import atomic
+from generator.files.writing import atomic
+from generator.model.errors import NlosError
 from generator.transport.world import Mesh, World
 
 Arrays = dict[str, NDArray[Any]]

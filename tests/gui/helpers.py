@@ -205,7 +205,7 @@ def redraw() -> None:
 
 
 def module(name: str) -> Any:
-    """Return a module of the installed extension, such as ``"generator.blender.scene.stage"``."""
+    """Return a module of the installed extension, such as ``"generator.blender.scene.build"``."""
     return importlib.import_module(f"{MODULE}.{name}")
 
 

@@ -37,7 +37,7 @@ def build_scene():
         bpy.ops.ed.undo_push(message="power")
     yield from press("nlos.build_scene")
     found = roles()
-    single = module("generator.blender.scene.stage").SINGLE_ROLES
+    single = module("generator.blender.scene.roles").SINGLE_ROLES
     check(set(found) == {*single, "room", "partition"}, f"every role is played: {found}")
     check(all(len(found.get(role, ())) == 1 for role in single), f"the single roles by one object each: {found}")
     memory["roles"], memory["scene"] = found, _scene()
@@ -79,7 +79,7 @@ def save_and_reopen():
 
 
 def _scene():
-    return module("generator.blender.scene.stage").read(bpy.context.scene)
+    return module("generator.blender.scene.description").read_scene(bpy.context.scene)
 
 
 STEPS = [install, sidebar_tab, build_scene, undo_and_redo, save_and_reopen]

@@ -16,7 +16,7 @@ def fresh():
 
 
 def check_a_sound_scene():
-    state, levels = module("state"), module("generator.blender.check")
+    state, levels = module("session.state"), module("generator.blender.check")
     bpy.context.scene.nlos.samples, bpy.context.scene.nlos.resolution = 16, (32, 32)
     result = call(bpy.ops.nlos.check)
     check(result == {"FINISHED"}, f"the check runs: {result}")
@@ -32,11 +32,11 @@ def check_a_sound_scene():
 
 
 def check_names_selects_and_mends():
-    state = module("state")
+    state = module("session.state")
     scene = bpy.context.scene
-    stage = module("generator.blender.scene.stage")
-    stage.limit_reflections(scene, 2)
-    stage.find(scene, "target").hide_render = True
+    roles = module("generator.blender.scene.roles")
+    roles.limit_reflections(scene, 2)
+    roles.find(scene, "target").hide_render = True
     with view3d():
         bpy.ops.ed.undo_push(message="spoilt")
     call(bpy.ops.nlos.check)
@@ -53,8 +53,8 @@ def check_names_selects_and_mends():
     check(not [f for f in state.findings if f.fix in found], "and found no more")
     call(bpy.ops.ed.undo)
     yield 0.3
-    check(stage.find(scene := bpy.context.scene, "target").hide_render, "undo takes back one remedy")
-    check(stage.reflection_order(scene) == 3, "and not the other")
+    check(roles.find(scene := bpy.context.scene, "target").hide_render, "undo takes back one remedy")
+    check(roles.reflection_order(scene) == 3, "and not the other")
     call(bpy.ops.ed.redo)
     yield 0.3
 
@@ -88,7 +88,9 @@ def states_without_a_scene():
         words = call(getattr(bpy.ops.nlos, operator))
         check("no object is the" in str(words), f"{operator} of an empty scene: {words}")
     call(bpy.ops.nlos.check)
-    check("No object is the relay wall" in module("state").findings[0].text, "the check names what is missing")
+    check(
+        "No object is the relay wall" in module("session.state").findings[0].text, "the check names what is missing"
+    )
     words = call(bpy.ops.nlos.adopt, role="target")
     check("no object is selected" in str(words), f"adopt nothing: {words}")
     words = call(bpy.ops.nlos.sweep_start)
@@ -96,7 +98,7 @@ def states_without_a_scene():
     session = bpy.context.window_manager.nlos
     session.look = session.overlay = True
     yield 1.0
-    check("no object is the" in module("looking").words(), f"the look of nothing: {module('looking').words()}")
+    check("no object is the" in module("view.live").words(), f"the look of nothing: {module('view.live').words()}")
     yield from screenshot("20-empty")
     session.look = session.overlay = False
     call(bpy.ops.wm.open_mainfile, filepath=str(WORK / "room20.blend"))

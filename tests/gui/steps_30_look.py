@@ -20,7 +20,7 @@ def look_image():
 
 
 def target():
-    return module("generator.blender.scene.stage").find(bpy.context.scene, "target")
+    return module("generator.blender.scene.roles").find(bpy.context.scene, "target")
 
 
 def overlay():
@@ -28,13 +28,13 @@ def overlay():
     session.overlay, session.show_poses = True, True
     redraw()
     # Poses are planned beside drawing, and drawn when they are known.
-    yield from until(lambda: len((module("overlay")._lines or {}).get("poses", ())) > 0, "the poses are drawn")
-    found = module("overlay")._lines
+    yield from until(lambda: len((module("view.overlay")._lines or {}).get("poses", ())) > 0, "the poses are drawn")
+    found = module("view.overlay")._lines
     check(found is not None and {"voxels", "lit", "watched", "legs", "poses"} <= set(found), "everything is drawn")
     legs = found["legs"].copy()
     target().location.x += 0.2
     yield 0.3
-    check(not np.array_equal(module("overlay")._lines["legs"], legs), "the light legs follow the object")
+    check(not np.array_equal(module("view.overlay")._lines["legs"], legs), "the light legs follow the object")
     with view3d() as (area, _region):
         bpy.ops.view3d.view_all()
         area.spaces.active.region_3d.view_distance *= 0.9
@@ -43,7 +43,7 @@ def overlay():
         bpy.ops.ed.undo_push(message="moved")
     call(bpy.ops.ed.undo)
     yield 0.5
-    check(module("overlay")._lines is not None, "it is drawn after undo")
+    check(module("view.overlay")._lines is not None, "it is drawn after undo")
 
 
 def look():
@@ -53,7 +53,7 @@ def look():
     session = bpy.context.window_manager.nlos
     session.look = True
     yield from until(lambda: look_image() is not None, "a picture is there")
-    module("images").show(bpy.data.images["NLOS look"])
+    module("view.images").show(bpy.data.images["NLOS look"])
     yield 1.5  # shadows follow
     first = look_image()
     target().location.x -= 0.3
@@ -67,7 +67,7 @@ def look():
     check(not np.array_equal(look_image(), second), "and undo")
     call(bpy.ops.ed.redo)
     yield from until(lambda: np.array_equal(look_image(), second), "and redo")
-    lamp = module("generator.blender.scene.stage").find(bpy.context.scene, "spot")
+    lamp = module("generator.blender.scene.roles").find(bpy.context.scene, "spot")
     lamp.data.energy *= 3.0  # no step of the scale, or the colours would be the same
     yield from until(lambda: not np.array_equal(look_image(), second), "and the lamp")
     lamp.data.energy /= 3.0
@@ -83,7 +83,7 @@ def look():
 
 def drag():
     """The object is dragged by the mouse, as a person does, and the picture follows meanwhile."""
-    looking = module("looking")
+    looking = module("view.live")
     for pixels in ("64", "256"):
         bpy.context.scene.nlos.look_resolution = pixels
         yield 2.0
@@ -132,7 +132,7 @@ def experiments():
     for number in (1, 2, 3):
         result = call(bpy.ops.nlos.experiment, number=number)
         check(result == {"FINISHED"}, f"experiment {number}: {result}")
-        state = module("state")
+        state = module("session.state")
         yield from until(lambda state=state: "Drawing" not in state.experiment, "the pictures come", 120.0)
         image = bpy.data.images.get(f"NLOS experiment {number}")
         check(image is not None and tuple(image.size) == (320, 192), f"its pictures are there: {image}")
@@ -147,7 +147,7 @@ def experiments():
 def off():
     session = bpy.context.window_manager.nlos
     session.look = session.overlay = False
-    looking, overlay = module("looking"), module("overlay")
+    looking, overlay = module("view.live"), module("view.overlay")
     yield 0.5
     handlers = bpy.app.handlers
     every = [

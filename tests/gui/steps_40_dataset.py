@@ -12,7 +12,7 @@ POSES = 150
 
 
 def job():
-    return module("dataset").job
+    return module("operators.dataset").job
 
 
 def start_cancel():
@@ -71,7 +71,7 @@ def resume():
 
 
 def render_wall():
-    state = module("state")
+    state = module("session.state")
     bpy.context.scene.nlos.samples = 256
     result = call(bpy.ops.nlos.render_wall)
     check(result == {"FINISHED"}, f"the wall is rendered: {result}")

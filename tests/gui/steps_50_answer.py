@@ -25,14 +25,14 @@ def without():
     words = call(bpy.ops.nlos.test_environment)
     check("is no file" in str(words), f"a wrong path is told: {words}")
     preferences.python = "/usr/bin/python3"
-    state = module("state")
+    state = module("session.state")
     call(bpy.ops.nlos.test_environment)
     yield from until(lambda: "Testing" not in state.environment_words, "the test ends", 60.0)
     check("cannot read trained models" in state.environment_words, state.environment_words)
 
 
 def asked():
-    state = module("state")
+    state = module("session.state")
     python, model = WORK / "python", WORK / "sheet.skops"
     python.write_text(FAKE)
     python.chmod(python.stat().st_mode | stat.S_IXUSR)

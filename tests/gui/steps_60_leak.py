@@ -21,7 +21,7 @@ def blocks() -> dict[str, int]:
 
 
 def cycles():
-    session, looking = bpy.context.window_manager.nlos, module("looking")
+    session, looking = bpy.context.window_manager.nlos, module("view.live")
     session.look = True
     yield 1.0
     used, counts = [], []

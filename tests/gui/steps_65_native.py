@@ -11,7 +11,7 @@ def presets():
     settings.light_power, settings.poses, settings.grid_counts = 321.0, 17, (2, 2, 2)
     result = call(bpy.ops.nlos.preset_add, name="Bright")
     check(result == {"FINISHED"}, f"a preset is kept: {result}")
-    path = bpy.utils.preset_find("Bright", module("menus").PRESETS)
+    path = bpy.utils.preset_find("Bright", module("ui.menus").PRESETS)
     check(path, "it lies in the user's folder")
     settings.light_power, settings.poses, settings.grid_counts = 1.0, 1, (1, 1, 1)
     result = call(bpy.ops.script.execute_preset, filepath=path, menu_idname="NLOS_PT_presets")
@@ -22,13 +22,13 @@ def presets():
 
 
 def names():
-    target = module("generator.blender.scene.stage").find(bpy.context.scene, "target")
+    target = module("generator.blender.scene.roles").find(bpy.context.scene, "target")
     target.name = "Käse 🧀\nmit Löchern"
-    state = module("state")
+    state = module("session.state")
     call(bpy.ops.nlos.check)
     check(not module("generator.blender.check").hopeless(state.findings), f"{[f.text for f in state.findings]}")
     check(roles()["target"] == [target.name], "an object may have any name")
-    module("generator.blender.scene.stage").find(bpy.context.scene, "target").name = "Target"
+    module("generator.blender.scene.roles").find(bpy.context.scene, "target").name = "Target"
 
 
 def search():
@@ -45,7 +45,7 @@ def search():
     yield from xdotool("type", "--delay", "40", "Check Scene")
     yield 0.8
     yield from screenshot("65-search")
-    state = module("state")
+    state = module("session.state")
     state.findings.clear()
     yield from xdotool("key", "Return")
     yield 2.0
@@ -61,15 +61,15 @@ def scenes():
     call(bpy.ops.scene.new, type="EMPTY")
     yield 1.0
     check(bpy.context.scene != first and not roles(), "a new scene is empty")
-    module("looking").changed()
+    module("view.live").changed()
     yield 1.0
-    check("no object is the" in module("looking").words(), f"the look says so: {module('looking').words()}")
+    check("no object is the" in module("view.live").words(), f"the look says so: {module('view.live').words()}")
     call(bpy.ops.scene.delete)
     yield 0.5
     check(roles() != {}, "the first is back")
-    module("looking").changed()
+    module("view.live").changed()
     yield 1.0
-    check("ms" in module("looking").words(), f"and looked at: {module('looking').words()}")
+    check("ms" in module("view.live").words(), f"and looked at: {module('view.live').words()}")
     session.look = session.overlay = False
 
 

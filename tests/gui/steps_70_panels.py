@@ -7,7 +7,7 @@ from helpers import call, check, module, redraw, screenshot, scroll, tab, view3d
 
 
 def panels():
-    if not module("generator.blender.scene.stage").players(bpy.context.scene, "target"):
+    if not module("generator.blender.scene.roles").players(bpy.context.scene, "target"):
         call(bpy.ops.nlos.new_room)
         yield 1.0
     yield from tab("NLOS")

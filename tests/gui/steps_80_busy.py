@@ -19,28 +19,28 @@ def f12():
     scene, session = bpy.context.scene, bpy.context.window_manager.nlos
     call(bpy.ops.nlos.build_scene)
     session.look = True
-    yield from until(lambda: "ms" in module("looking").words(), "the look has a picture")
+    yield from until(lambda: "ms" in module("view.live").words(), "the look has a picture")
     bpy.context.preferences.view.render_display_type = "NONE"
     scene.render.resolution_x = scene.render.resolution_y = 512
     before, scene.cycles.samples = scene.cycles.samples, 64
     scene.cycles.use_denoising = False  # Debian's Blender 4.3 has no denoiser, and then renders nothing
     invoke(bpy.ops.render.render)
     yield from until(_running, "F12 renders", 10.0)
-    drawn = module("looking").pictures()
-    target = module("generator.blender.scene.stage").find(scene, "target")
+    drawn = module("view.live").pictures()
+    target = module("generator.blender.scene.roles").find(scene, "target")
     for _ in range(10):
         target.location.z += 0.01
         yield 0.1
         if not _running():
             break
-    check(not _running() or module("looking").pictures() == drawn, "the look waits for the render")
+    check(not _running() or module("view.live").pictures() == drawn, "the look waits for the render")
     if _running():
         told = call(bpy.ops.nlos.check)
         check(
             "Wait for the render to end" in str(told) or "poll() failed" in str(told), f"the check does too: {told}"
         )
     yield from until(lambda: not _running(), "the render ends", 240.0)
-    yield from until(lambda: module("looking").pictures() > drawn, "then the look goes on")
+    yield from until(lambda: module("view.live").pictures() > drawn, "then the look goes on")
     scene.cycles.samples = before
     call(bpy.ops.nlos.check)
     result = next(i for i in bpy.data.images if i.type == "RENDER_RESULT")
@@ -58,8 +58,8 @@ def undo_keeps_pictures():
     settings = bpy.context.scene.nlos
     settings.samples, settings.resolution = 4, (16, 16)
     call(bpy.ops.nlos.render_wall)
-    yield from until(lambda: "Mean radiance" in module("state").rendering, "the wall is rendered", 120.0)
-    target = module("generator.blender.scene.stage").find(bpy.context.scene, "target")
+    yield from until(lambda: "Mean radiance" in module("session.state").rendering, "the wall is rendered", 120.0)
+    target = module("generator.blender.scene.roles").find(bpy.context.scene, "target")
     target.location.x += 0.1
     with view3d():
         bpy.ops.ed.undo_push(message="moved")
@@ -72,25 +72,25 @@ def look_notices():
     """What is deleted or hidden is noticed, and an error goes when its cause does."""
     session, scene = bpy.context.window_manager.nlos, bpy.context.scene
     session.look = True
-    yield from until(lambda: "ms" in module("looking").words(), "the look has a picture")
+    yield from until(lambda: "ms" in module("view.live").words(), "the look has a picture")
     yield 1.5
-    drawn = module("looking").pictures()
+    drawn = module("view.live").pictures()
     bpy.data.objects.remove(bpy.data.objects["Floor"])
-    yield from until(lambda: module("looking").pictures() > drawn, "a deleted floor is noticed")
+    yield from until(lambda: module("view.live").pictures() > drawn, "a deleted floor is noticed")
     yield 1.5
-    drawn = module("looking").pictures()
+    drawn = module("view.live").pictures()
     bpy.data.objects["Back"].hide_render = True
     redraw()
-    yield from until(lambda: module("looking").pictures() > drawn, "a hidden wall is noticed")
-    target = module("generator.blender.scene.stage").find(scene, "target")
+    yield from until(lambda: module("view.live").pictures() > drawn, "a hidden wall is noticed")
+    target = module("generator.blender.scene.roles").find(scene, "target")
     target.scale = (0.0, 0.0, 0.0)
-    yield from until(lambda: "ms" not in module("looking").words(), "a target of no size is told")
+    yield from until(lambda: "ms" not in module("view.live").words(), "a target of no size is told")
     target.scale = (1.0, 1.0, 1.0)
-    yield from until(lambda: "ms" in module("looking").words(), "and forgotten when it has one")
+    yield from until(lambda: "ms" in module("view.live").words(), "and forgotten when it has one")
     yield 1.5
-    drawn = module("looking").pictures()
+    drawn = module("view.live").pictures()
     yield 3.0
-    check(module("looking").pictures() - drawn <= 1, "at rest nothing is drawn again and again")
+    check(module("view.live").pictures() - drawn <= 1, "at rest nothing is drawn again and again")
     session.look = False
 
 
@@ -98,11 +98,11 @@ def lamp_of_another_kind():
     """The overlay draws what there is."""
     session = bpy.context.window_manager.nlos
     session.overlay = True
-    lamp = module("generator.blender.scene.stage").find(bpy.context.scene, "spot")
+    lamp = module("generator.blender.scene.roles").find(bpy.context.scene, "spot")
     lamp.data.type = "POINT"
     redraw()
     yield 1.0
-    check("voxels" in module("overlay")._lines, "the voxels are still drawn")
+    check("voxels" in module("view.overlay")._lines, "the voxels are still drawn")
     lamp.data.type = "SPOT"
     session.overlay = False
 

@@ -32,7 +32,7 @@ import places
 from packaging.requirements import Requirement
 
 from blender_addon.packaging import sbom
-from generator.model.spec import NlosError
+from generator.model.errors import NlosError
 
 HERE = Path(__file__).resolve().parent
 ROOT = HERE.parents[1]

@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from generator.model.spec import Array
+from generator.model.arrays import Array
 
 _LEAF = 48
 """So many triangles are compared each with each."""

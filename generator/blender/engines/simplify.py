@@ -9,9 +9,10 @@ from typing import Any
 import bpy
 import numpy as np
 
-from generator.blender.engines import extract
-from generator.blender.scene import nodes, stage
-from generator.model.spec import NlosError
+from generator.blender.engines.reading import MAX_ORDER
+from generator.blender.engines.shapes import is_smooth
+from generator.blender.scene import materials, nodes, roles
+from generator.model.errors import NlosError
 from generator.transport.left_out import PARTS
 
 BEYOND = "reflections beyond the third"
@@ -54,7 +55,7 @@ def apply(scene: bpy.types.Scene, names: Iterable[str]) -> None:
         There is no such piece.
     """
     pieces = _pieces(scene)
-    named = [stage.find(scene, role).name for role in stage.SINGLE_ROLES]
+    named = [roles.find(scene, role).name for role in roles.SINGLE_ROLES]
     for name in set(names).difference(PARTS):
         if name in pieces:
             pieces[name]()
@@ -69,18 +70,18 @@ def apply(scene: bpy.types.Scene, names: Iterable[str]) -> None:
 
 def without_light(scene: bpy.types.Scene) -> None:
     """Put out the spot lamp, so that only the other lights of the open scene are left."""
-    stage.find(scene, "spot").hide_render = True
+    roles.find(scene, "spot").hide_render = True
 
 
 def _pieces(scene: bpy.types.Scene) -> dict[str, Callable[[], None]]:
     """What leaves a piece out, by its name."""
     pieces: dict[str, Callable[[], None]] = {}
-    if stage.reflection_order(scene) > extract.MAX_ORDER:
-        pieces[BEYOND] = functools.partial(stage.limit_reflections, scene, extract.MAX_ORDER)
-    if stage.ambient(scene) > 0.0:
+    if roles.reflection_order(scene) > MAX_ORDER:
+        pieces[BEYOND] = functools.partial(roles.limit_reflections, scene, MAX_ORDER)
+    if materials.ambient(scene) > 0.0:
         pieces[AMBIENT] = functools.partial(_put_out_the_sky, scene)
-    named = {stage.find(scene, role): role for role in stage.SINGLE_ROLES}
-    shown = [o for o in scene.objects if not stage.unseen(scene, o) and not _keeps(o, named)]
+    named = {roles.find(scene, role): role for role in roles.SINGLE_ROLES}
+    shown = [o for o in scene.objects if not roles.unseen(scene, o) and not _keeps(o, named)]
     for obj in shown:
         if obj.type == "LIGHT":
             if obj.data.energy != 0.0:
@@ -106,13 +107,13 @@ def _add_mesh(pieces: dict[str, Callable[[], None]], obj: bpy.types.Object, *, t
         pieces[f"{_HAIR}{obj.name!r}"] = functools.partial(_shave, obj)
     if not [slot for slot in obj.material_slots if slot.material]:
         pieces[f"the default material of {obj.name!r}"] = functools.partial(_paint, obj)
-    if obj.type != "MESH" or (target and obj.get(stage.KIND) == "sphere"):
+    if obj.type != "MESH" or (target and obj.get(roles.KIND) == "sphere"):
         return
     evaluated = obj.evaluated_get(bpy.context.evaluated_depsgraph_get())
     mesh = evaluated.to_mesh()
     if mesh is None:  # its modifiers leave only curves, points or a volume
         return
-    faces, curved = len(mesh.polygons), extract.is_smooth(mesh)
+    faces, curved = len(mesh.polygons), is_smooth(mesh)
     evaluated.to_mesh_clear()
     if curved:
         pieces[f"the curved shading of {obj.name!r}"] = functools.partial(_flatten, obj)
@@ -122,7 +123,7 @@ def _add_mesh(pieces: dict[str, Callable[[], None]], obj: bpy.types.Object, *, t
 
 def _put_out_the_sky(scene: bpy.types.Scene) -> None:
     """Take the world's light and leave its fog."""
-    for owner, name in stage.worlds_of(scene):
+    for owner, name in materials.worlds_of(scene):
         setattr(owner, name, nodes.darkened(getattr(owner, name)))
 
 

@@ -11,12 +11,16 @@ from typing import Any
 import bpy
 import numpy as np
 
-from generator.blender.engines import engines
-from generator.blender.scene import stage
+from generator.blender.engines import renderers
+from generator.blender.engines.cycles import Renderer
+from generator.blender.engines.surfel import SurfelRenderer
+from generator.blender.scene import geometry, posing
+from generator.blender.scene.description import read_scene
+from generator.files.pictures import Picture
 from generator.model import poses
+from generator.model.arrays import Array
 from generator.model.poses import Pose
-from generator.model.spec import Array, Target
-from generator.sets.dataset import Picture
+from generator.model.scene import Target
 
 ACCURACY = 1e-3
 """Of each picture. A turn about the wall's normal changes it by little more."""
@@ -135,14 +139,14 @@ def run(
     NlosError
         The scene cannot be read, or there is no such experiment.
     """
-    size = min(stage.read(scene).grid.size) / 2.0
-    place = tuple(float(v) for v in stage.snapshot(scene).matrices["target"][:3, 3])
+    size = min(read_scene(scene).grid.size) / 2.0
+    place = tuple(float(v) for v in geometry.snapshot(scene).matrices["target"][:3, 3])
     rows = poses.experiment(number, (place[0], place[1], place[2]), step=size / 4.0, turn=TURN)
     wanted = Target(kind="sphere" if target == "sphere" else "sheet", size=size, albedo=Target.named(target).albedo)
-    with stage.stand_in(scene, wanted):
-        engine, _ = engines.choose(scene)
-        with engines.opened(scene, engine, resolution=(pixels, pixels), accuracy=ACCURACY) as renderer:
-            if isinstance(renderer, engines.SurfelRenderer):
+    with posing.stand_in(scene, wanted):
+        engine, _ = renderers.choose(scene)
+        with renderers.opened(scene, engine, resolution=(pixels, pixels), accuracy=ACCURACY) as renderer:
+            if isinstance(renderer, SurfelRenderer):
                 taken = _exact(renderer, rows)
             else:
                 taken = _sampled(scene, renderer, rows, samples, repeats, progress)
@@ -169,13 +173,13 @@ def draw(scene: bpy.types.Scene, number: int, *, pixels: int = 64) -> Picture:
     return sheet
 
 
-def _exact(renderer: engines.SurfelRenderer, rows: list[list[Pose]]) -> Array:
+def _exact(renderer: SurfelRenderer, rows: list[list[Pose]]) -> Array:
     return np.array([[[renderer.difference(*pose) for pose in row] for row in rows]])
 
 
 def _sampled(
     scene: bpy.types.Scene,
-    renderer: engines.Renderer,
+    renderer: Renderer,
     rows: list[list[Pose]],
     samples: int,
     repeats: int,
@@ -187,7 +191,7 @@ def _sampled(
     for seed in range(repeats):
         empty = renderer.render(samples=samples, seed=seed, target=False).astype(np.float64)
         for pose in distinct:
-            stage.move_target(scene, *pose)
+            posing.move_target(scene, *pose)
             taken[pose].append(renderer.render(samples=samples, seed=seed) - empty)
             progress(sum(map(len, taken.values())), repeats * len(distinct))
     return np.moveaxis(np.array([[taken[pose] for pose in row] for row in rows]), 2, 0)

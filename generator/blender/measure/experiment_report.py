@@ -12,10 +12,13 @@ import numpy as np
 
 from generator.blender.measure import experiment
 from generator.blender.measure.experiment import Experiment
-from generator.blender.scene import stage
+from generator.blender.scene import blend_file, build
+from generator.files.pictures import write_picture
+from generator.files.toml import from_dict, to_dict
+from generator.files.writing import csv_text, write_text
 from generator.measure import figures
-from generator.model import spec
-from generator.sets.dataset import csv_text, write_picture, write_text
+from generator.model.presets import preset
+from generator.model.scene import Scene
 
 Open = Callable[[float], bpy.types.Scene]
 """What makes a scene under uniform ambient light of a radiance, W/m^2/sr."""
@@ -30,9 +33,9 @@ def presets() -> dict[str, Open]:
 
 def _preset(name: str, ambient: float) -> bpy.types.Scene:
     """Build a preset; a room has no ceiling, dark or not, so that light alone makes the difference."""
-    scene = stage.new_file()
-    open_above = spec.to_dict(spec.preset(name).with_ambient(1.0))
-    stage.build(scene, spec.from_dict(spec.Scene, {**open_above, "ambient": ambient}))
+    scene = blend_file.new_file()
+    open_above = to_dict(preset(name).with_ambient(1.0))
+    build.build(scene, from_dict(Scene, {**open_above, "ambient": ambient}))
     return scene
 
 

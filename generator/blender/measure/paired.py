@@ -10,11 +10,11 @@ from typing import Any
 
 import numpy as np
 
-from generator.blender.engines import engines, simplify
-from generator.blender.scene import stage
+from generator.blender.engines import renderers, simplify
+from generator.blender.scene import blend_file, posing, roles
 from generator.measure.intervals import relative
-from generator.model.spec import Array
-from generator.sets.dataset import PoseRecord
+from generator.model.arrays import Array
+from generator.model.poses import PoseRecord
 
 PIXELS = 8
 """A side of the pictures that are rendered: radiance is a mean over a pixel, so only detail is lost, and of as many
@@ -58,7 +58,7 @@ class Probe:
     _made: dict[tuple[frozenset[str], frozenset[str] | None, int, int], Array] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
-        self.lights = simplify.lights(stage.open_file(self.source))
+        self.lights = simplify.lights(blend_file.open_file(self.source))
 
     def errors(self, dropped: Sequence[str], number: int) -> Array:
         """Return what a round shows of the pieces left out, in two noises, (2, n, pixels)."""
@@ -109,10 +109,10 @@ class Probe:
         key = (dropped | ({f"order {order}"} if order else set()), lit, number, twin)
         if key in self._made:
             return self._made[key]
-        scene = stage.open_file(self.source)
+        scene = blend_file.open_file(self.source)
         simplify.apply(scene, [*dropped, *(name for name in self.lights if name not in (lit or ()))])
         if order:
-            stage.limit_reflections(scene, order)
+            roles.limit_reflections(scene, order)
         if lit is not None:
             simplify.without_light(scene)
         width = max(1, round(PIXELS * min(1.0, self.aspect)))
@@ -133,9 +133,9 @@ class Probe:
     ) -> Array:
         """Difference pictures (n, pixels) of an open scene at poses."""
         made = []
-        with engines.opened(scene, engine, resolution=resolution, denoise=denoise) as renderer:
+        with renderers.opened(scene, engine, resolution=resolution, denoise=denoise) as renderer:
             for pose in poses:
-                stage.move_target(scene, pose.position, pose.rotation)
+                posing.move_target(scene, pose.position, pose.rotation)
                 seed = (pose.seed + 7919 * twin) % 2**31
                 seen, empty = (
                     renderer.render(samples=samples, seed=seed, target=target).astype(np.float64)
@@ -146,7 +146,7 @@ class Probe:
 
     def denoised(self, resolution: tuple[int, int], number: int) -> tuple[Array, Array]:
         """Return what the denoiser changes of some of a round's pictures, and these, in two noises (2, n, pixels)."""
-        scene = stage.open_file(self.source)
+        scene = blend_file.open_file(self.source)
         some = self.rounds[number][::_SPREAD]
         plain, smooth = (
             np.array([self._rendered(scene, self.engine, resolution, DENOISED, some, k, on) for k in range(2)])

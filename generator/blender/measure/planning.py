@@ -10,18 +10,21 @@ from typing import Any
 
 import numpy as np
 
-from generator.blender import worker
-from generator.blender.engines import extract, simplify
+from generator.blender.engines import simplify, survey
+from generator.blender.engines.reading import MAX_ORDER
+from generator.blender.engines.settings import settled
 from generator.blender.measure import paired
-from generator.blender.scene import stage
+from generator.blender.scene import blend_file, geometry, roles
 from generator.blender.scene.clearance import clearance
+from generator.blender.scene.description import read_scene
 from generator.jobs import budget
 from generator.measure import effects
 from generator.measure.intervals import relative
 from generator.measure.plan_file import POSES, Effect, Plan
 from generator.model import poses
-from generator.model.spec import NlosError, Sweep
-from generator.sets.dataset import PoseRecord
+from generator.model.errors import NlosError
+from generator.model.poses import PoseRecord
+from generator.model.settings import Sweep
 from generator.transport import Transport, World, left_out
 
 _REFERENCE = 1 / 10
@@ -79,11 +82,11 @@ def make(
     NlosError
         The scene cannot be swept.
     """
-    scene = stage.open_file(source)
-    described = stage.read(scene)
+    scene = blend_file.open_file(source)
+    described = read_scene(scene)
     pieces = simplify.found(scene)
-    _, reasons = extract.world(scene)
-    engine, order = _cycles_engine(scene), stage.reflection_order(scene)
+    _, reasons = survey.world(scene)
+    engine, order = _cycles_engine(scene), roles.reflection_order(scene)
     planned = _planned(scene, described, engine, max(count, paired.ROUNDS[1]), seed)
     fine = [piece for piece in pieces if piece.startswith(simplify.FINE)]  # costs Cycles nothing
     others = [piece for piece in pieces if piece not in fine]
@@ -98,7 +101,7 @@ def make(
     if engine == "path":
         words.append(f"only path can render this scene, too noisily to measure anything by: {'; '.join(reasons)}")
     elif most > 0.0:
-        orders = [more for more in _ORDERS if more > order >= extract.MAX_ORDER]
+        orders = [more for more in _ORDERS if more > order >= MAX_ORDER]
         rounds = [[p for p in planned if p.index == k] for k in range(paired.ROUNDS[1])]
         probe = paired.Probe(source, engine, rounds, described.resolution[0] / described.resolution[1])
         tell(f"rendering {len(others) + len(orders)} effects that only Cycles models, for up to {most:.0f} s")
@@ -149,7 +152,7 @@ def ambient(source: Path, some: Sequence[PoseRecord]) -> Effect | None:
     some : sequence of PoseRecord
         Where the object stands: round by round, in each one pose of every voxel.
     """
-    world, _ = extract.world(stage.open_file(source), ambient=True)
+    world, _ = survey.world(blend_file.open_file(source), ambient=True)
     if world is None or world.ambient is None:
         return None
     engine = Transport(world.seen_by(*_SMALL), accuracy=_SKY)
@@ -189,17 +192,17 @@ def _exact(
 
 def _cycles_engine(scene: Any) -> str:
     try:
-        extract.lit_patch(scene)
+        survey.lit_patch(scene)
     except NlosError:
         return "path"
     return "patch"
 
 
 def _planned(scene: Any, described: Any, engine: str, count: int, seed: int) -> list[PoseRecord]:
-    sweep, _ = worker.settled(scene, described, {"engine": engine, "poses": count, "seed": seed})
+    sweep, _ = settled(scene, described, {"engine": engine, "poses": count, "seed": seed})
     # No engine but path may see the target itself, so these are places for all of them.
     is_free = clearance(scene, described, engine="patch" if engine == "path" else engine)
-    return poses.plan(described.grid, sweep, stage.hull(scene), is_free)
+    return poses.plan(described.grid, sweep, geometry.hull(scene), is_free)
 
 
 def _droppable(probe: paired.Probe, found: Sequence[Effect], tolerance: float) -> tuple[list[str], Effect]:
@@ -229,15 +232,15 @@ def variant(source: Path, always: Sequence[str]) -> effects.Variant:
 
 
 def _simplified(source: Path, dropped: Sequence[str]) -> tuple[World | None, list[str]]:
-    scene = stage.open_file(source)
+    scene = blend_file.open_file(source)
     simplify.apply(scene, dropped)
-    return extract.world(scene)
+    return survey.world(scene)
 
 
 def _room(source: Path, dropped: Sequence[str]) -> list[str]:
-    scene = stage.open_file(source)
+    scene = blend_file.open_file(source)
     simplify.apply(scene, dropped)
-    return [name for name in extract.room_names(scene) if name in scene.objects]
+    return [name for name in survey.room_names(scene) if name in scene.objects]
 
 
 def _sorted(found: Sequence[Effect]) -> list[Effect]:

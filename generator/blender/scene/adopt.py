@@ -10,11 +10,13 @@ import mathutils
 import numpy as np
 from mathutils import Matrix
 
-from generator.blender.scene import stage
-from generator.model import spec
-from generator.model.spec import Array, NlosError
+from generator.blender.scene import geometry, roles
+from generator.blender.scene.words import numbers, vector
+from generator.model.arrays import Array, Vector
+from generator.model.errors import NlosError
+from generator.model.grid import VoxelGrid
 
-ROLES = (*stage.SINGLE_ROLES, "room", "partition")
+ROLES = (*roles.SINGLE_ROLES, "room", "partition")
 
 _ROOMY = 1.25
 """A voxel's edge, in the target's longest diagonal: it must be able to turn inside, and to move a little."""
@@ -43,7 +45,7 @@ def assign(scene: bpy.types.Scene, role: str, objects: Sequence[bpy.types.Object
     if not objects:
         raise NlosError("no object is selected; select the one that is meant")
     words = role.replace("_", " ")
-    if role in stage.SINGLE_ROLES and len(objects) > 1:
+    if role in roles.SINGLE_ROLES and len(objects) > 1:
         raise NlosError(f"{len(objects)} objects are selected; exactly one can be the {words}")
     for obj in objects:
         if obj.library or obj.override_library:
@@ -53,16 +55,16 @@ def assign(scene: bpy.types.Scene, role: str, objects: Sequence[bpy.types.Object
         if role == "camera" and obj.type != "CAMERA":
             raise NlosError(f"{obj.name!r} cannot be the camera: it is none")
         parts = [obj, *obj.children_recursive] if role == "target" else [obj]
-        if role not in ("", "spot", "camera") and not any(len(stage.evaluated_vertices(o)) for o in parts):
+        if role not in ("", "spot", "camera") and not any(len(geometry.evaluated_vertices(o)) for o in parts):
             raise NlosError(f"{obj.name!r} cannot be the {words}: it has no surface")
-    if role in stage.SINGLE_ROLES:
-        for former in stage.players(scene, role):
-            del former[stage.ROLE]
+    if role in roles.SINGLE_ROLES:
+        for former in roles.players(scene, role):
+            del former[roles.ROLE]
     for obj in objects:
         if role:
-            obj[stage.ROLE] = role
-        elif stage.ROLE in obj:
-            del obj[stage.ROLE]
+            obj[roles.ROLE] = role
+        elif roles.ROLE in obj:
+            del obj[roles.ROLE]
     if role == "camera":
         scene.camera = objects[0]
     bpy.context.view_layer.update()
@@ -97,9 +99,9 @@ def align(scene: bpy.types.Scene) -> None:
     NlosError
         There is not exactly one relay wall and one spot, or the wall is not flat.
     """
-    wall, lamp = stage.find(scene, "relay_wall"), stage.find(scene, "spot")
+    wall, lamp = roles.find(scene, "relay_wall"), roles.find(scene, "spot")
     normal, centre = _plane(wall)
-    if normal @ (stage.numbers(lamp.matrix_world.translation) - centre) < 0.0:
+    if normal @ (numbers(lamp.matrix_world.translation) - centre) < 0.0:
         normal = -normal
     up = np.array([0.0, 0.0, 1.0]) if abs(normal[2]) < 0.99 else np.array([0.0, 1.0, 0.0])
     z = up - (up @ normal) * normal
@@ -111,7 +113,7 @@ def align(scene: bpy.types.Scene) -> None:
     _transform(scene, Matrix(placed.tolist()))
 
 
-def fit_grid(scene: bpy.types.Scene, shape: tuple[int, int, int] = (3, 3, 1)) -> spec.VoxelGrid:
+def fit_grid(scene: bpy.types.Scene, shape: tuple[int, int, int] = (3, 3, 1)) -> VoxelGrid:
     """Lay voxels around the target, each large enough for it to turn inside, and store them in the scene.
 
     Raises
@@ -119,25 +121,25 @@ def fit_grid(scene: bpy.types.Scene, shape: tuple[int, int, int] = (3, 3, 1)) ->
     NlosError
         There is not exactly one target, or it has no surface.
     """
-    seen = stage.snapshot(scene)
-    hull = stage.hull(scene, seen)
+    seen = geometry.snapshot(scene)
+    hull = geometry.hull(scene, seen)
     edge = _ROOMY * max(1e-6, 2.0 * float(np.linalg.norm(hull, axis=1).max()))
     size = edge * np.array(shape)
     lo = seen.matrices["target"][:3, 3] - size / 2.0
     lo[1] = max(lo[1], _LEFT_OVER * size[2])
-    grid = spec.VoxelGrid(lo=_rounded(lo), hi=_rounded(lo + size), shape=shape)
-    stage.write_grid(scene, grid)
+    grid = VoxelGrid(lo=_rounded(lo), hi=_rounded(lo + size), shape=shape)
+    roles.write_grid(scene, grid)
     return grid
 
 
-def _rounded(values: Array) -> spec.Vector:
+def _rounded(values: Array) -> Vector:
     x, y, z = (round(float(v), 4) for v in values)
     return (x, y, z)
 
 
 def _plane(wall: bpy.types.Object) -> tuple[Array, Array]:
     """Unit normal and centre of a wall in the world."""
-    points = stage.placed_vertices(wall)
+    points = geometry.placed_vertices(wall)
     if len(points) < 3:
         raise NlosError(f"the relay wall {wall.name!r} has no surface")
     centre = (points.min(axis=0) + points.max(axis=0)) / 2.0
@@ -170,8 +172,8 @@ def _transform(scene: bpy.types.Scene, change: Matrix) -> None:
             obj.matrix_basis = placed
         else:
             obj.matrix_world = placed
-    if all(key in scene for key in (stage.GRID_LO, stage.GRID_HI, stage.GRID_SHAPE)):
-        lo, hi = scene[stage.GRID_LO], scene[stage.GRID_HI]
+    if all(key in scene for key in (roles.GRID_LO, roles.GRID_HI, roles.GRID_SHAPE)):
+        lo, hi = scene[roles.GRID_LO], scene[roles.GRID_HI]
         corners = np.array(
             [
                 change @ mathutils.Vector((x, y, z))
@@ -181,8 +183,8 @@ def _transform(scene: bpy.types.Scene, change: Matrix) -> None:
             ],
             dtype=np.float64,
         )
-        scene[stage.GRID_LO], scene[stage.GRID_HI] = (
-            stage.vector(corners.min(axis=0)),
-            stage.vector(corners.max(axis=0)),
+        scene[roles.GRID_LO], scene[roles.GRID_HI] = (
+            vector(corners.min(axis=0)),
+            vector(corners.max(axis=0)),
         )
     bpy.context.view_layer.update()

@@ -12,9 +12,9 @@ import numpy as np
 from mathutils.bvhtree import BVHTree
 from numpy.typing import NDArray
 
-from generator.blender.scene import stage
-from generator.model import spec
-from generator.model.spec import Array
+from generator.blender.scene import geometry, roles
+from generator.model.arrays import Array, Vector, rotation_matrix
+from generator.model.scene import Scene, Spot
 
 _RIM = 32
 """Corners of the polygon around what the lamp lights."""
@@ -24,17 +24,17 @@ _SOME = 8
 _LIFT = 1e-4
 """How far before the wall one looks from where the lamp shines, in the lamp's distance."""
 
-Free = Callable[[spec.Vector, spec.Vector], bool]
+Free = Callable[[Vector, Vector], bool]
 """Whether an object at a position and rotation is clear of all others and hidden from lamp and camera."""
 
 
-def clearance(scene: bpy.types.Scene, described: spec.Scene, *, engine: str) -> Free:
+def clearance(scene: bpy.types.Scene, described: Scene, *, engine: str) -> Free:
     """Return the test whether the target at a pose is clear of all else and hidden from lamp and camera.
 
     The engine `path` renders a target in the lamp's cone or in the camera's view too, so it may stand there.
     """
-    seen = stage.snapshot(scene)
-    return Surroundings(scene, described, engine=engine, seen=seen).free(*stage.target_shape(scene, seen))
+    seen = geometry.snapshot(scene)
+    return Surroundings(scene, described, engine=engine, seen=seen).free(*geometry.target_shape(scene, seen))
 
 
 class Surroundings:
@@ -50,9 +50,9 @@ class Surroundings:
     """
 
     def __init__(
-        self, scene: bpy.types.Scene, described: spec.Scene, *, engine: str, seen: stage.Snapshot | None = None
+        self, scene: bpy.types.Scene, described: Scene, *, engine: str, seen: geometry.Snapshot | None = None
     ) -> None:
-        seen = seen or stage.snapshot(scene)
+        seen = seen or geometry.snapshot(scene)
         around = others(scene, seen)
         self._surfaces = [_tree(shape.placed, shape.triangles) for shape in around]
         self._corners = [shape.placed[0] for shape in around]
@@ -71,8 +71,8 @@ class Surroundings:
         own = Solid.of(shape, np.asarray(triangles))
         some = shape[np.unique(np.linspace(0, len(shape) - 1, _SOME).astype(int))]  # it may be of several pieces
 
-        def is_free(position: spec.Vector, rotation: spec.Vector) -> bool:
-            turn = spec.rotation_matrix(rotation)
+        def is_free(position: Vector, rotation: Vector) -> bool:
+            turn = rotation_matrix(rotation)
             if any(
                 solid.holds(turn @ point + position) != around for solid, around in self._solids for point in some
             ):
@@ -137,24 +137,24 @@ class Solid:
         return bool(((slope != 0) & (distance > 0) & (u >= 0) & (v >= 0) & (u + v <= 1)).sum() % 2)
 
 
-def others(scene: bpy.types.Scene, seen: stage.Snapshot) -> list[stage.Shape]:
+def others(scene: bpy.types.Scene, seen: geometry.Snapshot) -> list[geometry.Shape]:
     """Return every rendered surface but the target's, instances too; fog is none."""
-    parts = stage.target_parts(scene)
+    parts = roles.target_parts(scene)
     return [s for s in seen.shapes if s.owner not in parts and len(s.triangles) and not s.air]
 
 
 def obstacles(scene: bpy.types.Scene) -> list[BVHTree]:
     """Return every rendered surface but the target's, as a tree each; instances too."""
-    return [_tree(shape.placed, shape.triangles) for shape in others(scene, stage.snapshot(scene))]
+    return [_tree(shape.placed, shape.triangles) for shape in others(scene, geometry.snapshot(scene))]
 
 
 def _tree(corners: Array, triangles: Any) -> BVHTree:
     return BVHTree.FromPolygons(corners.tolist(), np.asarray(triangles).tolist())
 
 
-def sights(scene: bpy.types.Scene, spot: spec.Spot, seen: stage.Snapshot | None = None) -> list[Sight]:
+def sights(scene: bpy.types.Scene, spot: Spot, seen: geometry.Snapshot | None = None) -> list[Sight]:
     """Return what the lamp lights and what the camera sees on its way to the wall, the plane y = 0."""
-    seen = seen or stage.snapshot(scene)
+    seen = seen or geometry.snapshot(scene)
     lamp, aim = np.array(spot.location), np.array(spot.aim)
     axis = (aim - lamp) / np.linalg.norm(aim - lamp)
     across = np.cross(axis, (0.0, 0.0, 1.0) if abs(axis[2]) < 0.9 else (1.0, 0.0, 0.0))
@@ -166,7 +166,7 @@ def sights(scene: bpy.types.Scene, spot: spec.Spot, seen: stage.Snapshot | None 
     falls = np.maximum(-ways[:, 1:2], 1e-3)
     lit = lamp + ways * (lamp[1] / falls)
 
-    starts, corners = stage.view(scene, stage.find(scene, "camera"), seen.matrices["camera"])
+    starts, corners = geometry.view(scene, roles.find(scene, "camera"), seen.matrices["camera"])
     return [Sight(np.tile(lamp, (_RIM, 1)), lit), Sight(starts, corners)]
 
 
@@ -206,7 +206,7 @@ class Sight:
         ]
         return made[0], made[1]
 
-    def may_hold(self, centre: spec.Vector, radius: float) -> bool:
+    def may_hold(self, centre: Vector, radius: float) -> bool:
         """Whether part of a sphere may be inside; a no is sure."""
         return bool((self._normals @ centre - self._levels > -radius).all())
 

@@ -8,16 +8,21 @@ from dataclasses import replace
 import bpy
 import numpy as np
 
-from generator.blender.scene import clearance, stage
-from generator.model import poses, spec
-from generator.model.spec import Array, NlosError, Sweep
+from generator.blender.scene import clearance, geometry, roles
+from generator.blender.scene.description import read_scene
+from generator.blender.scene.words import numbers
+from generator.model import poses
+from generator.model.arrays import Array
+from generator.model.errors import NlosError
+from generator.model.grid import VoxelGrid
+from generator.model.settings import Sweep
 
 _TURNS = 64
 _POSES = 8
 """Per voxel: enough to see how they lie, and drawn in no time."""
 
 
-def voxels(grid: spec.VoxelGrid) -> tuple[Array, Array]:
+def voxels(grid: VoxelGrid) -> tuple[Array, Array]:
     """Return the edges of all voxels, (2 n, 3), two ends each, and the voxels' centres, (voxels, 3), metres."""
     lo, size, shape = np.array(grid.lo), np.array(grid.size), grid.shape
     ends = []
@@ -33,7 +38,7 @@ def voxels(grid: spec.VoxelGrid) -> tuple[Array, Array]:
     return edges, np.array([(low + high) / 2.0 for low, high in bounds])
 
 
-def boxes(grid: spec.VoxelGrid) -> Array:
+def boxes(grid: VoxelGrid) -> Array:
     """Return the triangles of every voxel's box, (voxels, 36, 3), metres."""
     unit = np.array([[x, y, z] for z in (0, 1) for y in (0, 1) for x in (0, 1)], dtype=np.float64)
     quads = [(0, 1, 3, 2), (4, 5, 7, 6), (0, 1, 5, 4), (2, 3, 7, 6), (0, 2, 6, 4), (1, 3, 7, 5)]
@@ -47,7 +52,7 @@ def lit_patch(lamp: bpy.types.Object) -> Array:
     """Return the rim of what a spot lamp lights of the plane y = 0, (n, 3), metres; empty if that is no ellipse."""
     if lamp.type != "LIGHT" or lamp.data.type != "SPOT":
         return np.empty((0, 3))
-    matrix = stage.numbers(lamp.matrix_world)
+    matrix = numbers(lamp.matrix_world)
     origin, axes = matrix[:3, 3], matrix[:3, :3] / np.linalg.norm(matrix[:3, :3], axis=0)
     turn = np.linspace(0.0, 2.0 * math.pi, _TURNS, endpoint=False)[:, None]
     ways = -axes[:, 2] + math.tan(lamp.data.spot_size / 2.0) * (np.cos(turn) * axes[:, 0] + np.sin(turn) * axes[:, 1])
@@ -66,19 +71,19 @@ def closed(corners: Array) -> Array:
 def watched(scene: bpy.types.Scene) -> Array:
     """Return the corners of what the camera sees of the plane y = 0, (4, 3), metres; empty if it sees none."""
     try:
-        return stage.view(scene, stage.find(scene, "camera"))[1]
+        return geometry.view(scene, roles.find(scene, "camera"))[1]
     except NlosError:
         return np.empty((0, 3))
 
 
 def legs(scene: bpy.types.Scene) -> Array:
     """Return the way of the light: lamp, w1, target, w2, camera, (5, 3), metres; empty if there is none."""
-    rim, corners = lit_patch(stage.find(scene, "spot")), watched(scene)
+    rim, corners = lit_patch(roles.find(scene, "spot")), watched(scene)
     if not len(rim) or not len(corners):
         return np.empty((0, 3))
-    lamp, target, camera = (stage.find(scene, role).matrix_world.translation for role in ("spot", "target", "camera"))
-    axis = -stage.numbers(stage.find(scene, "spot").matrix_world.to_3x3().col[2])
-    w1 = stage.numbers(lamp) - axis * (lamp.y / axis[1])
+    lamp, target, camera = (roles.find(scene, role).matrix_world.translation for role in ("spot", "target", "camera"))
+    axis = -numbers(roles.find(scene, "spot").matrix_world.to_3x3().col[2])
+    w1 = numbers(lamp) - axis * (lamp.y / axis[1])
     return np.array([lamp, w1, target, corners.mean(axis=0), camera], dtype=np.float64)
 
 
@@ -90,7 +95,7 @@ def sampled(scene: bpy.types.Scene, sweep: Sweep) -> Array:
     NlosError
         The scene cannot be read, or the target fits nowhere.
     """
-    described = stage.read(scene)
+    described = read_scene(scene)
     some = replace(sweep, poses=min(sweep.poses, _POSES))
     is_free = clearance.clearance(scene, described, engine=some.engine)
-    return np.array([pose.position for pose in poses.plan(described.grid, some, stage.hull(scene), is_free)])
+    return np.array([pose.position for pose in poses.plan(described.grid, some, geometry.hull(scene), is_free)])

@@ -18,7 +18,9 @@ from typing import Any
 
 import bpy
 
-from generator.model.spec import NlosError
+from generator.blender.scene import roles
+from generator.blender.scene.quiet import quiet
+from generator.model.errors import NlosError
 from generator.sets.links import real, trusted
 
 _WITH_FILES = ("libraries", "images", "movieclips", "sounds", "volumes", "cache_files", "fonts")
@@ -61,12 +63,10 @@ def refuse(scene: Path, known: Collection[Path] = ()) -> list[Path]:
 
 def _look(scene: Path) -> tuple[list[Path], list[str]]:
     """The files that a scene refers to, and what else is wrong with it."""
-    from generator.blender.scene import stage  # which opens what was looked at
-
     own = real(scene)
     if bpy.data.filepath and real(Path(bpy.data.filepath)) == own:  # open already: by its user, or looked at before
         return _looked_at(bpy.data, own)
-    with bpy.data.temp_data() as inside, stage.quiet():
+    with bpy.data.temp_data() as inside, quiet():
         try:
             with inside.libraries.load(str(scene), link=True) as (there, wanted):
                 for kind in dir(there):
@@ -166,14 +166,12 @@ def missing(scene: bpy.types.Scene) -> list[str]:
 
 def _shown(scene: bpy.types.Scene) -> set[Any]:
     """Every piece of data that what is rendered is made from."""
-    from generator.blender.scene import stage
-
     users = bpy.data.user_map()
     needs: dict[Any, list[Any]] = {}
     for block, by in users.items():
         for user in by:
             needs.setdefault(user, []).append(block)
-    todo = [scene.world, scene.camera, *(obj for obj in scene.objects if not stage.unseen(scene, obj))]
+    todo = [scene.world, scene.camera, *(obj for obj in scene.objects if not roles.unseen(scene, obj))]
     found: set[Any] = set()
     while todo:
         block = todo.pop()

@@ -11,7 +11,7 @@ from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from typing import Any
 
-from generator.blender.scene import stage
+from generator.blender.scene.quiet import animating
 
 
 @dataclass(frozen=True)
@@ -122,8 +122,7 @@ def replaced(scene: Any) -> list[Setting]:
         for setting in (*OUTPUT, *SAMPLING)
         if setting.words
         and any(
-            getattr(owner, name) != setting.value or stage.animating(owner, name)
-            for owner, name in places(scene, setting)
+            getattr(owner, name) != setting.value or animating(owner, name) for owner, name in places(scene, setting)
         )
         and (setting.path not in _AT_WORK or _AT_WORK[setting.path](scene))
     ]
@@ -132,7 +131,7 @@ def replaced(scene: Any) -> list[Setting]:
 def told(scene: Any, setting: Setting) -> str:
     """Return in words what a file says of a setting, and what a sweep has instead."""
     owner, name = next(places(scene, setting))
-    own = "animated" if stage.animating(owner, name) else words(getattr(owner, name))
+    own = "animated" if animating(owner, name) else words(getattr(owner, name))
     return f"{setting.words} ({own} in the file, {words(setting.value)} in a sweep)"
 
 
@@ -140,7 +139,7 @@ def is_default(scene: Any, setting: Setting) -> bool:
     """Whether a file has of a setting what every new file of Blender has."""
     owner, name = next(places(scene, setting))
     default = owner.bl_rna.properties[name].default
-    return bool(getattr(owner, name) == default) and not stage.animating(owner, name)
+    return bool(getattr(owner, name) == default) and not animating(owner, name)
 
 
 def words(value: Any) -> str:

@@ -35,8 +35,8 @@ import math
 import os
 from collections import Counter
 from collections.abc import Callable, Iterator, Mapping
-from dataclasses import dataclass, field, replace
-from functools import cached_property, partial
+from dataclasses import dataclass, replace
+from functools import cached_property
 from pathlib import Path
 from typing import Any, Literal, Protocol
 
@@ -45,25 +45,19 @@ import numpy as np
 from numpy.typing import NDArray
 
 from generator.files.limits import MUCH, check_heaps, excessive, limited
-from generator.jobs.sweep import NO_PROBE, Crew, Progress, check_same, compiling_words, planned_notes, start_words
+from generator.files.pictures import COLOUR_SPACE, Picture, pixel_hash, read_picture, write_picture
+from generator.files.toml import dump_toml, from_dict, read_toml, to_dict
+from generator.files.writing import atomic, file_hash, fingerprint, write_text
+from generator.model.arrays import Array, Vector
+from generator.model.errors import NlosError
+from generator.model.grid import VoxelGrid
 from generator.model.poses import Pose
-from generator.model.spec import Array, NlosError, Sweep, Vector, VoxelGrid, dump_toml, from_dict, read_toml, to_dict
-from generator.sets import audit, dataset, seal
-from generator.sets.dataset import (
-    BACKGROUND,
-    COLOUR_SPACE,
-    SCENE,
-    Picture,
-    as_read,
-    atomic,
-    file_hash,
-    fingerprint,
-    pixel_hash,
-    read_picture,
-    write_picture,
-    write_text,
-)
-from generator.sets.unknown_objects import stranger
+from generator.model.quantities import Progress
+from generator.model.settings import Sweep
+from generator.sets import audit, seal
+from generator.sets.hdf5 import OPENED, Rows, describe_file, short_size, write_image
+from generator.sets.manifest import BACKGROUND, SCENE, check_meta, check_no_set
+from generator.sets.readable import as_read
 from generator.transport.world import World
 from generator.transport.world_file import load_world, save_world, world_hash
 
@@ -76,13 +70,6 @@ MASTER = "set.h5"
 
 COLUMNS = ("position", "rotation", "voxel", "index")
 
-_ABOUT = {
-    "pictures": {"units": "W/m^2/sr", "about": "scene-linear radiance of the relay wall; row 0 is the top"},
-    "position": {"units": "m", "about": "of the target's origin"},
-    "rotation": {"units": "degrees", "about": "about x, then y, then z"},
-    "voxel": {"about": "where the target stands; x runs fastest, then y, then z"},
-    "index": {"about": "of the pose within its voxel"},
-}
 
 # Files that HDF5 1.10 can read, the first that knows virtual datasets, whatever is newest here.
 _VERSIONS = ("v110", "v110")
@@ -92,7 +79,6 @@ _PART = 64 * 1024**2
 _LARGEST_PART = 1024**3
 _MOST_PARTS = 512
 """HDF5 holds every part open that it has read through the master, and a process may have 1024 files open."""
-_OPEN = 128
 _SMALL = 2**24
 """Bytes of a part that is looked through before it is opened; to read more would take longer than to use it."""
 _TOO_MANY = 2**19
@@ -181,112 +167,6 @@ class Settings:
         return replace(self, part=math.ceil(wanted / chunk) * chunk)
 
 
-@dataclass
-class Outcome:
-    """What a run did.
-
-    Attributes
-    ----------
-    bulk : Bulk
-    rendered : int
-        Pictures made by this run.
-    failed : list of str
-        Parts that could not be made, each with its reason.
-    remaining : int
-        Pictures of the whole set, other shards' included, that are not rendered yet.
-    """
-
-    bulk: Bulk
-    rendered: int = 0
-    failed: list[str] = field(default_factory=list)
-    remaining: int = 0
-
-
-def run(
-    scene: Path,
-    path: Path,
-    chosen: Mapping[str, Any],
-    *,
-    workers: int = 0,
-    shard: tuple[int, int] = (0, 1),
-    progress: Progress = lambda done, total: None,
-    tell: Callable[[str], None] = lambda words: None,
-    force: bool = False,
-    probe: bool = True,
-) -> Outcome:
-    """Make a bulk set, or what is missing of it.
-
-    Parameters
-    ----------
-    scene : Path
-        The ``.blend``.
-    path : Path
-        Of the set; a folder that is new, empty, or holds the same set.
-    chosen : mapping
-        Fields of `Settings` that the user chose; ``resolution`` may be text. What is left out follows from the set
-        if there is one, else from the scene and the defaults.
-    workers : int
-        Processes; 0 is one per core.
-    shard : (int, int)
-        ``(i, n)``: make the i-th of n shares of the parts only, i from 0.
-    progress : callable
-        Is told how many pictures of this run are done, and how many there are to do.
-    tell : callable
-        Is told that the engine is being compiled, what the check says of a new set's scene, and what the check at its
-        start found.
-    force : bool
-        Begin a new set in spite of errors that the check finds in the scene.
-    probe : bool
-        Whether a new set begins with the check of the engine against plain Cycles (`generator.blender.start_check`).
-
-    Raises
-    ------
-    NlosError
-        The input is bad, the check finds an error, the engine cannot honour the scene, or the set at that path was
-        made with other settings.
-    """
-    if words := compiling_words("surfel"):
-        tell(words)
-    new = not Bulk.exists(path)
-    if new:
-        for words in _plan(scene, path, chosen, force=force, probe=probe):
-            tell(words)
-    bulk = Bulk.open(path)
-    if new and (words := start_words(bulk)):
-        tell(words)
-    check_same(bulk, scene, chosen)
-    index, count = shard
-    if not 0 <= index < count:
-        raise NlosError(f"--shard {index}/{count}: must be i/n with i from 0 to n - 1")
-    pending = [number for number in bulk.missing() if number % count == index]
-    outcome = Outcome(bulk)
-    if pending:
-        crew = Crew(
-            lambda threads: ["generator.blender.bulk_worker", "render", str(path), str(threads)],
-            lambda number: bulk.part_path(number).name,
-            progress,
-            size=lambda number: len(bulk.part_range(number)),
-        )
-        crew.work(pending, workers)
-        outcome.failed = crew.failed
-    missing = set(bulk.missing())
-    outcome.rendered = sum(len(bulk.part_range(number)) for number in pending if number not in missing)
-    outcome.remaining = sum(len(bulk.part_range(number)) for number in missing)
-    if not missing:
-        bulk.finish()
-    return outcome
-
-
-def _plan(scene: Path, path: Path, chosen: Mapping[str, Any], *, force: bool, probe: bool) -> list[str]:
-    if not scene.is_file():
-        raise NlosError(f"{scene}: no such scene file")
-    if "pictures" not in chosen:
-        raise NlosError(f"{path}: is a new set, so say how many pictures it shall hold with --pictures N")
-    check_free(path)
-    arguments = ["generator.blender.bulk_worker", "plan", str(scene), str(path), json.dumps(dict(chosen))]
-    return planned_notes(scene, [*arguments, *([] if probe else [NO_PROBE])], force=force)
-
-
 def check_free(path: Path) -> None:
     """Raise NlosError unless a bulk set can be created at that path."""
     ours = {SCENE, WORLD, BACKGROUND}  # what planning leaves when it is killed
@@ -294,7 +174,7 @@ def check_free(path: Path) -> None:
         names = {p.name for p in path.iterdir() if not p.name.endswith(".tmp")}
         if names and names <= ours:
             return
-    dataset.check_free(path)
+    check_no_set(path)
 
 
 def is_grey(world: World) -> bool:
@@ -362,7 +242,7 @@ class Bulk:
         if version > FORMAT:
             raise NlosError(f"{path}: has bulk format {version}; this software reads up to {FORMAT}, so update it")
         try:
-            dataset.check_meta(meta, channels=int)
+            check_meta(meta, channels=int)
             bulk = cls(path, meta)
             bulk.grid  # noqa: B018 (refuses what cannot be one)
         except NlosError as error:
@@ -585,7 +465,9 @@ class Bulk:
                 check_heaps(path)
             file = h5py.File(path, "r")
         except (OSError, ValueError) as error:
-            raise NlosError(f"{path}: is broken ({_short(error)}); run the same command again to make it") from None
+            raise NlosError(
+                f"{path}: is broken ({short_size(error)}); run the same command again to make it"
+            ) from None
         count = len(self.part_range(number))
         try:
             with limited(MUCH):
@@ -608,7 +490,7 @@ class Bulk:
                 raise ValueError(f"claims {claimed} bytes in {path.stat().st_size}")
         except Exception as error:  # HDF5's and h5py's, of many kinds
             file.close()
-            raise NlosError(f"{path}: {_short(error)}; run the same command again to make it anew") from None
+            raise NlosError(f"{path}: {short_size(error)}; run the same command again to make it anew") from None
         return file
 
     def rows(self, number: int, name: str) -> Any:
@@ -621,7 +503,7 @@ class Bulk:
             file = self._open_part(number)
             kept = {"file": file} | {column: file[column] for column in ("pictures", *COLUMNS)}
         self._opened[key] = kept  # the last used comes last
-        if len(self._opened) > _OPEN:
+        if len(self._opened) > OPENED:
             del self._opened[next(iter(self._opened))]
         return kept[name]
 
@@ -669,12 +551,12 @@ class Bulk:
             for name, column in zip(COLUMNS, (position, rotation, voxel, index), strict=True):
                 file.create_dataset(name, data=column, dtype=column.dtype.newbyteorder("<"))
                 digest.update(file[name][()].tobytes())
-            _describe(file)
+            describe_file(file)
             file.attrs.update(
                 format=_PART_FORMAT, fingerprint=self.meta["fingerprint"], part=number, first=int(numbers[0])
             )
             file.attrs["sha256"] = digest.hexdigest()
-            _write_image(self.part_path(number), file)
+            write_image(self.part_path(number), file)
 
     def _checked(self, made: Pictures, numbers: NDArray[np.int64]) -> NDArray[Any]:
         """Return pictures as they are stored, once they are known to be sound."""
@@ -723,7 +605,7 @@ class Bulk:
                 source = h5py.VirtualSource(self.part_path(number).name, name, (len(rows), *shape), dtype)
                 layout[rows.start : rows.stop] = source
             file.create_virtual_dataset(name, layout, fillvalue=fill)
-        _describe(file)
+        describe_file(file)
         file["background"] = self.background
         file["background"].attrs["units"] = "W/m^2/sr"
         file.create_dataset("label", data=self.grid.labels, dtype=h5py.string_dtype())
@@ -826,7 +708,7 @@ class Bulk:
                 with limited(MUCH):
                     told = str(file.attrs.get("sha256"))
         except Exception as error:  # HDF5's and h5py's, of many kinds
-            return f"{path}: is broken ({_short(error)}); take it away and run the same command again"
+            return f"{path}: is broken ({short_size(error)}); take it away and run the same command again"
         if digest.hexdigest() != told:
             return f"{path}: its contents differ from their hash; take it away and run the same command again"
         if not finite:
@@ -914,145 +796,4 @@ def _told(file: Any, name: str) -> Any:
     return attributes, thing.shape, thing.dtype.str, repr(thing.fillvalue), sorted(places)
 
 
-class Engine:
-    """The engine that a set's pictures are of.
-
-    Parameters
-    ----------
-    bulk : Bulk
-    threads : int
-        0 takes all cores.
-    """
-
-    def __init__(self, bulk: Bulk, *, threads: int = 0) -> None:
-        from generator.transport import Transport  # readers of sets need no compiler
-
-        plan = bulk.plan
-        self._bulk = bulk
-        self._make = partial(Transport, accuracy=plan.accuracy, threads=threads)
-        self._world = bulk.world().seen_by(*plan.resolution)
-        self._known = None if plan.unknown else self._make(self._world)
-        self._last: Transport | None = None
-
-    def pictures(
-        self, numbers: NDArray[np.int64], positions: Array, rotations: Array, *, shadows: bool = True
-    ) -> Pictures:
-        """Return pictures (n, height, width, 3), W/m^2/sr.
-
-        Parameters
-        ----------
-        numbers : ndarray of shape (n,), int
-            Of the pictures, in order.
-        positions, rotations : ndarray of shape (n, 3)
-            Metres, degrees.
-        shadows : bool
-            As of `generator.transport.Transport.pictures`.
-        """
-        if self._known is not None:
-            return self._known.pictures(positions, rotations, shadows=shadows)
-        bulk = self._bulk
-        index = numbers // bulk.grid.n_voxels
-        made = []
-        for some in np.split(np.arange(len(numbers)), np.flatnonzero(np.diff(index)) + 1):
-            one = replace(self._world, target=(stranger(bulk.grid, bulk.plan.sweep, int(index[some[0]])),))
-            self._last = self._make(one, like=self._last)
-            made.append(self._last.pictures(positions[some], rotations[some], shadows=shadows))
-        return np.concatenate(made)
-
-
 _FIELDS = frozenset(Settings.__dataclass_fields__)
-
-
-class Rows:
-    """One row per picture, spread over the parts, read as they are asked for.
-
-    Parameters
-    ----------
-    bulk : Bulk
-    name : str
-        Of the dataset.
-    shape : tuple of int
-        Of one row.
-    dtype : dtype
-    """
-
-    def __init__(self, bulk: Bulk, name: str, shape: tuple[int, ...], dtype: np.dtype[Any]) -> None:
-        self._bulk = bulk
-        self._name = name
-        self.shape = (bulk.planned, *shape)
-        self.dtype = dtype
-
-    def __len__(self) -> int:
-        return self.shape[0]
-
-    def __array__(self, dtype: Any = None, copy: bool | None = None) -> NDArray[Any]:
-        whole: NDArray[Any] = self[:]
-        return whole if dtype is None else whole.astype(dtype)
-
-    def __getitem__(self, which: Any) -> Any:
-        """Return one row, a slice of them, or those that an array of numbers or of truth values names."""
-        part = self._bulk.plan.part
-        if isinstance(which, int | np.integer):
-            number = range(len(self))[which]
-            return self._read(number // part, number % part)
-        if isinstance(which, slice):
-            start, stop, step = which.indices(len(self))
-            if step != 1:
-                return self[np.arange(start, stop, step)]
-            rows = np.empty((max(0, stop - start), *self.shape[1:]), self.dtype)
-            for number in range(start // part, math.ceil(stop / part) if stop > start else 0):
-                low, high = max(start, number * part), min(stop, (number + 1) * part)
-                first = number * part
-                rows[low - start : high - start] = self._read(number, slice(low - first, high - first))
-            return rows
-        numbers = self._numbers(which)
-        rows = np.empty((len(numbers), *self.shape[1:]), self.dtype)
-        owner = numbers // part
-        for number in np.unique(owner).tolist():
-            mine = np.flatnonzero(owner == number)
-            wanted = numbers[mine] - number * part
-            low, high = int(wanted.min()), int(wanted.max()) + 1
-            # h5py's own way with lists of rows is slower than either of these.
-            if high - low <= 4 * len(wanted):
-                rows[mine] = self._read(number, slice(low, high))[wanted - low]
-            else:
-                for at, row in zip(mine.tolist(), wanted.tolist(), strict=True):
-                    rows[at] = self._read(number, row)
-        return rows
-
-    def _read(self, number: int, which: int | slice) -> Any:
-        """Some rows of a part."""
-        try:
-            return self._bulk.rows(number, self._name)[which]
-        except OSError as error:
-            words = f"is broken ({_short(error)}); take it away and run the same command again"
-            raise NlosError(f"{self._bulk.part_path(number)}: {words}") from None
-
-    def _numbers(self, which: Any) -> NDArray[np.int64]:
-        numbers = np.asarray(which)
-        if numbers.dtype == bool and numbers.shape == (len(self),):
-            return np.flatnonzero(numbers)
-        if numbers.ndim != 1 or (numbers.size and numbers.dtype.kind not in "iu"):
-            raise IndexError(f"{self._name}: ask for a number, a slice, or one list of numbers or of truth values")
-        numbers = numbers.astype(np.int64)
-        numbers = np.where(numbers < 0, numbers + len(self), numbers)
-        if numbers.size and (numbers.min() < 0 or numbers.max() >= len(self)):
-            raise IndexError(f"{self._name}: holds rows 0 to {len(self) - 1}")
-        return numbers
-
-
-def _describe(file: Any) -> None:
-    for name, attributes in _ABOUT.items():
-        file[name].attrs.update(attributes)
-
-
-def _write_image(path: Path, file: Any) -> None:
-    file.flush()
-    with atomic(path) as temporary:
-        temporary.write_bytes(file.id.get_file_image())
-
-
-def _short(error: Exception) -> str:
-    """HDF5's message without its inner monologue of addresses and times."""
-    text = " ".join(str(error.args[0] if error.args else error).split())
-    return text[:120]

@@ -1,0 +1,87 @@
+"""Options that several verbs share."""
+
+from __future__ import annotations
+
+import argparse
+import contextlib
+import os
+import sys
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from generator.cli.terminal import LineProgress, left_words
+from generator.jobs.remaining import Remaining
+from generator.model.errors import NlosError
+
+if TYPE_CHECKING:
+    from classify.inference.atlas import Atlas
+    from classify.pictures.sensor import Sensor
+
+
+RAW = argparse.RawDescriptionHelpFormatter
+
+
+SENSORS = ("full_well", "read_noise", "bits", "exposure", "fill", "frames", "background_frames", "gain_spread")
+
+
+def add_sensor_options(parser: argparse.ArgumentParser, otherwise: str = "by the default sensor") -> None:
+    parser.add_argument(
+        "--sensor",
+        metavar="default|FILE.toml",
+        help=f"see the pictures through a camera's sensor; a file may name {', '.join(SENSORS)}, offset_spread and "
+        "drift. The default has a full well of 10,500 electrons, the brightest pixel at 80 %% of it, a read noise of "
+        f"2.5, 12 bits (without it: {otherwise})",
+    )
+    parser.add_argument("--frames", type=int, metavar="N", help="that the sensor averages for a picture (default: 1)")
+
+
+def sensor_of(options: argparse.Namespace) -> Sensor:
+    from dataclasses import replace
+
+    from classify.pictures.sensor import Sensor
+    from generator.files.toml import from_dict, read_toml
+
+    named = options.sensor not in (None, "default")
+    sensor: Sensor = from_dict(Sensor, read_toml(Path(options.sensor)), "sensor.") if named else Sensor()
+    return sensor if options.frames is None else replace(sensor, frames=options.frames)
+
+
+def check_output(path: Path, *, folder: bool = False) -> None:
+    """Say before the work, not after it, that its result has no place to go."""
+    if path.exists() and path.is_dir() != folder:
+        raise NlosError(f"{path}: is a {'file' if folder else 'folder'}; name a {'folder' if folder else 'file'}")
+    place = next(p for p in [path, *path.absolute().parents] if p.exists())
+    if not (path.exists() or place.is_dir()) or not os.access(place, os.W_OK):
+        raise NlosError(f"{path}: cannot be written")
+
+
+@contextlib.contextmanager
+def progress_bar(what: str, unit: str) -> Iterator[Callable[[int, int, str], None]]:
+    if not sys.stderr.isatty():
+        lines = LineProgress(unit)
+        yield lambda done, total, now: lines(done, total)
+        return
+    from rich.console import Console
+    from rich.progress import BarColumn, Progress, TaskProgressColumn, TextColumn
+
+    remaining = Remaining()
+    columns = (TextColumn("{task.description}"), BarColumn(), TaskProgressColumn())
+    with Progress(*columns, console=Console(stderr=True), transient=True) as bar:
+        task = bar.add_task(what, total=None)
+
+        def show(done: int, total: int, now: str) -> None:
+            left = left_words(remaining.told(done, total))
+            bar.update(task, completed=done, total=total, description=f"{now or what}{left}")
+
+        yield show
+
+
+def loaded(options: argparse.Namespace) -> Atlas:
+    """The atlas that was named, for as many frames and cut into the voxels that were asked for."""
+    from classify.inference import atlas
+
+    found = atlas.load(options.atlas)
+    found = found if options.frames is None else found.at(options.frames)
+    voxels = getattr(options, "voxels", None)
+    return found if voxels is None else found.cut(tuple(voxels))

@@ -1,0 +1,146 @@
+"""Pictures by Cycles: the engines `path` and `patch`."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+
+import bpy
+import numpy as np
+
+from generator.blender.scene import blend_file, materials, nodes, replaced, roles
+from generator.blender.scene.quiet import Overrides, quiet
+from generator.blender.scene.roles import refuse_hidden
+from generator.files.pictures import Picture, read_picture
+from generator.model.errors import NlosError
+
+GPU_KINDS = ("OPTIX", "CUDA", "HIP", "METAL", "ONEAPI")
+"""Cycles' names of what it can reach a GPU through, the quickest first."""
+
+
+class Renderer:
+    """Renders what the camera sees on the relay wall.
+
+    Made by `opened`, which also puts the scene back as it was.
+    """
+
+    def __init__(self, scene: bpy.types.Scene, folder: Path) -> None:
+        self._scene = scene
+        self._file = folder / "render.exr"
+        self._samples = 0
+
+    def render(self, *, samples: int, seed: int, target: bool = True, ambient: bool = True) -> Picture:
+        """Render one picture.
+
+        Parameters
+        ----------
+        samples : int
+            Camera rays per pixel.
+        seed : int
+            Of the noise, 0 to 2^31 - 1.
+        target : bool
+            With the hidden object, or the background without it.
+        ambient : bool
+            With the world's light, where there is any.
+
+        Returns
+        -------
+        ndarray of shape (height, width, 3), float32
+            Radiance, W/m^2/sr; row 0 is the top.
+
+        Raises
+        ------
+        NlosError
+            Cycles failed, or left a picture with NaN or infinite pixels.
+        """
+        scene = self._scene
+        target_parts = roles.target_parts(scene)
+        with Overrides() as overrides:
+            overrides.set(scene.cycles, "samples", samples)
+            overrides.set(scene.cycles, "seed", seed)
+            overrides.set(scene.render, "filepath", blend_file.literal(self._file, rendered=True))
+            if not target:
+                for part in target_parts:
+                    overrides.set(part, "hide_render", True)
+            else:
+                refuse_hidden(scene)
+            dark = [] if ambient else _put_out_the_sky(scene, overrides)
+            if samples != self._samples:
+                # With persistent data the table that Cycles' random numbers come from stays as long as the most
+                # samples so far asked for, so that a picture would depend on those before it. This frees it.
+                scene.render.use_persistent_data = False
+                scene.render.use_persistent_data = True
+                self._samples = samples
+            # Cycles also keeps the old samples and seed unless the scene is marked as changed.
+            scene.update_tag()
+            self._file.unlink(missing_ok=True)
+            with quiet():
+                bpy.ops.render.render(write_still=True, scene=scene.name)
+        if dark:
+            bpy.data.batch_remove(dark)
+        scene.update_tag()
+        pixels, _ = read_picture(self._file)
+        if not np.isfinite(pixels).all():
+            raise NlosError(f"{bpy.data.filepath}: Cycles rendered NaN or infinite pixels (seed {seed})")
+        return pixels
+
+
+def use_gpu(overrides: Overrides) -> list[str]:
+    """Let Cycles render on the GPUs that Blender's preferences name, or else on all that are found.
+
+    Returns
+    -------
+    list of str
+        Their names.
+
+    Raises
+    ------
+    NlosError
+        There is none.
+    """
+    preferences = bpy.context.preferences.addons["cycles"].preferences
+    preferred = preferences.compute_device_type
+    for kind in (preferred, *GPU_KINDS):
+        if kind == "NONE":
+            continue
+        try:
+            overrides.set(preferences, "compute_device_type", kind)
+        except TypeError:  # not on this system, or not in this Blender
+            continue
+        with quiet():
+            preferences.refresh_devices()
+        found = [device for device in preferences.devices if device.type == kind]
+        if kind == preferred and any(device.use for device in found):
+            return [device.name for device in found if device.use]
+        for device in preferences.devices:
+            overrides.set(device, "use", device in found)
+        if found:
+            return [device.name for device in found]
+    raise NlosError("device gpu: Cycles finds no GPU on this machine; check its driver, or render with --device cpu")
+
+
+def linear_output(scene: bpy.types.Scene, overrides: Overrides) -> None:
+    """Let the renderer's own float32 radiance be what is written."""
+    # Another format has other depths, codecs and colour spaces: assigning it changes them.
+    overrides.keep(scene.render.image_settings, "media_type", "file_format", "color_mode", "color_depth")
+    replace_settings(scene, overrides, replaced.OUTPUT)
+
+
+def plain_cycles(scene: bpy.types.Scene, overrides: Overrides) -> None:
+    """Let Cycles be unbiased, and its noise follow from seed and samples alone."""
+    replace_settings(scene, overrides, replaced.SAMPLING)
+
+
+def replace_settings(scene: bpy.types.Scene, overrides: Overrides, settings: Sequence[replaced.Setting]) -> None:
+    for setting in settings:
+        for owner, name in replaced.places(scene, setting):
+            overrides.set(owner, name, setting.value)
+
+
+def _put_out_the_sky(scene: bpy.types.Scene, overrides: Overrides) -> list[bpy.types.World]:
+    """Put worlds without light in the place of those of a scene, and return them."""
+    dark = []
+    for owner, name in materials.worlds_of(scene):
+        dark.append(nodes.darkened(getattr(owner, name)))
+        overrides.set(owner, name, dark[-1])
+    return dark

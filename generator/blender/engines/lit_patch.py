@@ -1,0 +1,218 @@
+"""The patch of the wall that the spot lights: w1 of every path."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import replace
+
+import bpy
+import numpy as np
+
+from generator.blender.engines.planes import (
+    NOTHING,
+    Plane,
+    blocked,
+    colour_within,
+    covered,
+    cut_areas,
+    first_hit,
+    near_plane,
+    perpendicular,
+    pyramid,
+)
+from generator.blender.engines.reading import RAYS
+from generator.blender.engines.surface import Light, Reading
+from generator.blender.scene import nodes, roles
+from generator.blender.scene.words import numbers
+from generator.model.arrays import Array
+from generator.transport.world import LitPatch
+
+_RIM = 1.0 - 1e-3
+"""Look just inside the cone: its very edge may graze whatever the lit patch ends at."""
+
+
+def read_lit_patch(scene: bpy.types.Scene, reading: Reading) -> tuple[LitPatch | None, list[str]]:
+    lamp, wall = roles.find(scene, "spot"), roles.find(scene, "relay_wall")
+    light = lamp.data
+    if lamp.type != "LIGHT" or light.type != "SPOT":
+        return None, [f"the spot {lamp.name!r} is not a spot lamp"]
+    # Where a render has it: of what the viewport hides Blender does not keep the place up to date.
+    matrix = reading.places.get("spot", numbers(lamp.matrix_world))
+    reasons = _lamp_reasons(lamp, matrix, roles.reflection_order(scene))
+    if "spot" not in reading.places:
+        reasons.append(f"the spot {lamp.name!r} is hidden from renders")
+    reasons += _reflection_reasons(scene, reading)
+    surfaces = [s for s in reading.surfaces if s.role != "target"]
+    walls = [s for s in surfaces if s.role == "relay_wall"]
+    origin, axis = matrix[:3, 3], -matrix[:3, 2] / np.linalg.norm(matrix[:3, 2])
+    half = light.spot_size / 2.0
+    hit, point, normal = first_hit(surfaces, origin, axis)
+    if hit is None or hit.role != "relay_wall":
+        return None, [*reasons, blocked(lamp, wall, hit)]
+    if normal @ axis > 0:
+        normal = -normal
+    height = float((origin - point) @ normal)
+    tilt = math.acos(min(1.0, float(-axis @ normal)))
+    if tilt + half >= math.radians(89.0):
+        return None, [*reasons, f"the spot {lamp.name!r} grazes the wall, so that its patch has no edge"]
+    along = axis + normal * math.cos(tilt)
+    along = along / np.linalg.norm(along) if tilt > 1e-6 else perpendicular(normal)
+    near, far = height * math.tan(tilt - half), height * math.tan(tilt + half)
+    middle, major = (near + far) / 2.0, (far - near) / 2.0
+    reach = (middle * math.sin(tilt) + height * math.cos(tilt)) / math.cos(half)
+    minor = math.sqrt(reach**2 - middle**2 - height**2)
+    blend = float(light.spot_blend)
+    patch = LitPatch(
+        centre=origin - height * normal + middle * along,
+        major=major * along,
+        minor=minor * np.cross(normal, along),
+        normal=normal,
+        lamp=origin,
+        axis=axis,
+        height=height,
+        intensity=numbers(light.color)
+        * np.array(nodes.radiance(light) or (0.0, 0.0, 0.0))
+        * (light.energy * 2.0 ** getattr(light, "exposure", 0.0) / (4.0 * math.pi)),
+        albedo=np.zeros(3),
+        cos_outer=math.cos(half),
+        cos_width=(1.0 - math.cos(half)) * blend,
+    )
+    turns = np.arange(64)[:, None] * (2.0 * math.pi / 64)
+    rim = patch.centre + _RIM * (np.cos(turns) * patch.major + np.sin(turns) * patch.minor)
+    apex = np.append(origin, 1.0)
+    sides = pyramid(rim, apex)
+    before = [*sides, Plane(normal, float(normal @ point) + 1e-4 * height)]
+    colour = colour_within(walls, [*sides, *near_plane(normal, point, 1e-4 * height)])
+    if colour is None:
+        reasons.append(f"the relay wall {wall.name!r} has more than one colour where {lamp.name!r} lights it")
+    else:
+        patch = replace(patch, albedo=colour)
+    blocking = [s for s in surfaces if cut_areas(s.triangles, before).sum() > NOTHING * major * minor]
+    reasons += [blocked(lamp, wall, s) for s in blocking]
+    if not blocking and not covered(surfaces, sides, point, normal, rim, 1e-4 * height):
+        reasons.append(blocked(lamp, wall, None))
+    return (None if reasons else patch), list(dict.fromkeys(reasons))
+
+
+def _lamp_reasons(lamp: bpy.types.Object, matrix: Array, order: int) -> list[str]:
+    """What is special about a spot lamp."""
+    light, name = lamp.data, f"the spot {lamp.name!r}"
+    reasons = []
+    if light.shadow_soft_size > 0:
+        reasons.append(f"{name} has a radius of {light.shadow_soft_size:g} m, not 0")
+    factor = nodes.radiance(light)
+    if factor is None or min(factor) < 0.0 or nodes.read(light).volume:
+        reasons.append(f"{name} has shader nodes of its own that are not one constant emission")
+    if getattr(light, "use_temperature", False):
+        reasons.append(f"{name} takes its colour from a temperature")
+    if not getattr(light, "normalize", True):
+        reasons.append(f"{name} has a power that is not normalised")
+    scale = np.linalg.norm(matrix[:3, :3], axis=0)
+    if np.ptp(scale) > 1e-5 * scale.max():
+        reasons.append(f"{name} is scaled unevenly, so that its cone is not round")
+    if not light.use_shadow or not getattr(light.cycles, "cast_shadow", True):
+        reasons.append(f"{name} casts no shadows")
+    if light.cycles.max_bounces < order - 1:
+        reasons.append(f"{name} has a limit of bounces of its own ({light.cycles.max_bounces})")
+    if not lamp.visible_diffuse:
+        reasons.append(f"{name} is not visible to diffuse rays")
+    linking = getattr(lamp, "light_linking", None)
+    if linking is not None and (linking.receiver_collection or linking.blocker_collection):
+        reasons.append(f"{name} is linked to some objects only (light linking)")
+    return reasons
+
+
+def _reflection_reasons(scene: bpy.types.Scene, reading: Reading) -> list[str]:
+    """Why the first reflection, in closed form and sent out by a lamp, would not be what Cycles finds."""
+    reasons = [*reading.layers, *reading.volumes]
+    copies = [light for light in reading.lights if light.role == "spot" and light.instance]
+    reasons += [f"the lamp {light.name!r} shines once more, as an instance" for light in copies]
+    for wall in (s for s in reading.surfaces if s.role == "relay_wall"):
+        reasons += wall.flaws
+        if wall.smooth:
+            reasons.append(f"{wall.label} is shaded smooth, so that it reflects as if it were curved")
+    reasons += _passed_by(reading)
+    reasons += _bounce_reasons(scene, reading)
+    reasons += _transparent_reasons(scene, reading)
+    if others := other_lights(reading.lights):
+        reasons += [
+            f"{s.label} is shaded smooth over coarse faces, around which lamps shine (shadow terminator geometry "
+            f"offset), while {others[0].name!r} shines too"
+            for s in reading.surfaces
+            if s.softened
+        ]
+    return list(dict.fromkeys(reasons))
+
+
+def _passed_by(reading: Reading) -> list[str]:
+    """What some rays meet and others pass by.
+
+    The way from the object to the lit patch is that of a reflected ray in Cycles, and that of a shadow ray where a
+    lamp stands for the patch.
+    """
+    kinds = frozenset().union(*reading.kinds.values())
+    reflected = {"diffuse", *({nodes.GLOSSY, nodes.TRANSMISSION} & kinds)}
+    reasons = []
+    for surface in reading.surfaces:
+        unseen = surface.unseen_by & {"shadow", *reflected}
+        if unseen and unseen != {"shadow", *reflected}:
+            words = " and ".join(word for word in RAYS if word in unseen)
+            reasons.append(f"{surface.label} is not visible to {words} rays, and is to others")
+    return reasons
+
+
+def _bounce_reasons(scene: bpy.types.Scene, reading: Reading) -> list[str]:
+    """Which materials need a limit of bounces that one number cannot say, or a lamp that rays meet by chance."""
+    cycles = scene.cycles
+    others = other_lights(reading.lights)
+    reasons = []
+    for name, kinds in reading.kinds.items():
+        ways = [kind for kind in (nodes.GLOSSY, nodes.TRANSMISSION) if kind in kinds]
+        if nodes.UNKNOWN in kinds:
+            reasons.append(f"{name!r} has a material that sends light where only Cycles knows")
+        if not ways:
+            continue
+        limits = {kind: getattr(cycles, f"{kind}_bounces") for kind in ("diffuse", *ways)}
+        low = min(limits, key=lambda kind: limits[kind])
+        if limits[low] < cycles.max_bounces:
+            reasons.append(
+                f"{name!r} has a {ways[0]} material, and the limit of {low} bounces ({limits[low]}) is below that of "
+                f"all ({cycles.max_bounces})"
+            )
+        if nodes.MIRROR in kinds and others:
+            reasons.append(f"{name!r} may reflect like a mirror while {others[0].name!r} shines too")
+    return reasons
+
+
+def _transparent_reasons(scene: bpy.types.Scene, reading: Reading) -> list[str]:
+    """Why the limit of transparent bounces may tell: to a shadow ray it is one more than to a path."""
+    limit, legs = scene.cycles.transparent_max_bounces, roles.reflection_order(scene)
+    clear = [s for s in reading.surfaces if nodes.TRANSPARENT in s.kinds]
+    known = {s.name for s in clear}
+    unknown = [name for name, kinds in reading.kinds.items() if nodes.TRANSPARENT in kinds and name not in known]
+    crossed = legs * sum(_planes(s.triangles) for s in clear)
+    if not unknown and crossed < limit:
+        return []
+    names = [*unknown, *(s.name for s in clear)]
+    return [
+        f"{names[0]!r} is transparent, and light may cross more such faces than the limit of transparent bounces "
+        f"({limit}) surely allows"
+        for _ in names[:1]
+    ]
+
+
+def _planes(triangles: Array) -> int:
+    """Return in how many planes triangles (n, 3, 3) lie: a straight line crosses no more of them."""
+    sides = np.cross(triangles[:, 1] - triangles[:, 0], triangles[:, 2] - triangles[:, 0])
+    normals = sides / np.linalg.norm(sides, axis=1, keepdims=True)
+    main = normals[np.arange(len(normals)), np.abs(normals).argmax(axis=1)]
+    normals = normals * np.sign(main)[:, None]  # both sides of a plane are one
+    size = np.ptp(triangles.reshape(-1, 3), axis=0).max()
+    offsets = (normals * (triangles[:, 0] - triangles[0, 0])).sum(axis=1) / size
+    return len(np.unique(np.round(np.column_stack([normals, offsets]), 4), axis=0))
+
+
+def other_lights(found: Sequence[Light]) -> list[Light]:
+    """Return those of the lights that are not the spot itself."""
+    return [light for light in found if not light.is_spot]

@@ -1,0 +1,245 @@
+"""The scene read as Cycles will render it: surfaces, lights, and what an engine cannot honour."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import bpy
+import numpy as np
+
+from generator.blender.engines.shapes import COARSE, SMOOTH, shape_of, softening
+from generator.blender.engines.surface import Light, Reading, Shape, Surface
+from generator.blender.scene import geometry, materials, nodes, roles
+from generator.blender.scene.description import lamp_power
+from generator.blender.scene.words import numbers
+from generator.model.arrays import Array
+
+MAX_ORDER = 3
+"""The most reflections that `surfel` knows."""
+
+
+_NOT_MESH = {
+    "CURVES": "hair curves",
+    "POINTCLOUD": "a point cloud",
+    "VOLUME": "a volume",
+    "GPENCIL": "grease pencil",
+    "GREASEPENCIL": "grease pencil",
+}
+
+
+def lights(scene: bpy.types.Scene) -> list[Light]:
+    """Return everything that gives light in a render of a scene: lamps, surfaces that glow, the world; the spot too.
+
+    Raises
+    ------
+    NlosError
+        A role is missing or played twice.
+    """
+    return read_surfaces(scene).lights
+
+
+def read_surfaces(scene: bpy.types.Scene) -> Reading:
+    parts = roles.target_parts(scene)
+    played = {roles.find(scene, role): role for role in ("relay_wall", "spot", "camera", "target")}
+    played |= dict.fromkeys(parts, "target")
+
+    def look(depsgraph: Any) -> Reading:
+        layers = _layer_reasons(scene)
+        reading = Reading(reasons=list(layers), layers=layers)
+        layer = scene.view_layers[depsgraph.view_layer.name]
+        _read_world(getattr(layer, "world_override", None) or depsgraph.scene.world, reading)
+        known: dict[tuple[int, ...], Shape] = {}
+        for instance in depsgraph.object_instances:
+            _read_instance(instance, played, parts[0], layer, reading, known)
+        return reading
+
+    return geometry.as_rendered(scene, look)
+
+
+def _read_instance(
+    instance: Any,
+    played: dict[bpy.types.Object, str],
+    target: bpy.types.Object,
+    layer: bpy.types.ViewLayer,
+    reading: Reading,
+    known: dict[tuple[int, ...], Shape],
+) -> None:
+    obj = instance.object
+    owner = (instance.parent if instance.is_instance else obj).original
+    role = played.get(owner, "room")
+    matrix = numbers(instance.matrix_world)
+    if not instance.is_instance and obj.original in played:
+        reading.places[role if role != "target" or obj.original == target else obj.name] = matrix
+    if obj.type == "LIGHT":
+        _read_lamp(instance, played.get(obj.original, "room"), matrix, reading)
+        return
+    hair = [s for s in obj.particle_systems if s.settings.type == "HAIR" and s.settings.render_type == "PATH"]
+    if hair and instance.show_particles:
+        reading.reasons.append(f"{obj.name!r} carries hair")
+        _read_substance(instance, role, matrix, reading)
+    if not instance.show_self:
+        return
+    if obj.type in _NOT_MESH:
+        reading.reasons.append(f"{obj.name!r} is {_NOT_MESH[obj.type]}, and surfel knows only faces")
+        _read_substance(instance, role, matrix, reading)
+        return
+    if not isinstance(obj.data, bpy.types.Mesh):
+        return  # a curve or text comes a second time, as the mesh made of it
+    # Objects that share a mesh may differ in their materials.
+    made_of = [slot.material.as_pointer() if slot.material else 0 for slot in obj.material_slots]
+    key = (obj.data.as_pointer(), *made_of)
+    if key not in known:
+        known[key] = shape_of(obj)
+    shape = known[key]
+    if not len(shape.corners):
+        return
+    label = f"{obj.name!r}"
+    if role == "relay_wall":
+        label = f"the relay wall {label}"
+    elif role == "target":
+        label = f"the target {label}" if obj.original == target else f"{label}, which moves with the target,"
+    triangles = shape.corners @ matrix[:3, :3].T + matrix[:3, 3]
+    flaws = [*shape.flaws, *_visibility_flaws(instance, role, layer)]
+    if not np.isfinite(triangles).all():
+        flaws.append("has a corner that is not a finite number")
+        triangles = np.nan_to_num(triangles, nan=0.0, posinf=0.0, neginf=0.0)
+    reading.surfaces.append(
+        Surface(
+            name=obj.name,
+            label=label,
+            role=role if role in ("relay_wall", "target") else "room",
+            triangles=triangles,
+            albedo=shape.albedo,
+            closed=shape.closed,
+            smooth=shape.lean > SMOOTH,
+            faces=shape.faces,
+            seen=obj.visible_camera,
+            flaws=tuple(f"{label} {flaw}" for flaw in flaws),
+            kinds=shape.kinds,
+            unseen_by=frozenset(_unseen_by(instance)),
+            softened=shape.lean > COARSE and softening(obj.original) > 0.0,
+        )
+    )
+    reading.kinds[obj.name] = reading.kinds.get(obj.name, frozenset()) | shape.kinds
+    if nodes.VOLUME in shape.kinds:
+        reading.volumes.append(f"{obj.name!r} is filled with a volume")
+    if shape.glowing.any() or shape.fire:
+        kind = "SURFACE" if shape.glowing.any() else "VOLUME"
+        shining = triangles[shape.glowing] if shape.glowing.any() else triangles
+        reading.lights.append(Light(obj.name, kind, role, instance.is_instance, matrix, corners=shining))
+
+
+def _read_lamp(instance: Any, role: str, matrix: Array, reading: Reading) -> None:
+    """Take down a lamp, if it shines."""
+    obj, lamp = instance.object, instance.object.data
+    portal = lamp.type == "AREA" and lamp.cycles.is_portal
+    power = lamp_power(lamp)
+    if portal or power == 0.0 or not nodes.shines(lamp):
+        return
+    factor = nodes.radiance(lamp)
+    power *= 1.0 if factor is None else sum(factor) / 3.0
+    reading.lights.append(Light(obj.name, lamp.type, role, instance.is_instance, matrix, power))
+    if role == "spot" and instance.is_instance:
+        reading.reasons.append(f"the lamp {obj.name!r} shines once more, as an instance")
+    elif role != "spot":
+        reading.reasons.append(f"the lamp {obj.name!r} shines too")
+
+
+def _read_world(world: Any, reading: Reading) -> None:
+    """Take down the world."""
+    reading.sky, more = _sky(world)
+    reading.reasons += more
+    if world is None:
+        return
+    if nodes.glows(world):
+        reading.lights.append(Light(world.name, "WORLD", "room", False, np.eye(4)))
+    if nodes.read(world).volume:
+        reading.volumes.append(f"the world {world.name!r} is filled with a volume")
+
+
+def _read_substance(instance: Any, role: str, matrix: Array, reading: Reading) -> None:
+    """Take down hair, points and volumes, whose shape only Cycles knows."""
+    obj = instance.object
+    materials = [slot.material for slot in obj.material_slots] or [None]
+    kinds = frozenset().union(*map(nodes.kinds, materials))
+    if obj.type == "VOLUME" or nodes.VOLUME in kinds:
+        kinds = frozenset({nodes.VOLUME})
+        reading.volumes.append(f"{obj.name!r} is filled with a volume")
+    reading.kinds[obj.name] = reading.kinds.get(obj.name, frozenset()) | kinds
+    if any(map(nodes.glows, materials)):
+        kind = "VOLUME" if obj.type == "VOLUME" else "SURFACE"
+        reading.lights.append(Light(obj.name, kind, role, instance.is_instance, matrix))
+
+
+RAYS = ("camera", "diffuse", "glossy", "transmission", "shadow")
+
+
+def _unseen_by(instance: Any) -> list[str]:
+    """Kinds of rays that pass a surface by."""
+    objects = [instance.object] + ([instance.parent] if instance.is_instance else [])
+    return [word for word in RAYS if not all(getattr(o, f"visible_{word}") for o in objects)]
+
+
+def _visibility_flaws(instance: Any, role: str, layer: bpy.types.ViewLayer) -> list[str]:
+    objects = [instance.object] + ([instance.parent] if instance.is_instance else [])
+    seeing = RAYS if role == "relay_wall" else ("diffuse", "shadow")
+    flaws = [f"is not visible to {word} rays" for word in _unseen_by(instance) if word in seeing]
+    originals = [o.original for o in objects]
+    if any(o.is_holdout or o.holdout_get(view_layer=layer) for o in originals):
+        flaws.append("is a holdout")
+    if any(o.indirect_only_get(view_layer=layer) for o in originals):
+        flaws.append("is in a collection that is seen indirectly only")
+    if any(o.is_shadow_catcher for o in originals):
+        flaws.append("is a shadow catcher")
+    if any(_terminator(o) for o in originals):
+        flaws.append("has a shadow terminator offset, which darkens it where light grazes")
+    return flaws
+
+
+def _terminator(obj: bpy.types.Object) -> bool:
+    """Whether an object's shading is made smoother where light grazes it; that acts on flat faces too."""
+    if hasattr(obj, "shadow_terminator_shading_offset"):  # Blender 5; what Cycles' own panel had is left unused there
+        return bool(obj.shadow_terminator_shading_offset)
+    return bool(obj.cycles.shadow_terminator_offset)
+
+
+def _layer_reasons(scene: bpy.types.Scene) -> list[str]:
+    """What the view layers do to a picture that only plain Cycles does."""
+    reasons = []
+    rendered = [layer for layer in scene.view_layers if layer.use]
+    if len(rendered) > 1:
+        reasons.append(f"{len(rendered)} view layers are rendered, not one")
+    for layer in rendered:
+        if layer.material_override is not None:
+            reasons.append(f"the view layer {layer.name!r} puts one material in place of all")
+        if not layer.use_solid:
+            reasons.append(f"the view layer {layer.name!r} leaves out solid faces")
+        if getattr(layer, "world_override", None) is not None:
+            reasons.append(f"the view layer {layer.name!r} has a world of its own")
+        if not layer.use_sky and materials.ambient(scene) > 0.0:
+            reasons.append(f"the view layer {layer.name!r} leaves out the world's light")
+    return reasons
+
+
+def _sky(world: Any) -> tuple[Array | None, list[str]]:
+    """Radiance (3,), W/m^2/sr, of a world that shines alike from everywhere, if it shines; what else is amiss."""
+    if world is None:
+        return None, []
+    reasons = []
+    if nodes.read(world).volume:
+        reasons.append(f"the world {world.name!r} is filled with a volume")
+    if not nodes.shines(world):
+        return None, reasons
+    if not world.cycles_visibility.diffuse:
+        reasons.append(f"the world {world.name!r} is not visible to diffuse rays")
+    if world.cycles.max_bounces < MAX_ORDER - 1:
+        reasons.append(f"the world {world.name!r} has a limit of bounces of its own ({world.cycles.max_bounces})")
+    radiance = nodes.radiance(world)
+    if radiance is None:
+        return None, [*reasons, f"the world {world.name!r} gives ambient light that is not one constant radiance"]
+    return _lit(radiance), reasons
+
+
+def _lit(radiance: Any) -> Array | None:
+    values = np.array(radiance, dtype=np.float64)[:3]
+    return values if values.any() else None

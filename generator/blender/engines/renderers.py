@@ -1,0 +1,139 @@
+"""One interface, three engines: Cycles from the true spot (`path`), Cycles from the lit patch (`patch`), and the
+three-reflection integral itself (`surfel`).
+
+All give the same scene-linear radiance in the same units; they differ in what they model, in noise and in cost.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import tempfile
+from collections.abc import Iterator, Sequence
+from pathlib import Path
+from typing import Any
+
+import bpy
+
+from generator.blender.engines import survey
+from generator.blender.engines.cycles import Renderer, linear_output, plain_cycles, use_gpu
+from generator.blender.engines.patch_lamp import patch_lamp
+from generator.blender.engines.surfel import SurfelRenderer
+from generator.blender.scene import geometry, roles
+from generator.blender.scene.quiet import Overrides
+from generator.model.errors import NlosError
+from generator.model.settings import Sweep
+from generator.transport import Transport, left_out
+from generator.transport.compiled import COMPILED
+
+ENGINES = ("path", "patch", "surfel")
+
+
+@contextlib.contextmanager
+def opened(
+    scene: bpy.types.Scene,
+    engine: str,
+    *,
+    resolution: tuple[int, int],
+    threads: int = 0,
+    accuracy: float = 1e-3,
+    denoise: bool = False,
+    device: str = "cpu",
+    leave_out: Sequence[str] = (),
+) -> Iterator[Renderer | SurfelRenderer]:
+    """Make a scene ready to be rendered by an engine; on leaving, put it back as it was.
+
+    Parameters
+    ----------
+    scene : bpy.types.Scene
+    engine : {"path", "patch", "surfel"}
+    resolution : (int, int)
+        Width and height, pixels.
+    threads : int
+        0 takes all cores. The pixels do not depend on it.
+    accuracy : float
+        Of `surfel`.
+    denoise : bool
+        Clean what Cycles renders with Open Image Denoise: smooth, and biased.
+    device : {"cpu", "gpu"}
+        That Cycles renders on.
+    leave_out : sequence of str
+        Of `partial.PARTS`, what `surfel` does not model.
+
+    Raises
+    ------
+    NlosError
+        The engine is unknown, or cannot honour something in the scene; or there is no GPU.
+    """
+    if engine not in ENGINES:
+        raise NlosError(f"engine {engine!r}: there is none; choose from {', '.join(ENGINES)}")
+    with tempfile.TemporaryDirectory(prefix="nlos-") as folder, Overrides() as overrides:
+        geometry.hold_camera(scene, overrides)
+        linear_output(scene, overrides)
+        plain_cycles(scene, overrides)
+        if device == "gpu" and engine != "surfel":
+            use_gpu(overrides)
+            overrides.set(scene.cycles, "device", "GPU")
+        if denoise:
+            overrides.set(scene.cycles, "use_denoising", True)
+            overrides.set(scene.cycles, "denoiser", "OPENIMAGEDENOISE")
+        overrides.set(scene.render, "resolution_x", resolution[0])
+        overrides.set(scene.render, "resolution_y", resolution[1])
+        overrides.set(scene.render, "threads_mode", "FIXED" if threads else "AUTO")
+        if threads:
+            overrides.set(scene.render, "threads", threads)
+        found = survey.survey(scene, resolution=resolution, ambient=True)
+        found.check(engine)
+        order = roles.reflection_order(scene)  # as animation has it, now that a render has started once
+        if found.world is not None and engine == "surfel":
+            world, shadows = left_out.without(found.world, leave_out)
+            yield SurfelRenderer(scene, Transport(world, accuracy=accuracy, threads=threads), shadows=shadows)
+            return
+        with patch_lamp(scene, found, order) if engine == "patch" else contextlib.nullcontext():
+            yield Renderer(scene, Path(folder))
+
+
+def settings(sweep: Sweep) -> dict[str, Any]:
+    """Return what `opened` wants to know of a sweep besides its engine."""
+    return {name: getattr(sweep, name) for name in ("resolution", "accuracy", "device", "denoise", "leave_out")}
+
+
+def choose(scene: bpy.types.Scene, found: survey.Survey | None = None) -> tuple[str, list[str]]:
+    """Return the cheapest engine that is valid for a scene, and why no cheaper one is.
+
+    Parameters
+    ----------
+    scene : bpy.types.Scene
+    found : extract.Survey, optional
+        Of the scene; it is surveyed if not given.
+
+    Returns
+    -------
+    engine : {"surfel", "patch", "path"}
+    reasons : list of str
+        What the cheaper engines cannot honour, a phrase each that names the object; empty for `surfel`.
+
+    Raises
+    ------
+    NlosError
+        A role is missing or played twice, or no engine can sweep the scene.
+    """
+    found = found or survey.survey(scene)
+    found.check("path")
+    return next((engine, reasons) for engine, reasons in _by_cost(found))
+
+
+def _by_cost(found: survey.Survey) -> Iterator[tuple[str, list[str]]]:
+    """Engines that can honour a scene, the cheapest first, each with what the one before it cannot."""
+    cheaper: list[str] = []
+    for engine in reversed(ENGINES):
+        reasons = found.reasons(engine) or (_uncompiled(found) if engine == "surfel" else [])
+        if not reasons:
+            yield engine, cheaper
+        cheaper = reasons
+
+
+def _uncompiled(found: survey.Survey) -> list[str]:
+    """Why `surfel`, which can render a scene, is not the cheapest: Blender's own Python has no compiler for it."""
+    if COMPILED or found.world is None or not found.world.room:
+        return []
+    return ["surfel takes minutes for a room's own light where numba is missing"]

@@ -1,0 +1,131 @@
+"""Meshes of a scene: corners, faces, colours, and whether they are plain."""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import bpy
+import numpy as np
+
+from generator.blender.engines.surface import Shape
+from generator.blender.scene import nodes
+from generator.model.arrays import Array
+
+SMOOTH = 1e-3
+"""Normals that lean by more than this many radians from their face's show in the shading."""
+
+
+COARSE = 0.1
+"""Radians, likewise, from which it shows in the shadow as well: of an icosphere of 320 faces and less."""
+
+
+def shape_of(obj: Any) -> Shape:
+    mesh = obj.to_mesh()
+    try:
+        mesh.calc_loop_triangles()
+        vertices = _values(mesh.vertices, "co", 3, np.float32)
+        triangles = _values(mesh.loop_triangles, "vertices", 3, np.int32)
+        corners = vertices[triangles].astype(np.float64)
+        polygon = _values(mesh.loop_triangles, "polygon_index", 1, np.int32)[:, 0]
+        slot = _values(mesh.polygons, "material_index", 1, np.int32)[:, 0][polygon]
+        sides = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+        solid = sides.any(axis=1)  # what has no area neither reflects nor hides anything
+        edges = np.bincount(_values(mesh.loops, "edge_index", 1, np.int32)[:, 0])
+        colours, flaws = _colours(obj, slot[solid])
+        kinds, glowing, fire = _makings(obj, slot[solid])
+        return Shape(
+            corners=corners[solid],
+            albedo=colours,
+            closed=bool((edges[edges > 0] == 2).all()),
+            lean=_lean(mesh),
+            faces=len(mesh.polygons),
+            flaws=flaws,
+            kinds=kinds,
+            glowing=glowing,
+            fire=fire,
+        )
+    finally:
+        obj.to_mesh_clear()
+
+
+def _values(collection: Any, name: str, width: int, kind: type) -> Any:
+    values: Any = np.empty(len(collection) * width, dtype=kind)
+    collection.foreach_get(name, values)
+    return values.reshape(-1, width)
+
+
+def is_smooth(mesh: Any) -> bool:
+    """Whether any corner's normal leans from its face's: shading that is set smooth may well be flat all the same."""
+    return _lean(mesh) > SMOOTH
+
+
+def _lean(mesh: Any) -> float:
+    """By how much corners' normals lean from those of their faces, radians, at most; of a right angle no more."""
+    if not len(mesh.polygons):
+        return 0.0
+    shading = _values(mesh.corner_normals, "vector", 3, np.float32)
+    loops = _values(mesh.polygons, "loop_total", 1, np.int32)[:, 0]
+    faces = np.repeat(_values(mesh.polygons, "normal", 3, np.float32), loops, axis=0)
+    area = np.repeat(_values(mesh.polygons, "area", 1, np.float32)[:, 0], loops)
+    sine = np.linalg.norm(np.cross(shading, faces), axis=1)
+    lean = np.where((shading * faces).sum(axis=1) < 0, math.pi / 2.0, np.arcsin(np.minimum(sine, 1.0)))
+    return float(lean[area > 0].max(initial=0.0))
+
+
+def _slots(obj: Any, slots: Any) -> tuple[list[Any], Any]:
+    """Return an object's materials, and which of them each face has, as Cycles takes it."""
+    materials = [slot.material for slot in obj.material_slots] or [None]
+    return materials, np.clip(slots, 0, len(materials) - 1)
+
+
+def _makings(obj: Any, slots: Any) -> tuple[frozenset[str], Any, bool]:
+    """Return the kinds of reflection of faces with those material slots, which of them glow, and if a volume does."""
+    materials, slots = _slots(obj, slots)
+    used = np.unique(slots)
+    kinds: frozenset[str] = frozenset().union(*(nodes.kinds(materials[i]) for i in used))
+    glowing = [i for i in used if materials[i] is not None and nodes.shines(materials[i])]
+    fire = any(nodes.glows(materials[i]) and i not in glowing for i in used if materials[i] is not None)
+    return kinds, np.isin(slots, glowing), fire
+
+
+def _colours(obj: Any, slots: Any) -> tuple[Array, tuple[str, ...]]:
+    """Return the albedo (n, 3) of faces with those material slots, and what is amiss with their materials."""
+    materials, slots = _slots(obj, slots)
+    table = np.zeros((len(materials), 3))
+    flaws = []
+    for index in np.unique(slots):
+        material = materials[index]
+        colour = None if material is None else nodes.diffuse(material)
+        if colour is None:
+            flaws.append(_material_flaw(material))
+        elif min(colour) < 0.0 or max(colour) > 1.0:
+            flaws.append(f"has a material ({material.name!r}) whose colour is not between 0 and 1")
+        else:
+            table[index] = colour
+    albedo: Array = table[slots]
+    return albedo, tuple(dict.fromkeys(flaws))
+
+
+def _material_flaw(material: Any) -> str:
+    if material is None:
+        return "has no material, so that Cycles takes one of its own, which is glossy"
+    shader = nodes.read(material)
+    if shader.volume:
+        return "has a material that fills it with a volume"
+    if shader.displaced:
+        return "has a material that displaces it"
+    if nodes.glows(material):
+        return "has a material that may give light of its own"
+    return "has a material that is not one constant diffuse colour"
+
+
+def softening(obj: bpy.types.Object) -> float:
+    """Return by how much Cycles moves the start of shadow rays where shading is smooth (geometry offset)."""
+    return float(getattr(*softener(obj)))
+
+
+def softener(obj: bpy.types.Object) -> tuple[Any, str]:
+    """Return who holds `softening`, and in which attribute."""
+    name = "shadow_terminator_geometry_offset"
+    return (obj, name) if hasattr(obj, name) else (obj.cycles, name)

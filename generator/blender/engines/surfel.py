@@ -1,0 +1,54 @@
+"""Pictures by the noise-free integral: the engine `surfel`."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+
+import bpy
+import numpy as np
+from mathutils import Matrix
+
+from generator.blender.scene import geometry
+from generator.blender.scene.roles import refuse_hidden
+from generator.files.pictures import Picture
+from generator.model.arrays import Array
+from generator.transport import Transport
+
+
+class SurfelRenderer:
+    """As `Renderer`, by the three-reflection integral: no samples, no noise.
+
+    Parameters
+    ----------
+    scene : bpy.types.Scene
+    transport : Transport
+    shadows : bool
+        Less the light of the room that the target keeps from the wall.
+    """
+
+    def __init__(self, scene: bpy.types.Scene, transport: Transport, *, shadows: bool = True) -> None:
+        self._scene = scene
+        self._transport = transport
+        self._shadows = shadows
+
+    def render(self, *, samples: int = 0, seed: int = 0, target: bool = True, ambient: bool = True) -> Picture:
+        """Render one picture with the target where it stands in the scene; samples and seed change nothing."""
+        if not target:
+            return self._transport.background(ambient=ambient).astype(np.float32)
+        refuse_hidden(self._scene)
+        position, turn, _ = Matrix(geometry.snapshot(self._scene).matrices["target"].tolist()).decompose()
+        return self.at(tuple(position), tuple(math.degrees(angle) for angle in turn.to_euler("XYZ")))
+
+    def difference(self, position: Sequence[float], rotation: Sequence[float]) -> Array:
+        """Return what the target at a pose changes of the empty scene, (height, width, 3), W/m^2/sr."""
+        return self._transport.difference(position, rotation, shadows=self._shadows)
+
+    def at(self, position: Sequence[float], rotation: Sequence[float]) -> Picture:
+        """Render one picture with the target at a pose: metres, and degrees about x, then y, then z."""
+        picture: Picture = self.pictures([position], [rotation])[0]
+        return picture
+
+    def pictures(self, positions: Sequence[Sequence[float]], rotations: Sequence[Sequence[float]]) -> Picture:
+        """Render the pictures of many poses, (n, height, width, 3); each as `at` does, in less time."""
+        return self._transport.pictures(positions, rotations, shadows=self._shadows)

@@ -1,0 +1,112 @@
+"""The part of the wall that the camera sees: w2 of every path."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import bpy
+import numpy as np
+
+from generator.blender.engines.planes import (
+    NOTHING,
+    Plane,
+    colour_within,
+    covered,
+    cut_areas,
+    near_plane,
+    plane_of,
+    polygon_area,
+    pyramid,
+)
+from generator.blender.engines.surface import CORNERS, EDGE, FLAT, Reading
+from generator.blender.scene import roles
+from generator.blender.scene.words import numbers
+from generator.transport.world import Watched
+
+
+def read_watched(
+    scene: bpy.types.Scene, reading: Reading, resolution: tuple[int, int]
+) -> tuple[Watched | None, list[str]]:
+    camera, wall = roles.find(scene, "camera"), roles.find(scene, "relay_wall")
+    name = f"the camera {camera.name!r}"
+    if camera.type != "CAMERA" or camera.data.type not in ("PERSP", "ORTHO"):
+        return None, [f"{name} is neither perspective nor orthographic"]
+    lens = camera.data
+    reasons = []
+    if lens.dof.use_dof:
+        reasons.append(f"{name} has depth of field")
+    surfaces = [s for s in reading.surfaces if s.role != "target"]
+    walls = [s.triangles for s in surfaces if s.role == "relay_wall"]
+    if not walls:
+        return None, [*reasons, f"the relay wall {wall.name!r} is hidden from renders, or has no surface"]
+    triangles = np.concatenate(walls)
+    point, normal, uneven = plane_of(triangles)
+    size = float(np.ptp(triangles.reshape(-1, 3), axis=0).max())
+    if uneven > FLAT * size:
+        return None, [*reasons, f"the relay wall {wall.name!r} is not plane"]
+    matrix = reading.places.get("camera", numbers(camera.matrix_world))
+    # Cameras have no scale: Blender drops it.
+    frame, eye = matrix[:3, :3] / np.linalg.norm(matrix[:3, :3], axis=0), matrix[:3, 3]
+    if (eye - point) @ normal < 0:
+        normal = -normal
+    height = float((eye - point) @ normal)
+    right_top, _, left_bottom, left_top = (
+        frame @ np.asarray(c, dtype=np.float64) for c in lens.view_frame(scene=scene)
+    )
+    across, down = right_top - left_top, left_bottom - left_top
+    forward = -frame[:, 2]
+    beyond = f"{name} sees beyond the plane of the relay wall {wall.name!r}"
+    # Where a ray meets the plane is homogeneous: the ray's own slope towards the wall is the last component.
+    to_wall = np.zeros((4, 3))
+    if lens.type == "ORTHO":
+        slope = float(-forward @ normal)
+        if slope <= 1e-9:
+            return None, [*reasons, beyond]
+        # The frame's corners lie before the camera; only where they are across its axis counts.
+        start = np.column_stack([across, down, eye + left_top])
+        start_height = normal @ start - np.array([0.0, 0.0, normal @ point])
+        to_wall[:3] = start + np.outer(forward, start_height / slope)
+        to_wall[3] = 0.0, 0.0, 1.0
+        middle = to_wall[:3] @ np.array([0.5, 0.5, 1.0])
+        seen_from = np.append(-forward * float((middle - eye) @ forward), 0.0)
+    else:
+        rays = np.column_stack([across, down, left_top])
+        rays = rays / np.abs(rays).max()
+        slopes = -normal @ rays
+        to_wall[:3] = height * rays + np.outer(eye, slopes)
+        to_wall[3] = slopes
+        seen_from = np.append(eye, 1.0)
+        if (np.column_stack([CORNERS, np.ones(4)]) @ slopes <= 1e-9).any() or height <= 1e-9 * size:
+            return None, [*reasons, beyond]
+    watched = Watched(
+        to_wall=to_wall,
+        eye=seen_from,
+        normal=normal,
+        albedo=np.zeros(3),
+        resolution=resolution,
+    )
+    reach = (watched.points(CORNERS) - eye) @ forward
+    if reach.min() < lens.clip_start or reach.max() > lens.clip_end:
+        reasons.append(f"{name} clips the relay wall {wall.name!r}")
+    outline = watched.points(EDGE + (1.0 - 2.0 * EDGE) * CORNERS)
+    sides = pyramid(outline, seen_from)
+    slack = 1e-4 * float(reach.min())
+    colour = colour_within(
+        [s for s in surfaces if s.role == "relay_wall"], [*sides, *near_plane(normal, point, slack)]
+    )
+    if colour is None:
+        reasons.append(f"the relay wall {wall.name!r} has more than one colour where {name} sees it")
+    else:
+        watched = replace(watched, albedo=colour)
+    between = [
+        *sides,
+        Plane(normal, float(normal @ point) + slack),
+        Plane(forward, float(forward @ eye) + lens.clip_start),
+    ]
+    least = NOTHING * polygon_area(outline)
+    for surface in surfaces:
+        if surface.seen and surface.role == "room" and cut_areas(surface.triangles, between).sum() > least:
+            reasons.append(f"{surface.name!r} stands between {name} and the relay wall")
+    if not covered(surfaces, sides, point, normal, outline, slack):
+        reasons.append(f"{name} sees beyond the edge of the relay wall {wall.name!r}")
+    return watched, list(dict.fromkeys(reasons))

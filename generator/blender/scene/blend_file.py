@@ -1,0 +1,73 @@
+"""Blend files: opened, saved, begun."""
+
+from __future__ import annotations
+
+from collections.abc import Collection
+from pathlib import Path
+
+import bpy
+
+# isort: split
+from generator.blender.scene import references
+from generator.blender.scene.quiet import quiet
+from generator.model.errors import NlosError
+
+
+def open_file(path: Path, known: Collection[Path] = ()) -> bpy.types.Scene:
+    """Open a ``.blend``, running none of the scripts stored in it, and return its active scene.
+
+    Parameters
+    ----------
+    path : Path
+    known : collection of Path
+        Files outside its folder that it may refer to.
+
+    Raises
+    ------
+    NlosError
+        There is no such file, Blender cannot read it, it refers to files elsewhere (`references.refuse`), or its
+        pictures are made from files that are not there (`references.require`).
+    """
+    if not path.is_file():
+        raise NlosError(f"{path}: no such scene file")
+    references.refuse(path, known)
+    try:
+        with quiet():
+            bpy.ops.wm.open_mainfile(filepath=literal(path), load_ui=False, use_scripts=False)
+    except RuntimeError:
+        raise NlosError(f"{path}: is not a scene Blender {bpy.app.version_string} can open") from None
+    references.require(bpy.context.scene, path)
+    return bpy.context.scene
+
+
+def literal(path: Path, *, rendered: bool = False) -> str:
+    """Return a path as Blender has to be given it.
+
+    Two slashes at its start would be the open file's folder, and braces in a path that is rendered to would be
+    variables, from Blender 5 on.
+    """
+    text = str(path)
+    if text.startswith("//"):
+        text = text[1:]
+    if rendered and bpy.app.version >= (5, 0):
+        text = text.replace("{", "{{").replace("}", "}}")
+    return text
+
+
+def save_file(path: Path) -> None:
+    """Save a compressed copy of the open file by temporary name and rename; textures keep their place."""
+    from generator.files.writing import atomic
+
+    with atomic(path) as temporary, quiet():
+        try:
+            bpy.ops.wm.save_as_mainfile(
+                filepath=literal(temporary), copy=True, compress=True, check_existing=False, relative_remap=True
+            )
+        except RuntimeError as error:
+            raise NlosError(f"{path}: cannot be written ({' '.join(str(error).split())})") from None
+
+
+def new_file() -> bpy.types.Scene:
+    """Start an empty file and return its scene."""
+    bpy.ops.wm.read_factory_settings(use_empty=True)
+    return bpy.context.scene

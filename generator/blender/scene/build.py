@@ -1,0 +1,296 @@
+"""Builds the Blender scene from a spec, reads the spec back out of any ``.blend``, and moves the target.
+
+The file is the truth: which object plays which role is a custom property on the object (``nlos_role``), the voxel
+grid is three custom properties on the scene, and the reflection order is what Cycles' own light-path panel shows. All
+of them can be read and edited in Blender without any add-on.
+"""
+
+from __future__ import annotations
+
+import math
+from pathlib import Path
+from typing import Any
+
+import bpy
+
+# isort: split
+import bmesh  # exists only once bpy is imported
+import mathutils
+import numpy as np
+
+from generator.blender.scene.blend_file import literal
+from generator.blender.scene.roles import (
+    BUILT,
+    COLLECTION,
+    KIND,
+    PRESET,
+    ROLE,
+    SURFACE,
+    cycles_settings,
+    limit_reflections,
+    write_grid,
+)
+from generator.blender.scene.words import file_name
+from generator.files import meshes
+from generator.model.arrays import Range, Vector
+from generator.model.errors import NlosError
+from generator.model.scene import FACES, Partition, Scene, Spot, Target
+
+
+def build(scene: bpy.types.Scene, wanted: Scene) -> None:
+    """Build a scene from its spec, in place of what an earlier call built.
+
+    Parameters
+    ----------
+    scene : bpy.types.Scene
+        Objects without a role are left alone.
+    wanted : spec.Scene
+
+    Raises
+    ------
+    NlosError
+        The mesh file cannot be read, the watched rectangle does not fit the resolution, or a surface has no area.
+    """
+    width, height = wanted.resolution
+    x, z = wanted.camera.x, wanted.camera.z
+    aspect = (x[1] - x[0]) / (z[1] - z[0])
+    if abs(aspect - width / height) > 0.5 / max(width, height) * aspect:
+        raise NlosError(
+            f"resolution: {width} x {height} pixels do not fit the watched rectangle of "
+            f"{x[1] - x[0]:g} x {z[1] - z[0]:g} m; pixels must be square"
+        )
+    # What can go wrong goes wrong first, and leaves the scene as it was.
+    wanted.check_buildable()
+    cycles_settings(scene)
+    for obj in scene.objects:
+        if ROLE in obj and obj.library is not None:
+            raise NlosError(f"{file_name()}: {obj.name!r} is linked from another file, so it cannot be replaced")
+    target = build_target(wanted.target)
+    _clear(scene)
+    collection = next((c for c in scene.collection.children if c.name == COLLECTION and c.library is None), None)
+    if collection is None:
+        collection = bpy.data.collections.new(COLLECTION)
+        scene.collection.children.link(collection)
+    for layer in scene.view_layers:
+        layer.layer_collection.children[collection.name].exclude = False
+    wall = _quad("Relay wall", "y", 0.0, {"x": wanted.wall.x, "z": wanted.wall.z}, wanted.wall.albedo, inward=1)
+    add_part(collection, wall, "relay_wall")
+    if wanted.room:
+        extent = {axis: getattr(wanted.room, axis) for axis in "xyz"}
+        for surface in wanted.room.surfaces:
+            axis, end = FACES[surface]
+            across = {a: r for a, r in extent.items() if a != axis}
+            quad = _quad(
+                surface.capitalize(), axis, extent[axis][end], across, wanted.room.albedo, inward=1 - 2 * end
+            )
+            quad[SURFACE] = surface
+            quad.display_type = "WIRE"  # in the viewport only, where one wants to look inside
+            add_part(collection, quad, "room")
+    if wanted.partition:
+        for screen in _partition(wanted.partition):
+            add_part(collection, screen, "partition")
+    add_part(collection, _spot(wanted.spot), "spot")
+    camera = _camera(wanted)
+    add_part(collection, camera, "camera")
+    scene.camera = camera
+    add_part(collection, target, "target")
+    target.location = np.add(wanted.grid.lo, wanted.grid.hi) / 2.0
+    _world(scene, wanted.ambient)
+    scene[PRESET] = wanted.preset
+    write_grid(scene, wanted.grid)
+    scene.render.resolution_x, scene.render.resolution_y = wanted.resolution
+    scene.render.resolution_percentage = 100
+    limit_reflections(scene, wanted.reflection_order)
+    for obj in collection.objects:
+        obj[BUILT] = True
+    bpy.context.view_layer.update()
+
+
+def _clear(scene: bpy.types.Scene) -> None:
+    """Take away what an earlier call built; objects of the user's own only lose their roles."""
+    ours = scene.collection.children.get(COLLECTION)
+    # Scenes that older versions built have no mark, but a collection of their own.
+    built = [o for o in scene.objects if BUILT in o or (ROLE in o and ours is not None and o.name in ours.objects)]
+    for obj in [o for o in scene.objects if ROLE in o and o not in built]:
+        del obj[ROLE]
+    for obj in built:
+        data = obj.data
+        bpy.data.objects.remove(obj, do_unlink=True)
+        if data is not None and data.users == 0:
+            bpy.data.batch_remove([data])
+    unused = [m for m in bpy.data.materials if m.name.startswith("NLOS ") and m.users == 0]
+    bpy.data.batch_remove(unused)
+
+
+def add_part(collection: bpy.types.Collection, obj: bpy.types.Object, role: str) -> None:
+    obj[ROLE] = role
+    collection.objects.link(obj)
+
+
+def _material(name: str, reflectance: float | None) -> bpy.types.Material:
+    material = bpy.data.materials.new(f"NLOS {name}")
+    if material.node_tree is None:  # Blender 5 makes the tree itself and warns of the old switch
+        material.use_nodes = True
+    made = material.node_tree.nodes
+    made.clear()
+    value = 0.0 if reflectance is None else reflectance
+    shader, output = made.new("ShaderNodeBsdfDiffuse"), made.new("ShaderNodeOutputMaterial")
+    shader.inputs["Color"].default_value = (value, value, value, 1.0)
+    shader.inputs["Roughness"].default_value = 0.0
+    output.location.x = 250.0
+    material.node_tree.links.new(shader.outputs["BSDF"], output.inputs["Surface"])
+    material.diffuse_color = (value, value, value, 1.0)
+    return material
+
+
+def _mesh(name: str, vertices: list[Vector], faces: list[tuple[int, ...]], reflectance: float | None) -> Any:
+    mesh = bpy.data.meshes.new(name)
+    mesh.from_pydata(vertices, [], faces)
+    mesh.materials.append(_material(name, reflectance))
+    return bpy.data.objects.new(name, mesh)
+
+
+def _quad(
+    name: str, axis: str, at: float, across: dict[str, Range], reflectance: float | None, *, inward: int
+) -> bpy.types.Object:
+    """A rectangle in a plane of constant ``axis``; its normal points along it if ``inward`` is 1, else back."""
+    (a, (a0, a1)), (b, (b0, b1)) = across.items()
+    corners = [{axis: at, a: u, b: v} for u, v in ((a0, b0), (a1, b0), (a1, b1), (a0, b1))]
+    vertices = [(c["x"], c["y"], c["z"]) for c in corners]
+    normal = np.cross(np.subtract(vertices[1], vertices[0]), np.subtract(vertices[2], vertices[1]))
+    if normal["xyz".index(axis)] * inward < 0:
+        vertices.reverse()
+    return _mesh(name, vertices, [(0, 1, 2, 3)], reflectance)
+
+
+def _partition(screen: Partition) -> list[bpy.types.Object]:
+    reflectance = screen.albedo
+    quads = [_quad("Partition", "x", screen.x, {"y": screen.y, "z": screen.z}, reflectance, inward=-1)]
+    if screen.depth > 0:
+        reach = (screen.x, screen.x + screen.depth)
+        quads.append(_quad("Partition side", "y", screen.y[0], {"x": reach, "z": screen.z}, reflectance, inward=-1))
+    return quads
+
+
+def _spot(lamp: Spot) -> bpy.types.Object:
+    light = bpy.data.lights.new("Spot", "SPOT")
+    light.energy = lamp.power
+    light.spot_size = 2.0 * math.radians(lamp.half_angle)
+    light.spot_blend = 0.0
+    light.shadow_soft_size = 0.0
+    obj = bpy.data.objects.new("Spot", light)
+    obj.location = lamp.location
+    way = np.subtract(lamp.aim, lamp.location)  # in units of its own: Blender takes a short one for none
+    obj.rotation_euler = mathutils.Vector(way / np.linalg.norm(way)).to_track_quat("-Z", "Y").to_euler()
+    return obj
+
+
+def _camera(wanted: Scene) -> bpy.types.Object:
+    view = wanted.camera
+    camera = bpy.data.cameras.new("Camera")
+    width = view.x[1] - view.x[0]
+    distance = view.location[1]
+    camera.sensor_fit = "HORIZONTAL"
+    if view.projection == "orthographic":
+        camera.type = "ORTHO"
+        camera.ortho_scale = width
+    else:
+        camera.angle_x = 2.0 * math.atan2(width / 2.0, distance)
+    # Facing the wall, the camera's right is -x.
+    camera.shift_x = (view.location[0] - (view.x[0] + view.x[1]) / 2.0) / width
+    camera.shift_y = ((view.z[0] + view.z[1]) / 2.0 - view.location[2]) / width
+    camera.clip_start, camera.clip_end = 1e-3 * distance, 1e3 * distance
+    obj = bpy.data.objects.new("Camera", camera)
+    obj.location = view.location
+    obj.rotation_euler = (math.pi / 2.0, 0.0, math.pi)
+    return obj
+
+
+def build_target(wanted: Target) -> bpy.types.Object:
+    if wanted.kind == "sheet":
+        h = wanted.size / 2.0
+        target = _quad("Target", "y", 0.0, {"x": (-h, h), "z": (-h, h)}, wanted.albedo, inward=-1)
+    elif wanted.kind == "sphere":
+        target = _sphere(wanted)
+    else:
+        target = _import_mesh(wanted)
+    target[KIND] = wanted.kind
+    return target
+
+
+def _sphere(wanted: Target) -> bpy.types.Object:
+    """A geodesic sphere of 5120 triangles with the true sphere's area.
+
+    A convex body's mean projected area is a quarter of its surface (Cauchy 1841), so the light it catches is right on
+    average over directions though its vertices stand out by 0.04 %.
+    """
+    radius = wanted.size / 2.0
+    shape = bmesh.new()
+    bmesh.ops.create_icosphere(shape, subdivisions=5, radius=radius)
+    area = sum(face.calc_area() for face in shape.faces)
+    bmesh.ops.scale(shape, vec=[math.sqrt(4.0 * math.pi * radius**2 / area)] * 3, verts=shape.verts)
+    mesh = bpy.data.meshes.new("Target")
+    shape.to_mesh(mesh)
+    shape.free()
+    mesh.materials.append(_material("Target", wanted.albedo))
+    return bpy.data.objects.new("Target", mesh)
+
+
+def _import_mesh(wanted: Target) -> bpy.types.Object:
+    path = Path(wanted.mesh)
+    if not path.is_file():
+        raise NlosError(f"target.mesh: {path} is no such file")
+    importers = {".obj": bpy.ops.wm.obj_import, ".ply": bpy.ops.wm.ply_import, ".stl": bpy.ops.wm.stl_import}
+    before = set(bpy.data.objects)
+    try:
+        with meshes.importable(path) as sound:
+            importers[path.suffix.lower()](filepath=literal(sound.absolute()))
+    except (OSError, RuntimeError, KeyError):
+        raise NlosError(f"target.mesh: {path} is not a mesh file Blender can read (.obj, .ply, .stl)") from None
+    shape = bmesh.new()
+    for obj in [o for o in bpy.data.objects if o not in before]:
+        data = obj.data
+        if obj.type == "MESH":
+            data.transform(obj.matrix_basis)
+            shape.from_mesh(data)
+        bpy.data.objects.remove(obj, do_unlink=True)
+        if data is not None and data.users == 0:
+            bpy.data.batch_remove([data])
+    if not shape.faces:
+        shape.free()
+        raise NlosError(f"target.mesh: {path} holds no faces")
+    corners = np.array([v.co for v in shape.verts], dtype=np.float64)
+    low, high = corners.min(axis=0), corners.max(axis=0)
+    extent, area = max(high - low), sum(face.calc_area() for face in shape.faces)
+    if not (0.0 < extent < math.inf and 0.0 < area < math.inf):
+        shape.free()
+        raise NlosError(
+            f"target.mesh: {path} has no extent, or corners that are no places; its faces must have an area"
+        )
+    factor = wanted.size / extent if wanted.size else 1.0
+    bmesh.ops.translate(shape, vec=-(low + high) / 2.0, verts=shape.verts)
+    bmesh.ops.scale(shape, vec=[factor] * 3, verts=shape.verts)
+    mesh = bpy.data.meshes.new("Target")
+    shape.to_mesh(mesh)
+    shape.free()
+    mesh.materials.clear()
+    mesh.materials.append(_material("Target", wanted.albedo))
+    return bpy.data.objects.new("Target", mesh)
+
+
+def _world(scene: bpy.types.Scene, radiance: float) -> None:
+    old = scene.world
+    if old is None or BUILT not in old or old.library is not None:
+        if old is not None:
+            old.use_fake_user = True  # somebody made it: kept, though this scene has another now
+        scene.world = bpy.data.worlds.new("NLOS world")
+        scene.world[BUILT] = True
+    if bpy.app.version < (5, 0, 0) or scene.world.node_tree is None:  # Blender 5 has nothing else, and warns
+        scene.world.use_nodes = True
+    tree = scene.world.node_tree
+    tree.nodes.clear()
+    background, output = tree.nodes.new("ShaderNodeBackground"), tree.nodes.new("ShaderNodeOutputWorld")
+    background.inputs["Color"].default_value = (1.0, 1.0, 1.0, 1.0)
+    background.inputs["Strength"].default_value = radiance
+    output.location.x = 250.0
+    tree.links.new(background.outputs["Background"], output.inputs["Surface"])

@@ -1,0 +1,370 @@
+"""Shapes and places as the render sees them, and the camera's view."""
+
+from __future__ import annotations
+
+import contextlib
+import math
+from collections.abc import Callable, Collection, Iterator, Sequence
+from dataclasses import dataclass, field
+from typing import Any, TypeVar
+
+import bpy
+
+# isort: split
+import mathutils
+import numpy as np
+from mathutils import Matrix
+
+from generator.blender.scene import nodes
+from generator.blender.scene.quiet import Overrides, quiet
+from generator.blender.scene.roles import SINGLE_ROLES, find, players, target_parts, unseen
+from generator.blender.scene.words import file_name, numbers
+from generator.model.arrays import Array
+from generator.model.errors import NlosError
+
+_SLOT = "NLOS look"
+"""Of the render result: what reading a scene leaves there is no picture."""
+
+
+_THROUGH = {nodes.TRANSPARENT, nodes.TRANSMISSION, nodes.SUBSURFACE, nodes.VOLUME, nodes.UNKNOWN}
+"""Ways in which light comes through a surface."""
+
+
+Result = TypeVar("Result")
+
+
+def hold_camera(scene: bpy.types.Scene, overrides: Overrides) -> None:
+    """Let the camera by its role be the scene's, whatever cameras are bound to markers of the timeline."""
+    overrides.set(scene, "camera", find(scene, "camera"))
+    for marker in scene.timeline_markers:  # after it, for a marker that gets its camera back puts it into the scene
+        if marker.camera is not None:
+            overrides.set(marker, "camera", None)
+
+
+def as_rendered(scene: bpy.types.Scene, look: Callable[[Any], Result]) -> Result:
+    """Let a function look at the scene as a render would: Blender shows that to render engines only.
+
+    The viewport's view, which scripts get elsewhere, has other subdivision levels and lacks what is hidden there.
+    """
+    results: list[Result] = []
+    errors: list[BaseException] = []
+
+    class Look(bpy.types.RenderEngine):  # type: ignore[misc]
+        bl_idname = "NLOS_LOOK"
+        bl_label = "NLOS look"
+
+        def render(self, depsgraph: Any) -> None:
+            try:
+                results.append(look(depsgraph))
+            except BaseException as error:  # Blender would print it and go on
+                errors.append(error)
+
+    bpy.utils.register_class(Look)
+    try:
+        with Overrides() as overrides, quiet(), _in_a_slot():
+            hold_camera(scene, overrides)
+            for name, value in (
+                ("engine", Look.bl_idname),
+                ("use_compositing", False),
+                ("use_sequencer", False),
+                ("use_freestyle", False),
+                ("use_multiview", False),
+                ("use_simplify", False),
+                ("use_persistent_data", False),
+            ):
+                overrides.set(scene.render, name, value)
+            bpy.ops.render.render(scene=scene.name)
+    except RuntimeError as error:
+        raise NlosError(f"{bpy.data.filepath or 'scene'}: cannot be read ({' '.join(str(error).split())})") from None
+    finally:
+        bpy.utils.unregister_class(Look)
+    if errors:
+        raise errors[0]
+    if not results:
+        raise NlosError(f"{bpy.data.filepath or 'scene'}: cannot be read, for none of its view layers is rendered")
+    return results[0]
+
+
+@contextlib.contextmanager
+def _in_a_slot() -> Iterator[None]:
+    """Let a render fill a slot of its own, so that the picture that the user rendered last stays."""
+    result = next((image for image in bpy.data.images if image.type == "RENDER_RESULT"), None)
+    if result is None:
+        yield
+        return
+    slots = result.render_slots
+    before = slots.active_index
+    names = [slot.name for slot in slots]
+    if _SLOT not in names:
+        slots.new(name=_SLOT)
+        names.append(_SLOT)
+    slots.active_index = names.index(_SLOT)
+    try:
+        yield
+    finally:
+        slots.active_index = before
+
+
+def shape_pictures(
+    scene: bpy.types.Scene, resolution: tuple[int, int] | None, overrides: Overrides
+) -> tuple[int, int]:
+    """Give the scene the pictures' resolution, on which the camera's view depends, and square pixels.
+
+    Parameters
+    ----------
+    scene : bpy.types.Scene
+    resolution : (int, int) or None
+        Width and height; the scene's own if None.
+    overrides : Overrides
+
+    Returns
+    -------
+    (int, int)
+        The resolution.
+    """
+    render = scene.render
+    share = render.resolution_percentage
+    width, height = resolution or (
+        max(1, render.resolution_x * share // 100),
+        max(1, render.resolution_y * share // 100),
+    )
+    for name, value in (
+        ("resolution_x", width),
+        ("resolution_y", height),
+        ("resolution_percentage", 100),
+        ("pixel_aspect_x", 1.0),
+        ("pixel_aspect_y", 1.0),
+    ):
+        overrides.set(render, name, value)
+    return width, height
+
+
+@dataclass(frozen=True)
+class Shape:
+    """A surface as a render sees it.
+
+    Attributes
+    ----------
+    owner : bpy.types.Object
+        The object that it belongs to; of an instance, the one that instances it.
+    name : str
+        Of the object whose mesh it is.
+    instance : bool
+    matrix : ndarray of shape (4, 4)
+        Its place in the world.
+    vertices : ndarray of shape (n, 3)
+        In its own frame, after modifiers.
+    triangles : ndarray of shape (m, 3), int
+    air : bool
+        Whether it is no surface at all, but the bounds of a volume.
+    opaque : bool
+        Whether no light comes through.
+    """
+
+    owner: bpy.types.Object
+    name: str
+    instance: bool
+    matrix: Array
+    vertices: Array
+    triangles: Any
+    air: bool = False
+    opaque: bool = True
+
+    @property
+    def placed(self) -> Array:
+        """Its vertices in the world, (n, 3), metres."""
+        points: Array = self.vertices @ self.matrix[:3, :3].T + self.matrix[:3, 3]
+        return points
+
+
+@dataclass
+class Snapshot:
+    """What stands where when a render starts: every surface, and the objects with a single role (4 x 4, by role)."""
+
+    shapes: list[Shape] = field(default_factory=list)
+    matrices: dict[str, Array] = field(default_factory=dict)
+
+    def of(self, owners: Collection[bpy.types.Object]) -> list[Shape]:
+        """Return the surfaces of some objects."""
+        return [shape for shape in self.shapes if shape.owner in owners]
+
+
+def snapshot(scene: bpy.types.Scene) -> Snapshot:
+    """Return what stands where when a render of the scene starts.
+
+    The viewport's view will not do: modifiers, levels of detail and visibility are set for each on their own, and an
+    animation has its say when a render starts.
+
+    Raises
+    ------
+    NlosError
+        Nothing of the scene is rendered.
+    """
+    singles = {role: found[0] for role in SINGLE_ROLES if (found := players(scene, role))}
+
+    def look(depsgraph: Any) -> Snapshot:
+        seen = Snapshot()
+        # Of what is not rendered at all only the viewport knows where it stands.
+        for role, obj in singles.items():
+            seen.matrices[role] = numbers(obj.matrix_world)
+        for instance in depsgraph.object_instances:
+            obj = instance.object
+            if not instance.is_instance:
+                for role in [r for r, single in singles.items() if single == obj.original]:
+                    seen.matrices[role] = numbers(instance.matrix_world)
+            if not instance.show_self or not isinstance(obj.data, bpy.types.Mesh):
+                continue  # a curve or text comes a second time, as the mesh made of it
+            vertices, triangles = _mesh_of(obj)
+            if len(vertices):
+                owner = (instance.parent if instance.is_instance else obj).original
+                matrix = numbers(instance.matrix_world)
+                kinds = {kind for slot in obj.material_slots for kind in nodes.kinds(slot.material)}
+                air, opaque = kinds == {nodes.VOLUME}, not kinds & _THROUGH
+                one = Shape(owner, obj.name, instance.is_instance, matrix, vertices, triangles, air, opaque)
+                seen.shapes.append(one)
+        return seen
+
+    return as_rendered(scene, look)
+
+
+def _mesh_of(evaluated: bpy.types.Object) -> tuple[Array, Any]:
+    """Vertices (n, 3) and triangles (m, 3) of an evaluated object, in its own frame."""
+    mesh = evaluated.to_mesh()
+    mesh.calc_loop_triangles()
+    vertices = np.empty(3 * len(mesh.vertices), dtype=np.float32)
+    mesh.vertices.foreach_get("co", vertices)
+    triangles = np.empty(3 * len(mesh.loop_triangles), dtype=np.int32)
+    mesh.loop_triangles.foreach_get("vertices", triangles)
+    evaluated.to_mesh_clear()
+    return vertices.reshape(-1, 3).astype(np.float64), triangles.reshape(-1, 3)
+
+
+def target_shape(scene: bpy.types.Scene, seen: Snapshot | None = None) -> tuple[Array, Any]:
+    """Return what the target and its children are made of.
+
+    Parameters
+    ----------
+    scene : bpy.types.Scene
+    seen : Snapshot, optional
+        Of the scene; it is looked at if not given.
+
+    Returns
+    -------
+    vertices : ndarray of shape (n, 3)
+        Metres, relative to the target's origin, unrotated but scaled.
+    triangles : ndarray of shape (m, 3), int
+
+    Raises
+    ------
+    NlosError
+        There is not exactly one target, or it has no surface.
+    """
+    parts = target_parts(scene)
+    target = parts[0]
+    seen = seen or snapshot(scene)
+    whole = Matrix(seen.matrices["target"].tolist())
+    place, turn, scale = whole.decompose()
+    back = Matrix.LocRotScale(place, turn, None).inverted()
+    points, faces, count = [], [], 0
+    for shape in seen.of(parts):
+        if shape.owner == target and not shape.instance:
+            points.append(shape.vertices * np.asarray(scale, dtype=np.float64))
+        else:
+            matrix = numbers(back @ Matrix(shape.matrix.tolist()))
+            points.append(shape.vertices @ matrix[:3, :3].T + matrix[:3, 3])
+        faces.append(shape.triangles + count)
+        count += len(shape.vertices)
+    if not count:
+        why = unseen(scene, target)
+        what = f"{why}; show it" if why else "has no surface to reflect light"
+        raise NlosError(f"{file_name()}: the target {target.name!r} {what}")
+    return np.concatenate(points), np.concatenate(faces)
+
+
+def hull(scene: bpy.types.Scene, seen: Snapshot | None = None) -> Array:
+    """Return the vertices of the target and its children; see `target_shape`."""
+    return target_shape(scene, seen)[0]
+
+
+def evaluated_vertices(obj: bpy.types.Object) -> Array:
+    """Return an object's vertices after modifiers, in its own frame, (n, 3); empty if it has no surface."""
+    return _vertices(obj.evaluated_get(bpy.context.evaluated_depsgraph_get()))
+
+
+def placed_vertices(obj: bpy.types.Object) -> Array:
+    """Return an object's vertices after modifiers, in the world, (n, 3), metres; empty if it has no surface."""
+    matrix = numbers(obj.matrix_world)
+    placed: Array = evaluated_vertices(obj) @ matrix[:3, :3].T + matrix[:3, 3]
+    return placed
+
+
+def in_frame(wall: bpy.types.Object, seen: Snapshot | None = None) -> bool:
+    """Whether a relay wall, as far as it has a surface, lies in the plane y = 0."""
+    points = _points(seen.of([wall])) if seen else placed_vertices(wall)
+    return not len(points) or bool(np.abs(points[:, 1]).max() <= 1e-5 * np.ptp(points, axis=0).max())
+
+
+def _vertices(evaluated: bpy.types.Object) -> Array:
+    try:
+        mesh = evaluated.to_mesh()
+    except RuntimeError:  # lamps, empties and the like
+        mesh = None
+    if mesh is None:  # or a mesh whose modifiers leave only curves, points or a volume
+        return np.empty((0, 3))
+    vertices = np.empty(3 * len(mesh.vertices), dtype=np.float32)
+    mesh.vertices.foreach_get("co", vertices)
+    evaluated.to_mesh_clear()
+    return vertices.reshape(-1, 3).astype(np.float64)
+
+
+def _points(shapes: Sequence[Shape]) -> Array:
+    """Vertices of surfaces in the world, (n, 3)."""
+    points: Array = np.concatenate([np.empty((0, 3)), *(shape.placed for shape in shapes)])
+    return points
+
+
+def box_of(scene: bpy.types.Scene, objects: list[bpy.types.Object], seen: Snapshot) -> tuple[Array, Array]:
+    """Bounding box of rendered objects in the world, two arrays of shape (3,)."""
+    every = _points(seen.of(objects))
+    if not len(every):
+        raise NlosError(f"{file_name()}: {objects[0].name!r} {unseen(scene, objects[0]) or 'has no surface'}")
+    return every.min(axis=0), every.max(axis=0)
+
+
+def view(scene: bpy.types.Scene, camera: bpy.types.Object, place: Array | None = None) -> tuple[Array, Array]:
+    """Return where the rays through a picture's corners start and where they meet the wall, (4, 3) each.
+
+    Parameters
+    ----------
+    scene : bpy.types.Scene
+        Its resolution is the pictures'.
+    camera : bpy.types.Object
+    place : ndarray of shape (4, 4), optional
+        Where the camera stands; as the viewport has it if not given.
+
+    Raises
+    ------
+    NlosError
+        It is no plain camera, or does not look at the wall.
+    """
+    if camera.type != "CAMERA" or camera.data.type not in ("PERSP", "ORTHO"):
+        raise NlosError(f"{file_name()}: the camera {camera.name!r} must be a perspective or orthographic camera")
+    matrix = camera.matrix_world if place is None else Matrix(place.tolist())
+    # Cameras have no scale: Blender drops it.
+    matrix = Matrix.LocRotScale(*matrix.decompose()[:2], mathutils.Vector(map(_sign, matrix.to_scale())))
+    starts, corners = [], []
+    for corner in camera.data.view_frame(scene=scene):
+        parallel = camera.data.type == "ORTHO"
+        start = matrix @ mathutils.Vector((corner.x, corner.y, 0.0)) if parallel else matrix.translation
+        ray = matrix @ corner - start
+        if ray.y >= 0.0 or start.y <= 0.0:
+            raise NlosError(
+                f"{file_name()}: the camera {camera.name!r} does not look at the relay wall (the plane y = 0)"
+            )
+        starts.append(start)
+        corners.append(start - ray * (start.y / ray.y))
+    return np.array(starts), np.array(corners)
+
+
+def _sign(value: float) -> float:
+    return math.copysign(1.0, value)

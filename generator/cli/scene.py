@@ -1,0 +1,45 @@
+"""The verb ``scene``: build a scene file."""
+
+from __future__ import annotations
+
+import argparse
+
+from generator.files.toml import dump_toml, from_dict, merge, read_toml, set_field, to_dict
+from generator.model.errors import NlosError
+from generator.model.presets import preset
+from generator.model.scene import Scene, unlike
+
+
+def run_scene(options: argparse.Namespace) -> int:
+    plain = to_dict(preset(options.preset, options.target))
+    if options.config:
+        plain = merge(plain, read_toml(options.config))
+    for assignment in options.set:
+        set_field(plain, assignment)
+    scene: Scene = from_dict(Scene, plain)
+    if options.ambient is not None:
+        scene = scene.with_ambient(options.ambient)
+    if options.show:
+        print(dump_toml(to_dict(scene)), end="")
+    if options.output is None:
+        if not options.show:
+            raise NlosError("nothing to do: name a file to save with -o FILE.blend, or print the figures with --show")
+        return 0
+    if options.output.suffix != ".blend":
+        raise NlosError(f"{options.output}: a scene file must end in .blend")
+    from generator.blender import misgivings
+    from generator.blender.scene import blend_file, build
+    from generator.blender.scene.description import read_scene
+
+    made = blend_file.new_file()
+    build.build(made, scene)
+    if words := unlike(scene, read_scene(made)):  # what the file says is what a sweep will go by
+        raise NlosError(f"{words}; take a figure that it can hold")
+    blend_file.save_file(options.output)
+    for note in misgivings.look(made).notes:
+        print(note)
+    print(
+        f"{options.output}: {options.preset} with a {scene.target.kind}, voxels {scene.grid.labels[0]} to "
+        f"{scene.grid.labels[-1]}, {scene.resolution[0]} x {scene.resolution[1]} pixels"
+    )
+    return 0

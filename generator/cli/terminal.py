@@ -1,0 +1,132 @@
+"""Progress, tables and errors for people at a terminal."""
+
+from __future__ import annotations
+
+import contextlib
+import sys
+import time
+from collections.abc import Callable, Iterator, Sequence
+from typing import TYPE_CHECKING
+
+from generator.cli import console
+from generator.jobs.remaining import Remaining
+from generator.jobs.workers import NO_BLENDER
+from generator.model.errors import NlosError
+from generator.model.quantities import clock
+from generator.sets import audit
+from generator.sets.dataset import Dataset
+
+if TYPE_CHECKING:
+    from generator.sets.bulk_set import Bulk
+
+
+def guarded(work: Callable[[], int], interrupted: str = "interrupted; the same command goes on from here") -> int:
+    """Run a command and return its exit code.
+
+    Bad input, no Blender, or an output that cannot be written become one sentence and 2, Ctrl-C a word and 130. When
+    whoever reads the output has left, as ``head`` does, the command ends without a word and with 141, as one that the
+    system ends for it.
+    """
+    try:
+        with console.told_apart():
+            return work()
+    except console.Unwritable as error:
+        if error.unread:
+            return 128 + 13  # SIGPIPE's number
+        return refused(f"standard output cannot be written ({error})")
+    except NlosError as error:
+        return refused(error)
+    except ImportError as error:
+        if error.name != "bpy":
+            raise
+        missing = isinstance(error, ModuleNotFoundError)
+        lacking = f"Blender's module bpy does not load, for a system library is missing: {error}"
+        return refused(NO_BLENDER if missing else lacking)
+    except KeyboardInterrupt:
+        console.complain(f"\n{interrupted}")
+        return 130
+
+
+def refused(why: object) -> int:
+    console.complain(f"error: {why}")
+    return 2
+
+
+def summary(dataset: Dataset | Bulk, *, rendered: int, remaining: int) -> str:
+    """Return the last line of a sweep or of a bulk set."""
+    done = dataset.planned - remaining
+    state = f"{dataset.path}: {done} of {dataset.planned} pictures"
+    if rendered == 0 and remaining == 0:
+        return f"{state}; the data set is finished, nothing to do"
+    return f"{state}, {rendered} of them rendered now" + (f"; {remaining} remain" if remaining else "; finished")
+
+
+class LineProgress:
+    """Progress as plain lines, at most one every few seconds, for logs."""
+
+    def __init__(self, what: str = "pictures", every: float = 10.0) -> None:
+        self._what = what
+        self._every = every
+        self._remaining = Remaining()
+        self._last = -every
+
+    def __call__(self, done: int, total: int) -> None:
+        now, left = time.monotonic(), self._remaining.told(done, total)
+        if total == 0 or (now - self._last < self._every and done < total):
+            return
+        self._last = now
+        print(f"{done} of {total} {self._what}{left_words(left if done < total else None)}", flush=True)
+
+
+def left_words(left: float | None) -> str:
+    """Return the time that is left as the end of a line; nothing while it cannot be told."""
+    return "" if left is None else f", about {clock(left)} left"
+
+
+def print_table(title: str, headings: Sequence[str], rows: Sequence[Sequence[str]]) -> None:
+    """Print a table; what its first column repeats is written once, and ends with a line."""
+    from rich.console import Console
+    from rich.table import Table
+
+    table = Table(title=title, title_justify="left")
+    for heading in headings:
+        table.add_column(heading, no_wrap=True)
+    repeated = len({row[0] for row in rows}) < len(rows)
+    last = ""
+    for first, *cells in rows:
+        if repeated and last and first != last:
+            table.add_section()
+        table.add_row("" if first == last else first, *cells)
+        last = first
+    console = Console()
+    # In a log or a pipe the table must not be squeezed into 80 columns.
+    Console(width=None if console.is_terminal else 160).print(table)
+
+
+@contextlib.contextmanager
+def progress_bar() -> Iterator[Callable[[int, int], None]]:
+    if not sys.stderr.isatty():
+        yield LineProgress()
+        return
+    from rich.console import Console
+    from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn
+
+    remaining = Remaining()
+    columns = (TextColumn("rendering"), BarColumn(), MofNCompleteColumn(), TextColumn("{task.description}"))
+    with Progress(*columns, console=Console(stderr=True)) as bar:
+        task = bar.add_task("", total=None)
+
+        def show(done: int, total: int) -> None:
+            left = left_words(remaining.told(done, total)).removeprefix(", ")
+            bar.update(task, completed=done, total=total, description=left)
+
+        yield show
+
+
+def report(dataset: Dataset | Bulk, rendered: int, remaining: int, failed: list[str]) -> int:
+    for failure in failed:
+        console.complain(f"failed: {failure}")
+    if isinstance(dataset, Dataset) and (words := audit.words(dataset)):
+        console.complain(words)
+    print(summary(dataset, rendered=rendered, remaining=remaining))
+    return 1 if failed else 0

@@ -1,0 +1,89 @@
+"""Files that are there whole or not at all, and their hashes."""
+
+from __future__ import annotations
+
+import contextlib
+import csv
+import hashlib
+import io
+import json
+import os
+import re
+import socket
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+from generator.model.errors import NlosError
+
+HOST = re.sub(r"\W", "_", socket.gethostname())
+"""In names of temporary files: process numbers are one machine's, and folders may be shared."""
+
+
+def is_alive(pid: int) -> bool:
+    """Whether a process of that number runs on this machine; where that cannot be told, it is said to."""
+    if os.name == "nt":  # where the question would end it
+        return True
+    try:
+        os.kill(pid, 0)
+    except (ProcessLookupError, OverflowError):
+        return False
+    except OSError:
+        pass
+    return True
+
+
+def fingerprint(settings: Mapping[str, Any]) -> str:
+    """Return a short hash of settings: what two sweeps that render the same picture have in common."""
+    return hashlib.sha256(json.dumps(settings, sort_keys=True).encode()).hexdigest()[:16]
+
+
+def file_hash(path: Path) -> str:
+    """Return the SHA-256 of a file, read piece by piece."""
+    with path.open("rb") as file:
+        return hashlib.file_digest(file, "sha256").hexdigest()
+
+
+@contextlib.contextmanager
+def atomic(path: Path) -> Iterator[Path]:
+    """Give a temporary name beside ``path``; on success flush it to disk and rename it into place.
+
+    Raises
+    ------
+    NlosError
+        The file cannot be written.
+    """
+    temporary = path.with_name(f".{path.name}.{HOST}-{os.getpid()}.tmp")
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        yield temporary
+        with open(temporary, "rb") as file:
+            os.fsync(file.fileno())
+        os.replace(temporary, path)
+    except OSError as error:
+        raise NlosError(f"{path}: cannot be written ({error.strerror or error})") from None
+    finally:
+        with contextlib.suppress(OSError):  # gone with its folder, or on a disk that takes no changes any more
+            temporary.unlink(missing_ok=True)
+
+
+def write_text(path: Path, text: str) -> None:
+    """Write a text file by temporary name and rename."""
+    with atomic(path) as temporary:
+        temporary.write_text(text, encoding="utf-8", newline="")
+    # A picture whose rename is lost with the power is rendered again; a manifest is what says that there is a set.
+    with contextlib.suppress(OSError):  # not every system opens a folder
+        folder = os.open(path.parent, os.O_RDONLY)
+        try:
+            os.fsync(folder)
+        finally:
+            os.close(folder)
+
+
+def csv_text(header: Sequence[str], rows: Iterable[Sequence[object]]) -> str:
+    """Return a table as comma-separated text."""
+    text = io.StringIO()
+    writer = csv.writer(text, lineterminator="\n")
+    writer.writerow(header)
+    writer.writerows(rows)
+    return text.getvalue()

@@ -1,0 +1,176 @@
+"""Bulk sets by several processes, and the engine that renders their pictures again."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field, replace
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from generator.jobs.protocol import NO_PROBE
+from generator.jobs.sweep import start_words
+from generator.jobs.workers import WorkerPool, planned_notes
+from generator.model.arrays import Array
+from generator.model.errors import NlosError
+from generator.model.quantities import Progress
+from generator.sets.bulk_set import Bulk, Pictures, check_free
+from generator.sets.resume import check_same
+from generator.sets.unknown_objects import stranger
+from generator.transport.caching import compiling_words
+
+
+@dataclass
+class Outcome:
+    """What a run did.
+
+    Attributes
+    ----------
+    bulk : Bulk
+    rendered : int
+        Pictures made by this run.
+    failed : list of str
+        Parts that could not be made, each with its reason.
+    remaining : int
+        Pictures of the whole set, other shards' included, that are not rendered yet.
+    """
+
+    bulk: Bulk
+    rendered: int = 0
+    failed: list[str] = field(default_factory=list)
+    remaining: int = 0
+
+
+def run(
+    scene: Path,
+    path: Path,
+    chosen: Mapping[str, Any],
+    *,
+    workers: int = 0,
+    shard: tuple[int, int] = (0, 1),
+    progress: Progress = lambda done, total: None,
+    tell: Callable[[str], None] = lambda words: None,
+    force: bool = False,
+    probe: bool = True,
+) -> Outcome:
+    """Make a bulk set, or what is missing of it.
+
+    Parameters
+    ----------
+    scene : Path
+        The ``.blend``.
+    path : Path
+        Of the set; a folder that is new, empty, or holds the same set.
+    chosen : mapping
+        Fields of `Settings` that the user chose; ``resolution`` may be text. What is left out follows from the set
+        if there is one, else from the scene and the defaults.
+    workers : int
+        Processes; 0 is one per core.
+    shard : (int, int)
+        ``(i, n)``: make the i-th of n shares of the parts only, i from 0.
+    progress : callable
+        Is told how many pictures of this run are done, and how many there are to do.
+    tell : callable
+        Is told that the engine is being compiled, what the check says of a new set's scene, and what the check at its
+        start found.
+    force : bool
+        Begin a new set in spite of errors that the check finds in the scene.
+    probe : bool
+        Whether a new set begins with the check of the engine against plain Cycles (`generator.blender.start_check`).
+
+    Raises
+    ------
+    NlosError
+        The input is bad, the check finds an error, the engine cannot honour the scene, or the set at that path was
+        made with other settings.
+    """
+    if words := compiling_words("surfel"):
+        tell(words)
+    new = not Bulk.exists(path)
+    if new:
+        for words in _plan(scene, path, chosen, force=force, probe=probe):
+            tell(words)
+    bulk = Bulk.open(path)
+    if new and (words := start_words(bulk)):
+        tell(words)
+    check_same(bulk, scene, chosen)
+    index, count = shard
+    if not 0 <= index < count:
+        raise NlosError(f"--shard {index}/{count}: must be i/n with i from 0 to n - 1")
+    pending = [number for number in bulk.missing() if number % count == index]
+    outcome = Outcome(bulk)
+    if pending:
+        crew = WorkerPool(
+            lambda threads: ["generator.blender.bulk_worker", "render", str(path), str(threads)],
+            lambda number: bulk.part_path(number).name,
+            progress,
+            size=lambda number: len(bulk.part_range(number)),
+        )
+        crew.work(pending, workers)
+        outcome.failed = crew.failed
+    missing = set(bulk.missing())
+    outcome.rendered = sum(len(bulk.part_range(number)) for number in pending if number not in missing)
+    outcome.remaining = sum(len(bulk.part_range(number)) for number in missing)
+    if not missing:
+        bulk.finish()
+    return outcome
+
+
+def _plan(scene: Path, path: Path, chosen: Mapping[str, Any], *, force: bool, probe: bool) -> list[str]:
+    if not scene.is_file():
+        raise NlosError(f"{scene}: no such scene file")
+    if "pictures" not in chosen:
+        raise NlosError(f"{path}: is a new set, so say how many pictures it shall hold with --pictures N")
+    check_free(path)
+    arguments = ["generator.blender.bulk_worker", "plan", str(scene), str(path), json.dumps(dict(chosen))]
+    return planned_notes(scene, [*arguments, *([] if probe else [NO_PROBE])], force=force)
+
+
+class Engine:
+    """The engine that a set's pictures are of.
+
+    Parameters
+    ----------
+    bulk : Bulk
+    threads : int
+        0 takes all cores.
+    """
+
+    def __init__(self, bulk: Bulk, *, threads: int = 0) -> None:
+        from generator.transport import Transport  # readers of sets need no compiler
+
+        plan = bulk.plan
+        self._bulk = bulk
+        self._make = partial(Transport, accuracy=plan.accuracy, threads=threads)
+        self._world = bulk.world().seen_by(*plan.resolution)
+        self._known = None if plan.unknown else self._make(self._world)
+        self._last: Transport | None = None
+
+    def pictures(
+        self, numbers: NDArray[np.int64], positions: Array, rotations: Array, *, shadows: bool = True
+    ) -> Pictures:
+        """Return pictures (n, height, width, 3), W/m^2/sr.
+
+        Parameters
+        ----------
+        numbers : ndarray of shape (n,), int
+            Of the pictures, in order.
+        positions, rotations : ndarray of shape (n, 3)
+            Metres, degrees.
+        shadows : bool
+            As of `generator.transport.Transport.pictures`.
+        """
+        if self._known is not None:
+            return self._known.pictures(positions, rotations, shadows=shadows)
+        bulk = self._bulk
+        index = numbers // bulk.grid.n_voxels
+        made = []
+        for some in np.split(np.arange(len(numbers)), np.flatnonzero(np.diff(index)) + 1):
+            one = replace(self._world, target=(stranger(bulk.grid, bulk.plan.sweep, int(index[some[0]])),))
+            self._last = self._make(one, like=self._last)
+            made.append(self._last.pictures(positions[some], rotations[some], shadows=shadows))
+        return np.concatenate(made)

@@ -1,0 +1,96 @@
+"""Times, sizes and shares, from words and into words."""
+
+from __future__ import annotations
+
+import math
+import re
+from collections.abc import Callable
+
+from generator.model.errors import NlosError
+
+
+def parse_resolution(text: str, aspect: float = 1.0) -> tuple[int, int]:
+    """Return width and height from ``64`` (the height follows from the aspect) or ``64x48``.
+
+    Raises
+    ------
+    NlosError
+        It is neither.
+    """
+    width, cross, height = text.lower().partition("x")
+    try:
+        return int(width), int(height) if cross else max(1, round(int(width) / aspect))
+    except ValueError:
+        raise NlosError(f"resolution {text!r}: must read 64 or 64x48") from None
+
+
+Progress = Callable[[int, int], None]
+"""Is told how many pictures of this run are done, and how many there are to do."""
+
+
+def clock(seconds: float) -> str:
+    """Return a time that is left, as people read it: 1:05 or 2:00:07."""
+    minutes, seconds = divmod(round(seconds), 60)
+    hours, minutes = divmod(minutes, 60)
+    return f"{hours}:{minutes:02d}:{seconds:02d}" if hours else f"{minutes}:{seconds:02d}"
+
+
+def rough_time(seconds: float) -> str:
+    if seconds < 90.0:
+        return f"{seconds:.0f} s"
+    return f"{seconds / 60.0:.0f} min" if seconds < 5400.0 else f"{seconds / 3600.0:.1f} h"
+
+
+def byte_size(count: float) -> str:
+    return f"{count / 1e6:.3g} MB" if count < 1e9 else f"{count / 1e9:.3g} GB"
+
+
+_UNITS = {"": 1.0, "s": 1.0, "min": 60.0, "m": 60.0, "h": 3600.0, "d": 86400.0}
+
+
+def seconds(text: str) -> float:
+    """Return a time in seconds: 90, 90s, 10min, 1.5h, 2d.
+
+    Raises
+    ------
+    NlosError
+        It is none.
+    """
+    match = re.fullmatch(r"\s*(\d+\.?\d*|\.\d+)\s*([a-z]*)\s*", text)
+    if not match or match[2] not in _UNITS or float(match[1]) <= 0.0:
+        raise NlosError(f"time {text!r}: must read like 90s, 10min, 1.5h or 2d")
+    return float(match[1]) * _UNITS[match[2]]
+
+
+def fraction(text: str) -> float:
+    """Return a relative accuracy: 0.01 or 1%.
+
+    Raises
+    ------
+    NlosError
+        It is none.
+    """
+    number, percent, rest = text.strip().partition("%")
+    try:
+        value = float(number) / (100.0 if percent else 1.0)
+    except ValueError:
+        value = math.nan
+    if rest or not 0.0 < value < 1.0:
+        raise NlosError(f"accuracy {text!r}: must be between 0 and 1, or read like 1%")
+    return value
+
+
+def percent(share: float) -> str:
+    return f"{100.0 * share:.2g} %"
+
+
+def parse_shard(text: str) -> tuple[int, int]:
+    """Return i and n of ``i/n``."""
+    index, _, count = text.partition("/")
+    try:
+        shard = (int(index), int(count))
+    except ValueError:
+        shard = (0, 0)
+    if not 0 <= shard[0] < shard[1]:
+        raise NlosError(f"--shard {text!r}: must read i/n with i from 0 to n - 1, for example 0/4")
+    return shard

@@ -1,0 +1,314 @@
+"""What a scene, a voxel grid and a target are: validated values, to and from TOML.
+
+Lengths are metres, angles degrees, power watts, radiance W/m^2/sr. The frame is Blender's: right-handed, z up.
+The relay wall is the plane y = 0 and faces +y; x runs along it.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, field, fields, is_dataclass, replace
+from pathlib import Path
+from typing import Any, Literal
+
+import numpy as np
+
+from generator.model.arrays import Range, Vector
+from generator.model.errors import require
+from generator.model.grid import VoxelGrid
+
+ROOM_SURFACES = ("floor", "ceiling", "back", "left", "right")
+FACES = {"floor": ("z", 0), "ceiling": ("z", 1), "back": ("y", 1), "left": ("x", 0), "right": ("x", 1)}
+"""Across which axis a surface of the room lies, and at which of its ends."""
+TARGET_KINDS = ("sheet", "sphere", "mesh")
+
+
+@dataclass(frozen=True, kw_only=True)
+class Wall:
+    """The relay wall: a rectangle in the plane y = 0.
+
+    Attributes
+    ----------
+    x, z : (float, float)
+        Extent, metres.
+    albedo : float, optional
+        Fraction of light reflected, Lambertian, 0 to 1; None (here and below) if read from a file where the
+        material is not plainly Lambertian.
+    """
+
+    x: Range
+    z: Range
+    albedo: float | None = 0.8
+
+
+@dataclass(frozen=True, kw_only=True)
+class Room:
+    """The surfaces that close the room, apart from the relay wall.
+
+    Attributes
+    ----------
+    x, y, z : (float, float)
+        Extent, metres; y starts at the relay wall.
+    albedo : float
+        Of every surface, Lambertian.
+    surfaces : tuple of str
+        Which of floor, ceiling, back, left, right are there.
+    """
+
+    x: Range
+    y: Range
+    z: Range
+    albedo: float | None = 0.8
+    surfaces: tuple[str, ...] = ROOM_SURFACES
+
+
+@dataclass(frozen=True, kw_only=True)
+class Partition:
+    """The screen in a plane of constant x that hides the object from lamp and camera.
+
+    Attributes
+    ----------
+    x : float
+        Where its plane stands, metres.
+    depth : float
+        How far it reaches towards +x, metres: 0 is a thin screen, more is a solid corner.
+    y, z : (float, float)
+        Extent, metres.
+    albedo : float
+        0 is matt black.
+    """
+
+    x: float
+    y: Range
+    z: Range
+    depth: float = 0.0
+    albedo: float | None = 0.0
+
+
+@dataclass(frozen=True, kw_only=True)
+class Spot:
+    """The spot lamp.
+
+    Attributes
+    ----------
+    location, aim : (float, float, float)
+        The lamp and w1, the centre of the patch that it lights on the relay wall, metres.
+    half_angle : float
+        Of its cone, degrees.
+    power : float
+        Blender's watts: radiant intensity I = power / (4 pi) W/sr inside the cone, whatever its angle.
+    """
+
+    location: Vector
+    aim: Vector
+    half_angle: float
+    power: float = 1000.0
+
+    @property
+    def intensity(self) -> float:
+        """Radiant intensity inside the cone, W/sr."""
+        return self.power / (4.0 * math.pi)
+
+    def irradiance(self, normal: Vector = (0.0, 1.0, 0.0)) -> float:
+        """Irradiance I cos / d^2 at w1 of a surface with that unit normal, W/m^2."""
+        to_lamp = np.subtract(self.location, self.aim)
+        distance = float(np.linalg.norm(to_lamp))
+        return self.intensity * max(0.0, float(to_lamp @ np.asarray(normal))) / distance**3
+
+
+@dataclass(frozen=True, kw_only=True)
+class Camera:
+    """The camera and the rectangle of the relay wall that it watches.
+
+    The camera looks straight at the wall; the lens is shifted so that the picture is exactly the watched
+    rectangle, without keystone. Facing the wall, the camera's right is -x: column 0 of a picture is the
+    largest x, row 0 the largest z.
+
+    Attributes
+    ----------
+    location : (float, float, float)
+        Metres.
+    x, z : (float, float)
+        The watched rectangle, metres.
+    projection : {"perspective", "orthographic"}
+    """
+
+    location: Vector
+    x: Range
+    z: Range
+    projection: Literal["perspective", "orthographic"] = "perspective"
+
+
+@dataclass(frozen=True, kw_only=True)
+class Target:
+    """The hidden object.
+
+    Attributes
+    ----------
+    kind : {"sheet", "sphere", "mesh"}
+        A square sheet (two-sided, normal along y when unrotated), a sphere, or a mesh from a file.
+    size : float
+        Edge of the sheet, diameter of the sphere, longest edge of the mesh's bounding box, metres; for a mesh
+        0 keeps the file's own size.
+    albedo : float
+        Lambertian; 1 is the paper's "perfectly reflecting" sphere.
+    mesh : str
+        File of a mesh target (.obj, .ply or .stl), else empty.
+    """
+
+    kind: Literal["sheet", "sphere", "mesh"] = "sheet"
+    size: float = 0.5
+    albedo: float | None = 0.9
+    mesh: str = ""
+
+    @classmethod
+    def named(cls, name: str, scale: float = 1.0) -> Target:
+        """Return the sheet (0.5 m, albedo 0.9) or the sphere (radius 0.2 m, albedo 1) to scale, or a mesh file."""
+        if name == "sheet":
+            return cls(kind="sheet", size=0.5 * scale, albedo=0.9)
+        if name == "sphere":
+            return cls(kind="sphere", size=0.4 * scale, albedo=1.0)
+        require(
+            Path(name).suffix.lower() in MESH_SUFFIXES,
+            f"target {name!r}: must be sheet, sphere or a mesh file ({', '.join(MESH_SUFFIXES)})",
+        )
+        return cls(kind="mesh", size=0.0, albedo=0.9, mesh=name)
+
+
+MESH_SUFFIXES = (".obj", ".ply", ".stl")
+
+
+@dataclass(frozen=True, kw_only=True)
+class Scene:
+    """A whole scene.
+
+    Attributes
+    ----------
+    preset : str
+        The preset it started from.
+    ambient : float
+        Uniform radiance of the world, W/m^2/sr; 0 is off.
+    reflection_order : int
+        How many diffuse reflections a picture may hold; three is lamp, w1, object, w2, camera.
+    resolution : (int, int)
+        Width and height of a picture, pixels.
+    """
+
+    preset: str
+    wall: Wall
+    spot: Spot
+    camera: Camera
+    grid: VoxelGrid
+    target: Target = field(default_factory=Target)
+    room: Room | None = None
+    partition: Partition | None = None
+    ambient: float = 0.0
+    reflection_order: int = 3
+    resolution: tuple[int, int] = (64, 64)
+
+    def __post_init__(self) -> None:
+        for name, value in _leaves(self):
+            if isinstance(value, float):
+                require(math.isfinite(value), f"{name}: {value} is not a finite number")
+            if name.endswith("albedo") and value is not None:
+                require(0.0 <= value <= 1.0, f"{name}: {value} must lie between 0 and 1")
+        for part in ("wall", "room", "partition", "camera"):
+            for axis in "xyz":
+                extent = getattr(getattr(self, part), axis, None)
+                if isinstance(extent, tuple):
+                    # Surfaces may be all in one plane, as a floor alone is; what is built of them is another matter.
+                    flat = part in ("room", "partition") and extent[0] == extent[1]
+                    require(extent[0] < extent[1] or flat, f"{part}.{axis}: {extent} must run from low to high")
+        require(self.spot.power >= 0, f"spot.power: {self.spot.power} must not be negative")
+        require(
+            0 < self.spot.half_angle < 90,
+            f"spot.half_angle: {self.spot.half_angle} must lie between 0 and 90 degrees",
+        )
+        require(
+            self.spot.location[1] > max(0.0, self.spot.aim[1]),
+            f"spot.location: {self.spot.location} must lie before the relay wall, farther from it than spot.aim",
+        )
+        require(
+            self.camera.location[1] > 0.0,
+            f"camera.location: {self.camera.location} must lie before the relay wall, with y above 0",
+        )
+        require(self.ambient >= 0, f"ambient: {self.ambient} must not be negative")
+        require(self.target.size >= 0, f"target.size: {self.target.size} must not be negative")
+        require(self.target.size > 0 or self.target.kind == "mesh", "target.size: must be above 0")
+        require(
+            1 <= self.reflection_order <= 1024,
+            f"reflection_order: {self.reflection_order} must be from 1 to 1024",
+        )
+        require(
+            all(1 <= n <= 65536 for n in self.resolution),
+            f"resolution: {self.resolution} must be from 1 to 65536",
+        )
+        if self.room:
+            unknown = set(self.room.surfaces) - set(ROOM_SURFACES)
+            require(
+                not unknown,
+                f"room.surfaces: {sorted(unknown)} unknown; choose from {', '.join(ROOM_SURFACES)}",
+            )
+            twice = len(set(self.room.surfaces)) < len(self.room.surfaces)
+            require(not twice, f"room.surfaces: {list(self.room.surfaces)} names a surface twice")
+
+    def check_buildable(self) -> None:
+        """Raise NlosError if a surface to be built would have no area; one that is read from a file may lie flat."""
+        parts = [("partition", "y"), ("partition", "z")] if self.partition else []
+        for surface in self.room.surfaces if self.room else ():
+            parts += [("room", axis) for axis in "xyz" if axis != FACES[surface][0]]
+        for part, axis in parts:
+            low, high = getattr(getattr(self, part), axis)
+            require(low < high, f"{part}.{axis}: {(low, high)} must run from low to high")
+
+    @property
+    def reference_radiance(self) -> float:
+        """Radiance of the directly lit relay wall at w1, rho/pi I cos/d^2, W/m^2/sr; rho = 1 if unknown."""
+        albedo = 1.0 if self.wall.albedo is None else self.wall.albedo
+        return albedo / math.pi * self.spot.irradiance()
+
+    def with_ambient(self, radiance: float) -> Scene:
+        """Return the scene under uniform ambient light; a closed room loses its ceiling, or none could enter."""
+        room = self.room
+        if radiance > 0 and room and set(ROOM_SURFACES) <= set(room.surfaces):
+            room = replace(room, surfaces=tuple(s for s in room.surfaces if s != "ceiling"))
+        return replace(self, ambient=radiance, room=room)
+
+
+_LENGTHS = ("wall", "room", "partition", "spot.location", "camera", "grid")
+_NOT_READ = ("preset", "target.mesh", "spot.aim", "camera.projection", "room.surfaces")
+"""What a file does not say, or says in other words."""
+
+
+def unlike(wanted: Scene, got: Scene) -> str:
+    """Return the first figure that Blender could not take as it was wanted, in words; empty if there is none.
+
+    Its numbers have 24 bits and an end, and some of its settings narrower ones: a spot's cone has 1 degree at least.
+    """
+    found: dict[str, list[Any]] = {}
+    for name, value in _leaves(got):
+        found.setdefault(name, []).append(value)
+    flat = [f"room.{axis}" for axis in "xyz" if len(set(found.get(f"room.{axis}", ()))) == 1]  # as of a floor alone
+    near = 1e-6 * max(abs(v) for name in ("wall.x", "wall.z", "camera.location") for v in found[name])
+    for name, value in _leaves(wanted):
+        if name in _NOT_READ or name not in found:
+            continue
+        other = found[name].pop(0)
+        if not isinstance(value, float) or name in flat or (name == "target.size" and not value):
+            continue
+        if not math.isclose(other, value, rel_tol=2e-3, abs_tol=near if name.startswith(_LENGTHS) else 0.0):
+            return f"{name}: {value:g} becomes {other:g} in Blender"
+    return ""
+
+
+def _leaves(value: Any, prefix: str = "") -> list[tuple[str, Any]]:
+    """Every plain figure inside nested dataclasses and tuples, with its dotted name."""
+    if is_dataclass(value) and not isinstance(value, type):
+        return [
+            leaf
+            for f in fields(value)
+            for leaf in _leaves(getattr(value, f.name), f"{prefix}.{f.name}" if prefix else f.name)
+        ]
+    if isinstance(value, tuple):
+        return [leaf for item in value for leaf in _leaves(item, prefix)]
+    return [(prefix, value)]

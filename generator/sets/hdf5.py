@@ -1,0 +1,138 @@
+"""Tables of an HDF5 file, refused before what they claim is believed."""
+
+from __future__ import annotations
+
+import math
+from pathlib import Path
+from typing import Any, Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from generator.files.writing import atomic
+from generator.model.errors import NlosError
+
+_ABOUT = {
+    "pictures": {"units": "W/m^2/sr", "about": "scene-linear radiance of the relay wall; row 0 is the top"},
+    "position": {"units": "m", "about": "of the target's origin"},
+    "rotation": {"units": "degrees", "about": "about x, then y, then z"},
+    "voxel": {"about": "where the target stands; x runs fastest, then y, then z"},
+    "index": {"about": "of the pose within its voxel"},
+}
+
+
+OPENED = 128
+
+
+class Parts(Protocol):
+    """A set whose rows are spread over parts."""
+
+    @property
+    def planned(self) -> int:
+        """Number of rows of all parts."""
+
+    @property
+    def plan(self) -> Any:
+        """Settings of the set; its attribute ``part`` is the number of rows of a part."""
+
+    def rows(self, number: int, name: str) -> Any:
+        """Return a dataset of a part."""
+
+    def part_path(self, number: int) -> Path:
+        """Return the file of a part."""
+
+
+class Rows:
+    """One row per picture, spread over the parts, read as they are asked for.
+
+    Parameters
+    ----------
+    bulk : Parts
+        Set that they belong to.
+    name : str
+        Of the dataset.
+    shape : tuple of int
+        Of one row.
+    dtype : dtype
+    """
+
+    def __init__(self, bulk: Parts, name: str, shape: tuple[int, ...], dtype: np.dtype[Any]) -> None:
+        self._bulk = bulk
+        self._name = name
+        self.shape = (bulk.planned, *shape)
+        self.dtype = dtype
+
+    def __len__(self) -> int:
+        return self.shape[0]
+
+    def __array__(self, dtype: Any = None, copy: bool | None = None) -> NDArray[Any]:
+        whole: NDArray[Any] = self[:]
+        return whole if dtype is None else whole.astype(dtype)
+
+    def __getitem__(self, which: Any) -> Any:
+        """Return one row, a slice of them, or those that an array of numbers or of truth values names."""
+        part = self._bulk.plan.part
+        if isinstance(which, int | np.integer):
+            number = range(len(self))[which]
+            return self._read(number // part, number % part)
+        if isinstance(which, slice):
+            start, stop, step = which.indices(len(self))
+            if step != 1:
+                return self[np.arange(start, stop, step)]
+            rows = np.empty((max(0, stop - start), *self.shape[1:]), self.dtype)
+            for number in range(start // part, math.ceil(stop / part) if stop > start else 0):
+                low, high = max(start, number * part), min(stop, (number + 1) * part)
+                first = number * part
+                rows[low - start : high - start] = self._read(number, slice(low - first, high - first))
+            return rows
+        numbers = self._numbers(which)
+        rows = np.empty((len(numbers), *self.shape[1:]), self.dtype)
+        owner = numbers // part
+        for number in np.unique(owner).tolist():
+            mine = np.flatnonzero(owner == number)
+            wanted = numbers[mine] - number * part
+            low, high = int(wanted.min()), int(wanted.max()) + 1
+            # h5py's own way with lists of rows is slower than either of these.
+            if high - low <= 4 * len(wanted):
+                rows[mine] = self._read(number, slice(low, high))[wanted - low]
+            else:
+                for at, row in zip(mine.tolist(), wanted.tolist(), strict=True):
+                    rows[at] = self._read(number, row)
+        return rows
+
+    def _read(self, number: int, which: int | slice) -> Any:
+        """Some rows of a part."""
+        try:
+            return self._bulk.rows(number, self._name)[which]
+        except OSError as error:
+            words = f"is broken ({short_size(error)}); take it away and run the same command again"
+            raise NlosError(f"{self._bulk.part_path(number)}: {words}") from None
+
+    def _numbers(self, which: Any) -> NDArray[np.int64]:
+        numbers = np.asarray(which)
+        if numbers.dtype == bool and numbers.shape == (len(self),):
+            return np.flatnonzero(numbers)
+        if numbers.ndim != 1 or (numbers.size and numbers.dtype.kind not in "iu"):
+            raise IndexError(f"{self._name}: ask for a number, a slice, or one list of numbers or of truth values")
+        numbers = numbers.astype(np.int64)
+        numbers = np.where(numbers < 0, numbers + len(self), numbers)
+        if numbers.size and (numbers.min() < 0 or numbers.max() >= len(self)):
+            raise IndexError(f"{self._name}: holds rows 0 to {len(self) - 1}")
+        return numbers
+
+
+def describe_file(file: Any) -> None:
+    for name, attributes in _ABOUT.items():
+        file[name].attrs.update(attributes)
+
+
+def write_image(path: Path, file: Any) -> None:
+    file.flush()
+    with atomic(path) as temporary:
+        temporary.write_bytes(file.id.get_file_image())
+
+
+def short_size(error: Exception) -> str:
+    """HDF5's message without its inner monologue of addresses and times."""
+    text = " ".join(str(error.args[0] if error.args else error).split())
+    return text[:120]

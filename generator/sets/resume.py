@@ -1,0 +1,54 @@
+"""Whether a set that is there is the one asked for, so that it may be gone on with."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any, Protocol
+
+from generator.model.errors import NlosError
+from generator.model.quantities import parse_resolution
+from generator.model.settings import AUTO, Sweep
+from generator.sets import links
+from generator.sets.manifest import SCENE, scene_hash
+
+
+class HasSettings(Protocol):
+    """A set on disk that knows what it was made with."""
+
+    path: Path
+    meta: dict[str, Any]
+
+    @property
+    def settings(self) -> dict[str, Any]: ...
+
+
+def check_same(dataset: HasSettings, scene: Path, chosen: Mapping[str, Any]) -> None:
+    """Raise NlosError, naming each difference, if a data set was made from another scene or with other settings.
+
+    Or if files that its scene refers to have changed, or may not be read (`links.check`).
+    """
+    own = {"device": Sweep.device, "denoise": Sweep.denoise, **dataset.settings}  # older sets knew of no other
+    width, height = own["resolution"]
+    differences = []
+    for name, value in chosen.items():
+        if name == "resolution" and isinstance(value, str):
+            value = list(parse_resolution(value, width / height))
+        if name == "engine" and value == AUTO:
+            continue
+        if name in Sweep.idle(own["engine"]) and chosen.get("engine", AUTO) != AUTO:
+            differences.append(f"{name} means nothing to its engine {own['engine']!r}")
+        if name in own and own[name] != value:
+            differences.append(f"{name} is {own[name]} there and {value} here")
+        elif name == "frames" and name not in own:
+            differences.append("its poses lie in voxels, not on a trajectory")
+        elif name == "poses" and name not in own:
+            differences.append("its poses lie on a trajectory, not in voxels")
+    if scene_hash(scene) not in (own.get("scene_sha256"), scene_hash(dataset.path / SCENE)):
+        differences.append(f"{scene} is not the scene it was rendered from (or has been saved again since)")
+    if differences:
+        raise NlosError(
+            f"{dataset.path}: holds a sweep with other settings: {'; '.join(differences)}; "
+            "use the same settings or another folder"
+        )
+    links.check(dataset.meta.get("links", {}), dataset.path, scene)
