@@ -41,13 +41,13 @@ STAGES = {
         *(
             "generator.blender.scene.blend_file:open_file",
             "generator.blender.scene.blend_file:save_file",
-            "generator.blender.scene.description:read",
+            "generator.blender.scene.description:read_scene",
             "generator.blender.scene.geometry:hull",
         ),
         *(
             "generator.blender.scene.clearance:clearance",
-            "generator.blender.engines.cycles:_linear_output",
-            "generator.blender.engines.cycles:_plain_cycles",
+            "generator.blender.engines.cycles:linear_output",
+            "generator.blender.engines.cycles:plain_cycles",
         ),
     ],
     "extract the world": [
@@ -69,7 +69,7 @@ STAGES = {
     "gather: read pictures, poses.csv": [
         *("generator.sets.dataset:Dataset.gather", "generator.sets.dataset:Dataset.write_manifest"),
         *(
-            "generator.sets.manifest:_read_poses",
+            "generator.sets.manifest:read_poses",
             "generator.files.pictures:read_picture",
             "generator.sets.dataset:read_toml",
         ),
@@ -205,7 +205,7 @@ def as_coordinator(arguments: list[str]) -> int:
         return start(own, **options)
 
     subprocess.Popen = started  # type: ignore[misc,assignment]
-    sweep._run_plan = clock.wrap("(workers)", sweep._run_plan)
+    sweep.planned_notes = clock.wrap("(workers)", sweep.planned_notes)  # type: ignore[attr-defined]
     WorkerPool.work = clock.wrap("(workers)", WorkerPool.work)  # type: ignore[method-assign]
     code = int(cli.main(arguments))
     told = {"role": "coordinator", "generator": sweep.__file__, "before": before, "seconds": clock.told()}

@@ -16,9 +16,7 @@ from matrix import builds
 
 from blender_addon.packaging import sbom
 
-NO_BLENDER = (
-    "import sys; sys.modules['bpy'] = None; from generator.cli import main; sys.exit(main.main(sys.argv[1:]))"
-)
+NO_BLENDER = "import sys; sys.modules['bpy'] = None; from generator.cli.main import main; sys.exit(main())"
 
 
 @pytest.fixture(scope="module")

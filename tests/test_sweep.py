@@ -234,7 +234,7 @@ def test_a_worker_that_dies_is_replaced_and_a_hopeless_pose_is_listed(tmp_path, 
             arguments = [arguments[0], str(script), *arguments[3:]]
         return real(arguments, **options)
 
-    monkeypatch.setattr(sweep.subprocess, "Popen", popen)
+    monkeypatch.setattr(workers.subprocess, "Popen", popen)
     outcome = sweep.run(tiny_dataset / "scene.blend", path, {}, workers=1)
     assert outcome.failed == ["A/0000.exr: out of memory (exit code 9)"]
     assert (outcome.rendered, outcome.remaining) == (1, 1)

@@ -3,10 +3,53 @@
 from __future__ import annotations
 
 import argparse
+from pathlib import Path
 
-from classify.cli.options import check_output, loaded, progress_bar, sensor_of
-from generator.cli.terminal import print_table
-from generator.model.errors import NlosError
+from classify.cli.options import RAW, Commands, add_sensor_options, check_output, progress_bar, sensor_of
+
+
+def add_parsers(commands: Commands) -> None:
+    """Add the verb ``atlas`` to a command line."""
+    parser = commands.add_parser(
+        "atlas",
+        help="compress a simulated set to what a sensor can tell apart of it",
+        description="Compress a simulated set (nlos-generate bulk) of a known object to what a camera's sensor can "
+        "tell apart of its pictures: what locate and bound need.",
+        epilog="example:\n  nlos-generate bulk room.blend -o simulated/ --pictures 90000 --accuracy 3e-3\n"
+        "  nlos-classify atlas simulated/ -o room.atlas --frames 10",
+        formatter_class=RAW,
+    )
+    parser.add_argument(
+        "simulated",
+        type=Path,
+        nargs="+",
+        metavar="SET",
+        help="folder of a simulated set; of several, each with another object, any of them may be there",
+    )
+    parser.add_argument("-o", "--output", type=Path, required=True, metavar="FILE.atlas")
+    add_sensor_options(parser)
+    parser.add_argument(
+        "--lamp-drift",
+        type=float,
+        default=0.0,
+        metavar="D",
+        help="how much the lamp's strength may have changed since the background was taken, relative; it is fitted "
+        "with every answer (default: 0)",
+    )
+    parser.add_argument(
+        "--ambient-drift",
+        type=float,
+        default=0.0,
+        metavar="D",
+        help="how much uniform light on the wall may have come or gone since then, in units of the background's mean "
+        "(default: 0)",
+    )
+    parser.add_argument(
+        "--unknown",
+        action="store_true",
+        help="size and albedo of the object are not known: its pictures stand for all objects about like it",
+    )
+    parser.set_defaults(run=run_atlas)
 
 
 def run_atlas(options: argparse.Namespace) -> int:
@@ -32,53 +75,4 @@ def run_atlas(options: argparse.Namespace) -> int:
         f"{options.output}: {n} pictures of a {' or a '.join(made.about['targets'])}, {k} numbers each; what they "
         f"leave out is {made.left_out:.2f} of the noise"
     )
-    return 0
-
-
-def run_bound(options: argparse.Namespace) -> int:
-    from classify.classifiers import models
-    from classify.inference import bound
-    from classify.inference.posterior import Synthesis
-    from generator.sets.bulk_set import Bulk
-
-    models.check_seed(options.seed)
-    if options.count < 1:
-        raise NlosError(f"--count {options.count}: must be 1 or more")
-    if options.map:
-        check_output(options.map)
-    found, simulated = loaded(options), Bulk.open(options.simulated)
-    if found.about.get("fingerprints") != [simulated.meta["fingerprint"]]:
-        raise NlosError(f"{options.atlas}: is not an atlas of {options.simulated}; make it anew")
-    # Cramer and Rao ask about a known object, by derivatives.
-    lit = simulated.world().ambient is not None
-    one = not simulated.plan.unknown and not lit
-    if options.map and not one:
-        what = "is under ambient light, where the engine knows no derivatives" if lit else "is of many"
-        raise NlosError(f"--map: draws what can be known of one object, and {options.simulated} {what}")
-    with progress_bar("asking", "pictures") as progress:
-        best = bound.reachable(
-            found,
-            count=options.count,
-            seed=options.seed,
-            progress=lambda done, total: progress(done, total, ""),
-        )
-    synthesis = Synthesis(found, simulated.world()) if one else None
-    headings = ["voxel", "right voxel"]
-    if one:
-        headings += ["presence", "x cm", "y cm", "z cm", "turn unknown", "noticed: x cm", "y cm", "z cm"]
-    title = f"{options.atlas}: the best that any method can do"
-    print_table(title, headings, bound.rows(found, best, synthesis))
-    print(f"median error of the position, wherever the object is: {best.error.centimetres()}")
-    if synthesis is None:
-        return 0
-    print(
-        "presence: in standard deviations of the noise; x, y, z: least standard deviation in the middle of the voxel "
-        "by Cramer and Rao, and of all three together where the turn is unknown too; noticed: least movement that "
-        "shows between two pictures, at 1 % false alarms and 99 % detections"
-    )
-    if options.map:
-        with progress_bar("mapping", "places") as progress:
-            drawn = bound.over_volume(synthesis, progress=lambda done, total: progress(done, total, ""))
-        bound.draw(options.map, found, drawn)
-        print(options.map)
     return 0

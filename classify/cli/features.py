@@ -3,8 +3,69 @@
 from __future__ import annotations
 
 import argparse
+from pathlib import Path
 
-from classify.cli.options import check_output, progress_bar, sensor_of
+from classify.cli.options import RAW, Commands, add_sensor_options, check_output, progress_bar, sensor_of
+
+
+def add_parsers(commands: Commands) -> None:
+    """Add the verb ``features`` to a command line."""
+    parser = commands.add_parser(
+        "features",
+        help="describe every picture of a data set by numbers, into HDF5",
+        description="Describe every picture of a data set by numbers, into one HDF5 file.",
+        epilog="example:\n  nlos-classify features sheet/ -o sheet.h5 --set spatial-hog",
+        formatter_class=RAW,
+    )
+    parser.add_argument("dataset", type=Path, help="folder of a data set, or of a simulated set")
+    parser.add_argument("-o", "--output", type=Path, required=True, metavar="FILE.h5")
+    parser.add_argument(
+        "--set",
+        choices=["global", "spatial-hog", "physics"],
+        default="global",
+        help="global: colour histogram, Hu moments, Haralick texture; spatial-hog: small copy, colour histogram, "
+        "HOG; physics: level, shape without level, and the fit of an unknown target",
+    )
+    parser.add_argument(
+        "--input",
+        choices=["difference", "raw"],
+        default="difference",
+        help="picture minus background, or the picture itself (default: difference)",
+    )
+    parser.add_argument(
+        "--tone",
+        choices=["log", "linear"],
+        default="log",
+        help="log keeps shades in near and far voxels alike; linear is like 8 bits of the brightest (default: log)",
+    )
+    parser.add_argument(
+        "--floor",
+        type=float,
+        default=1e-7,
+        metavar="F",
+        help="where log turns linear, in units of the lit patch's radiance (default: 1e-7)",
+    )
+    parser.add_argument(
+        "--ceiling",
+        type=float,
+        default=1e-3,
+        metavar="F",
+        help="what counts as white, in the same units (default: 1e-3)",
+    )
+    parser.add_argument(
+        "--size", type=int, default=32, metavar="N", help="average down to N pixels a side (default: 32)"
+    )
+    parser.add_argument(
+        "--count",
+        type=int,
+        default=0,
+        metavar="N",
+        help="take the first N pictures of a simulated set (default: all)",
+    )
+    parser.add_argument("--partial", action="store_true", help="take an unfinished data set as it is")
+    add_sensor_options(parser, "as clean radiance")
+    parser.add_argument("--seed", type=int, default=0, metavar="N", help="of the sensor's noise (default: 0)")
+    parser.set_defaults(run=run_features)
 
 
 def run_features(options: argparse.Namespace) -> int:

@@ -14,6 +14,96 @@ from generator.model.errors import NlosError
 
 if TYPE_CHECKING:
     from generator.files.pictures import Picture
+from classify.cli.options import RAW, Commands
+
+
+def add_parsers(commands: Commands) -> None:
+    """Add the verbs ``compare``, ``train``, ``learn`` and ``predict`` to a command line."""
+    _add_compare(commands)
+    _add_train(commands)
+    _add_learn(commands)
+    _add_predict(commands)
+
+
+def _add_compare(commands: Commands) -> None:
+    parser = commands.add_parser(
+        "compare",
+        help="compare seven classifiers on one or two sets of features",
+        description="Compare seven classifiers, by the paper's settings and tuned: each set cross-validated, and "
+        "with two also trained on one and tested on the other.",
+        epilog="example:\n  nlos-classify compare sheet.h5 sphere.h5 -o report/",
+        formatter_class=RAW,
+    )
+    parser.add_argument("features", type=Path, nargs="+", metavar="FILE.h5", help="one or two")
+    parser.add_argument(
+        "-o", "--output", type=Path, required=True, metavar="FOLDER", help="for tables, figures and page"
+    )
+    parser.add_argument("--folds", type=int, default=10, metavar="N", help="default: 10")
+    parser.add_argument("--seed", type=int, default=0, metavar="N", help="of folds and classifiers (default: 0)")
+    parser.add_argument("--settings", choices=["paper", "tuned", "both"], default="both", help="default: both")
+    parser.set_defaults(run=run_compare)
+
+
+def _add_train(commands: Commands) -> None:
+    parser = commands.add_parser(
+        "train",
+        help="train one classifier on all of a set, and save it",
+        description="Train one classifier on all of a set, and save it with what it needs to read a picture.",
+        epilog="example:\n  nlos-classify train sheet.h5 -o sheet.skops --classifier SVM",
+        formatter_class=RAW,
+    )
+    parser.add_argument("features", type=Path, metavar="FILE.h5")
+    parser.add_argument("-o", "--output", type=Path, required=True, metavar="FILE.skops")
+    parser.add_argument(
+        "--classifier", default="SVM", metavar="NAME", help="LR, LDA, KNN, CART, RF, SVM, NB or MLP (default: SVM)"
+    )
+    parser.add_argument("--settings", choices=["paper", "tuned"], default="tuned", help="default: tuned")
+    parser.add_argument("--seed", type=int, default=0, metavar="N", help="default: 0")
+    parser.set_defaults(run=run_train)
+
+
+def _add_learn(commands: Commands) -> None:
+    parser = commands.add_parser(
+        "learn",
+        help="say what more pictures to train on are worth",
+        description="Train classifiers on more and more pictures of a set, and say how often each is right and how "
+        "long it took: on a fifth of the set that is held out, or on another set.",
+        epilog="example:\n  nlos-classify features simulated/ -o simulated.h5 --set physics --sensor default\n"
+        "  nlos-classify learn simulated.h5 --test sphere.h5 -o learned/ --classifiers RF SVM MLP",
+        formatter_class=RAW,
+    )
+    parser.add_argument("features", type=Path, metavar="FILE.h5", help="to train on")
+    parser.add_argument("--test", type=Path, metavar="FILE.h5", help="other pictures to test on")
+    parser.add_argument(
+        "-o", "--output", type=Path, required=True, metavar="FOLDER", help="for report.html, learn.csv and learn.png"
+    )
+    parser.add_argument(
+        "--classifiers", nargs="+", metavar="NAME", help="LR, LDA, KNN, CART, RF, SVM, NB, MLP (default: all but MLP)"
+    )
+    parser.add_argument("--counts", type=int, nargs="+", metavar="N", help="default: 30, 100, 300, ... and all")
+    parser.add_argument("--settings", choices=["paper", "tuned"], default="paper", help="default: paper")
+    parser.add_argument("--seed", type=int, default=0, metavar="N", help="default: 0")
+    parser.set_defaults(run=run_learn)
+
+
+def _add_predict(commands: Commands) -> None:
+    parser = commands.add_parser(
+        "predict",
+        help="say in which voxel the object stands, picture by picture",
+        description="Say for each picture in which voxel the object stands, and how probable each voxel is.",
+        epilog="example:\n  nlos-classify predict sheet.skops sheet/E/0007.exr --json",
+        formatter_class=RAW,
+    )
+    parser.add_argument("model", type=Path, metavar="FILE.skops")
+    parser.add_argument("pictures", type=Path, nargs="+", metavar="PICTURE.exr")
+    parser.add_argument("--json", action="store_true", help="one JSON object per picture and line")
+    parser.add_argument(
+        "--background",
+        type=Path,
+        metavar="FILE.exr",
+        help="picture without the object (default: the training scene's)",
+    )
+    parser.set_defaults(run=run_predict)
 
 
 def run_compare(options: argparse.Namespace) -> int:

@@ -3,10 +3,154 @@
 from __future__ import annotations
 
 import argparse
+from pathlib import Path
 
-from classify.cli.options import check_output, loaded, progress_bar
+from classify.cli.options import RAW, Commands, check_output, loaded, progress_bar
 from generator.cli.terminal import print_table
 from generator.model.errors import NlosError
+
+
+def add_parsers(commands: Commands) -> None:
+    """Add the verbs ``locate``, ``tradeoff``, ``track`` and ``detect`` to a command line."""
+    _add_locate(commands)
+    _add_tradeoff(commands)
+    _add_track(commands)
+    _add_detect(commands)
+
+
+def _add_locate(commands: Commands) -> None:
+    parser = commands.add_parser(
+        "locate",
+        help="say whether there is something, in which voxel, and where",
+        description="Find a known object in every picture of a data set, as the atlas' sensor would have seen it, "
+        "and say how often voxel, position and presence are right.",
+        epilog="example:\n  nlos-classify locate room.atlas sphere/ -o answers/",
+        formatter_class=RAW,
+    )
+    parser.add_argument("atlas", type=Path, metavar="FILE.atlas")
+    parser.add_argument(
+        "dataset", type=Path, help="folder of a data set, or a simulated one; its pictures are clean, noise is added"
+    )
+    parser.add_argument(
+        "--count",
+        type=int,
+        default=0,
+        metavar="N",
+        help="take the first N pictures of a simulated set (default: all)",
+    )
+    parser.add_argument("-o", "--output", type=Path, metavar="FOLDER", help="for report.html and answers.csv")
+    parser.add_argument("--seed", type=int, default=0, metavar="N", help="of the sensor's noise (default: 0)")
+    parser.add_argument(
+        "--false-alarm", type=float, default=0.01, metavar="P", help="share of empty scenes (default: 0.01)"
+    )
+    parser.add_argument(
+        "--frames", type=int, metavar="N", help="to average, no more than the atlas was made for (default: as many)"
+    )
+    parser.add_argument(
+        "--voxels",
+        type=int,
+        nargs=3,
+        metavar=("NX", "NY", "NZ"),
+        help="cut the volume into others than the scene's; for sets with --inside centre, which leave no gaps",
+    )
+    parser.set_defaults(run=run_locate)
+
+
+def _add_tradeoff(commands: Commands) -> None:
+    parser = commands.add_parser(
+        "tradeoff",
+        help="say what better pictures are worth",
+        description="Answer the pictures that nlos-generate tradeoff rendered in every way, through the atlas' "
+        "sensor: from which samples on the sensor's noise decides, and rendering no longer.",
+        epilog="example:\n  nlos-generate tradeoff room.blend -o trade/\n  nlos-classify tradeoff trade/ room.atlas",
+        formatter_class=RAW,
+    )
+    parser.add_argument("folder", type=Path, help="of nlos-generate tradeoff")
+    parser.add_argument("atlas", type=Path, metavar="FILE.atlas")
+    parser.add_argument("--noises", type=int, default=5, metavar="N", help="looks at each picture (default: 5)")
+    parser.add_argument("--seed", type=int, default=0, metavar="N", help="of the sensor's noise (default: 0)")
+    parser.add_argument(
+        "--false-alarm", type=float, default=0.01, metavar="P", help="share of empty scenes (default: 0.01)"
+    )
+    parser.add_argument(
+        "--frames", type=int, metavar="N", help="to average, no more than the atlas was made for (default: as many)"
+    )
+    parser.set_defaults(run=run_tradeoff)
+
+
+def _add_track(commands: Commands) -> None:
+    parser = commands.add_parser(
+        "track",
+        help="follow an object that moves, frame by frame",
+        description="Follow a known object through the frames of a trajectory, as the atlas' sensor would have seen "
+        "them: where it is after each, how sure, and how far from the truth.",
+        epilog="example:\n  nlos-generate trajectory room.blend -o walk/ --frames 200 --engine surfel\n"
+        "  nlos-classify track room.atlas walk/ -o track/ --gap 80:110",
+        formatter_class=RAW,
+    )
+    parser.add_argument(
+        "atlas", type=Path, metavar="FILE.atlas", help="of poses that fill the volume: --inside centre"
+    )
+    parser.add_argument("dataset", type=Path, help="folder of the trajectory")
+    parser.add_argument(
+        "-o", "--output", type=Path, metavar="FOLDER", help="for report.html, track.csv and track.png"
+    )
+    parser.add_argument(
+        "--step",
+        type=float,
+        default=0.06,
+        metavar="M",
+        help="standard deviation of its walk along each axis from frame to frame, metres: about twice its pace if it "
+        "keeps its way for a while (default: 0.06)",
+    )
+    parser.add_argument(
+        "--gap",
+        action="append",
+        default=[],
+        metavar="FROM:TO",
+        help="take the object away for these frames; repeatable",
+    )
+    parser.add_argument(
+        "--follow",
+        type=float,
+        default=0.0,
+        metavar="S",
+        help="while the trajectory is being rendered: wait S seconds for the next frame (default: 0)",
+    )
+    parser.add_argument("--seed", type=int, default=0, metavar="N", help="of the sensor's noise (default: 0)")
+    parser.add_argument(
+        "--frames", type=int, metavar="N", help="to average, no more than the atlas was made for (default: as many)"
+    )
+    parser.set_defaults(run=run_track)
+
+
+def _add_detect(commands: Commands) -> None:
+    parser = commands.add_parser(
+        "detect",
+        help="say how often an object is found, against exposure and distance",
+        description="Say how often the atlas' object is found at a chosen rate of false alarms, voxel by voxel and "
+        "for several exposures: where and how long one has to look.",
+        epilog="example:\n  nlos-classify atlas simulated/ -o room.atlas --frames 1000 --sensor long.toml\n"
+        "  nlos-classify detect room.atlas -o detect/ --exposures 1 10 100 1000",
+        formatter_class=RAW,
+    )
+    parser.add_argument("atlas", type=Path, metavar="FILE.atlas")
+    parser.add_argument(
+        "-o", "--output", type=Path, metavar="FOLDER", help="for report.html, detect.csv and detect.png"
+    )
+    parser.add_argument(
+        "--exposures",
+        type=int,
+        nargs="+",
+        metavar="N",
+        help="frames averaged, no more than the atlas was made for (default: 1, 3, 10, ... up to these)",
+    )
+    parser.add_argument(
+        "--false-alarm", type=float, default=0.01, metavar="P", help="share of empty scenes (default: 0.01)"
+    )
+    parser.add_argument("--count", type=int, default=300, metavar="N", help="pictures in each voxel (default: 300)")
+    parser.add_argument("--seed", type=int, default=0, metavar="N", help="of poses and noise (default: 0)")
+    parser.set_defaults(run=run_detect)
 
 
 def run_locate(options: argparse.Namespace) -> int:

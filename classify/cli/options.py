@@ -8,7 +8,7 @@ import os
 import sys
 from collections.abc import Callable, Iterator
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, TypeAlias
 
 from generator.cli.terminal import LineProgress, left_words
 from generator.jobs.remaining import Remaining
@@ -18,7 +18,8 @@ if TYPE_CHECKING:
     from classify.inference.atlas import Atlas
     from classify.pictures.sensor import Sensor
 
-
+Commands: TypeAlias = "argparse._SubParsersAction[argparse.ArgumentParser]"
+"""What verbs are added to."""
 RAW = argparse.RawDescriptionHelpFormatter
 
 

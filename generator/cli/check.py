@@ -3,8 +3,35 @@
 from __future__ import annotations
 
 import argparse
+from pathlib import Path
 
-from generator.cli.options import chosen_settings
+from generator.cli.options import (
+    Commands,
+    add_engine_options,
+    add_links_option,
+    add_pose_options,
+    chosen_settings,
+)
+from generator.model.settings import Sweep
+
+
+def add_parsers(commands: Commands) -> None:
+    """Add the verb ``check`` to a command line."""
+    parser = commands.add_parser(
+        "check",
+        help="say what would spoil a sweep of a scene, and what it will cost",
+        description="Look for lines of sight that must not be, voxels that see no light and all else that makes a "
+        "sweep worthless, and measure signal, noise, time and disk by a few quick renders. Exit code 1 if "
+        "an error is found.",
+        epilog="example:\n  nlos-generate check room.blend --engine patch --samples 192",
+        formatter_class=argparse.RawDescriptionHelpFormatter,
+    )
+    parser.add_argument("scene", type=Path, help="the .blend file")
+    parser.add_argument("--poses", type=int, metavar="N", help=f"per voxel (default: {Sweep().poses})")
+    add_engine_options(parser)
+    add_pose_options(parser, "of all poses and all noise")
+    add_links_option(parser)
+    parser.set_defaults(run=run_check)
 
 
 def run_check(options: argparse.Namespace) -> int:

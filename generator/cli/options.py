@@ -6,14 +6,17 @@ import argparse
 from collections.abc import Callable
 from dataclasses import fields
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeAlias
 
 from generator.files.toml import from_dict
 from generator.model.errors import NlosError
 from generator.model.quantities import fraction, parse_resolution, parse_shard
 from generator.model.settings import AUTO, Sweep
 
+Commands: TypeAlias = "argparse._SubParsersAction[argparse.ArgumentParser]"
+"""What verbs are added to."""
 FRAMES = 200
+"""Of a trajectory, if none are named."""
 
 
 def add_sweep_options(parser: argparse.ArgumentParser, *, frames: bool = False) -> None:

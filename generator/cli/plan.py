@@ -4,11 +4,90 @@ from __future__ import annotations
 
 import argparse
 import functools
+from pathlib import Path
 
+from generator.cli.options import (
+    Commands,
+    add_force_option,
+    add_links_option,
+    option,
+)
 from generator.cli.terminal import print_table
 from generator.measure import plan_file
 from generator.model.errors import NlosError
+from generator.model.quantities import fraction, seconds
 from generator.model.settings import Sweep
+
+
+def add_parsers(commands: Commands) -> None:
+    """Add the verbs ``tradeoff`` and ``plan`` to a command line."""
+    _add_tradeoff(commands)
+    _add_plan(commands)
+
+
+def _add_tradeoff(commands: Commands) -> None:
+    parser = commands.add_parser(
+        "tradeoff",
+        help="measure what a picture costs and how wrong it is, for engines and settings",
+        description="Render the same poses by a ladder of engines, samples and accuracies, with and without denoiser "
+        "and pairing, and say what each costs on this machine and how far it is from the reference. Interrupt it "
+        "at any time: the same command goes on.",
+        epilog="example:\n  nlos-generate tradeoff room.blend -o trade/\n  nlos-classify tradeoff trade/ room.atlas",
+        formatter_class=argparse.RawDescriptionHelpFormatter,
+    )
+    parser.add_argument("scene", type=Path, help="the .blend file")
+    parser.add_argument("-o", "--output", type=Path, required=True, metavar="FOLDER", help="a data set for each way")
+    parser.add_argument("--poses", type=int, default=3, metavar="N", help="per voxel (default: 3)")
+    parser.add_argument("--seed", type=int, default=0, metavar="N", help="of all poses and all noise (default: 0)")
+    parser.add_argument("--resolution", metavar="R", help="64 or 64x48 (default: the scene's)")
+    parser.add_argument(
+        "--most",
+        type=option(seconds),
+        default=600.0,
+        metavar="T",
+        help="leave out what would take longer, judged by the cheaper (default: 10min)",
+    )
+    parser.add_argument("--workers", type=int, default=0, metavar="W", help="processes (default: one per core)")
+    add_force_option(parser)
+    add_links_option(parser)
+    parser.set_defaults(run=run_tradeoff)
+
+
+def _add_plan(commands: Commands) -> None:
+    parser = commands.add_parser(
+        "plan",
+        help="measure what a scene needs modelled, and plan a sweep that models no more",
+        description="Leave out one thing after the other - the object's shadow on the room, the extent of the lit "
+        "patch, each surface, other lights, materials that are not plain, further reflections - and say by how much "
+        "the difference picture is then wrong. What may be left out within a tolerance is left out of the plan, "
+        "which sweep --plan follows.",
+        epilog="example:\n  nlos-generate plan room.blend --tolerance 1% -o plan/\n"
+        "  nlos-generate sweep room.blend -o set/ --plan plan/",
+        formatter_class=argparse.RawDescriptionHelpFormatter,
+    )
+    parser.add_argument("scene", type=Path, help="the .blend file")
+    parser.add_argument(
+        "--tolerance",
+        type=option(fraction),
+        default=0.01,
+        metavar="A",
+        help="error of a difference picture that is allowed, 0.01 or 1%% (default: 1%%)",
+    )
+    parser.add_argument("-o", "--output", type=Path, metavar="FOLDER", help="for plan.toml, plan.csv and plan.png")
+    parser.add_argument(
+        "--poses", type=int, default=plan_file.POSES, metavar="N", help=f"per voxel (default: {plan_file.POSES})"
+    )
+    parser.add_argument("--seed", type=int, default=0, metavar="N", help="of the poses (default: 0)")
+    parser.add_argument(
+        "--most",
+        type=option(seconds),
+        default=180.0,
+        metavar="T",
+        help="time for what only Cycles models, which has noise (default: 3min)",
+    )
+    parser.add_argument("--workers", type=int, default=0, metavar="W", help="of the sweep (default: one per core)")
+    add_links_option(parser)
+    parser.set_defaults(run=run_plan)
 
 
 def run_tradeoff(options: argparse.Namespace) -> int:

@@ -3,11 +3,46 @@
 from __future__ import annotations
 
 import argparse
+from pathlib import Path
 
+from generator.cli.options import Commands
 from generator.files.toml import dump_toml, from_dict, merge, read_toml, set_field, to_dict
 from generator.model.errors import NlosError
 from generator.model.presets import preset
 from generator.model.scene import Scene, unlike
+
+
+def add_parsers(commands: Commands) -> None:
+    """Add the verb ``scene`` to a command line."""
+    parser = commands.add_parser(
+        "scene",
+        help="build a scene and save it as a .blend file",
+        description="Build a preset scene and save it as a .blend file, which Blender can open and edit. "
+        "Every figure can be changed: see them with --show, change one with --set, or many with --config.",
+        epilog="example:\n  nlos-generate scene room --target sphere --set spot.power=500 -o room.blend",
+        formatter_class=argparse.RawDescriptionHelpFormatter,
+    )
+    parser.add_argument("preset", choices=["room", "tabletop", "corridor"])
+    parser.add_argument(
+        "--target", default="sheet", metavar="sheet|sphere|FILE", help="the hidden object (default: sheet)"
+    )
+    parser.add_argument("-o", "--output", type=Path, metavar="FILE.blend", help="where to save it")
+    parser.add_argument("--config", type=Path, metavar="FILE.toml", help="figures that replace the preset's")
+    parser.add_argument(
+        "--set",
+        action="append",
+        default=[],
+        metavar="NAME=VALUE",
+        help="one figure, e.g. grid.shape=[3,3,3]; repeatable",
+    )
+    parser.add_argument(
+        "--ambient",
+        type=float,
+        metavar="RADIANCE",
+        help="uniform ambient light, W/m^2/sr; a closed room loses its ceiling, so that light can enter",
+    )
+    parser.add_argument("--show", action="store_true", help="print every figure as TOML (to edit, for --config)")
+    parser.set_defaults(run=run_scene)
 
 
 def run_scene(options: argparse.Namespace) -> int:

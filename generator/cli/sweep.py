@@ -17,6 +17,78 @@ from generator.sets.dataset import Dataset
 
 if TYPE_CHECKING:
     from generator.jobs.sweep import Outcome
+from pathlib import Path
+
+from generator.cli.options import (
+    Commands,
+    add_sweep_options,
+    option,
+)
+from generator.model.quantities import seconds
+
+
+def add_parsers(commands: Commands) -> None:
+    """Add the verbs ``sweep`` and ``trajectory`` to a command line."""
+    _add_sweep(commands)
+    _add_trajectory(commands)
+
+
+def _add_sweep(commands: Commands) -> None:
+    parser = commands.add_parser(
+        "sweep",
+        help="render a data set: the target at many poses in every voxel",
+        description="Move the target through its voxels and render what the camera sees of the relay wall. "
+        "Interrupt it at any time: the same command goes on where it stopped. What is left out "
+        "follows from the data set, if there is one, else from the scene.",
+        epilog="example:\n  nlos-generate sweep room.blend -o sheet/ --poses 100 --engine patch --samples 512",
+        formatter_class=argparse.RawDescriptionHelpFormatter,
+    )
+    parser.add_argument("scene", type=Path, help="the .blend file")
+    add_sweep_options(parser)
+    parser.add_argument(
+        "--workers", type=int, default=0, metavar="W", help="processes (default: one per core; on a GPU four)"
+    )
+    parser.add_argument(
+        "--budget",
+        type=option(seconds),
+        metavar="T",
+        help="90s, 10min, 2h: take the engine, and the samples or accuracy, with which a new set ends in that time, "
+        "measured on this scene and machine",
+    )
+    parser.add_argument(
+        "--plan", type=Path, metavar="PLAN", help="model what nlos-generate plan found needed, and no more"
+    )
+    parser.add_argument(
+        "--jobs", type=int, metavar="N", help="render as an array of N jobs on a cluster that shares the folder"
+    )
+    parser.add_argument(
+        "--cluster", choices=["slurm", "local", "debug"], default="slurm", help="of --jobs (default: slurm)"
+    )
+    parser.add_argument(
+        "--job",
+        action="append",
+        default=[],
+        metavar="NAME=VALUE",
+        help="of --jobs, an option of submitit, e.g. slurm_partition=gpu or timeout_min=120; repeatable",
+    )
+    parser.set_defaults(run=run_sweep)
+
+
+def _add_trajectory(commands: Commands) -> None:
+    parser = commands.add_parser(
+        "trajectory",
+        help="render a data set of a target that moves: frame after frame, for track",
+        description="As sweep does, but the target walks through the voxels, straight from one random pose to the "
+        "next, and its pictures are frames, one after the other.",
+        epilog="example:\n  nlos-generate trajectory room.blend -o walk/ --frames 200 --pace 0.03 --engine surfel",
+        formatter_class=argparse.RawDescriptionHelpFormatter,
+    )
+    parser.add_argument("scene", type=Path, help="the .blend file")
+    add_sweep_options(parser, frames=True)
+    parser.add_argument(
+        "--workers", type=int, default=0, metavar="W", help="processes (default: one per core; on a GPU four)"
+    )
+    parser.set_defaults(run=run_trajectory)
 
 
 def run_sweep(options: argparse.Namespace) -> int:

@@ -1,0 +1,89 @@
+"""The verb ``bound``: what no method can beat."""
+
+from __future__ import annotations
+
+import argparse
+from pathlib import Path
+
+from classify.cli.options import RAW, Commands, check_output, loaded, progress_bar
+from generator.cli.terminal import print_table
+from generator.model.errors import NlosError
+
+
+def add_parsers(commands: Commands) -> None:
+    """Add the verb ``bound`` to a command line."""
+    parser = commands.add_parser(
+        "bound",
+        help="say how well any method can answer, voxel by voxel",
+        description="Say how well voxel, position and presence can be known from a picture at all: what the sensor's "
+        "noise leaves of it, by Bayes' rule and by the bound of Cramer and Rao.",
+        epilog="example:\n  nlos-classify bound room.atlas simulated/",
+        formatter_class=RAW,
+    )
+    parser.add_argument("atlas", type=Path, metavar="FILE.atlas")
+    parser.add_argument("simulated", type=Path, metavar="SET", help="folder of the simulated set that it is of")
+    parser.add_argument(
+        "--map", type=Path, metavar="FILE.png", help="draw the bounds over the hidden volume, seen from above"
+    )
+    parser.add_argument("--count", type=int, default=3000, metavar="N", help="pictures to try (default: 3000)")
+    parser.add_argument("--seed", type=int, default=0, metavar="N", help="of pictures and noise (default: 0)")
+    parser.add_argument(
+        "--frames", type=int, metavar="N", help="to average, no more than the atlas was made for (default: as many)"
+    )
+    parser.add_argument(
+        "--voxels",
+        type=int,
+        nargs=3,
+        metavar=("NX", "NY", "NZ"),
+        help="cut the volume into others than the scene's; for sets with --inside centre, which leave no gaps",
+    )
+    parser.set_defaults(run=run_bound)
+
+
+def run_bound(options: argparse.Namespace) -> int:
+    from classify.classifiers import models
+    from classify.inference import bound
+    from classify.inference.posterior import Synthesis
+    from generator.sets.bulk_set import Bulk
+
+    models.check_seed(options.seed)
+    if options.count < 1:
+        raise NlosError(f"--count {options.count}: must be 1 or more")
+    if options.map:
+        check_output(options.map)
+    found, simulated = loaded(options), Bulk.open(options.simulated)
+    if found.about.get("fingerprints") != [simulated.meta["fingerprint"]]:
+        raise NlosError(f"{options.atlas}: is not an atlas of {options.simulated}; make it anew")
+    # Cramer and Rao ask about a known object, by derivatives.
+    lit = simulated.world().ambient is not None
+    one = not simulated.plan.unknown and not lit
+    if options.map and not one:
+        what = "is under ambient light, where the engine knows no derivatives" if lit else "is of many"
+        raise NlosError(f"--map: draws what can be known of one object, and {options.simulated} {what}")
+    with progress_bar("asking", "pictures") as progress:
+        best = bound.reachable(
+            found,
+            count=options.count,
+            seed=options.seed,
+            progress=lambda done, total: progress(done, total, ""),
+        )
+    synthesis = Synthesis(found, simulated.world()) if one else None
+    headings = ["voxel", "right voxel"]
+    if one:
+        headings += ["presence", "x cm", "y cm", "z cm", "turn unknown", "noticed: x cm", "y cm", "z cm"]
+    title = f"{options.atlas}: the best that any method can do"
+    print_table(title, headings, bound.rows(found, best, synthesis))
+    print(f"median error of the position, wherever the object is: {best.error.centimetres()}")
+    if synthesis is None:
+        return 0
+    print(
+        "presence: in standard deviations of the noise; x, y, z: least standard deviation in the middle of the voxel "
+        "by Cramer and Rao, and of all three together where the turn is unknown too; noticed: least movement that "
+        "shows between two pictures, at 1 % false alarms and 99 % detections"
+    )
+    if options.map:
+        with progress_bar("mapping", "places") as progress:
+            drawn = bound.over_volume(synthesis, progress=lambda done, total: progress(done, total, ""))
+        bound.draw(options.map, found, drawn)
+        print(options.map)
+    return 0
