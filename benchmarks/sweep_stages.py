@@ -162,11 +162,10 @@ def as_worker(arguments: list[str]) -> int:
     began, clock = time.time(), Clock()
     with clock.stage(START):
         from generator.blender import worker
-        from generator.jobs.protocol import answer, commands
+        from generator.jobs.protocol import PlanSweep, answer, batches, read_request
     before = began - float(os.environ[STARTED])
-    write_text, role = Path.write_text, "plan" if arguments[0] == "plan" else "first"
+    write_text, role = Path.write_text, "plan" if isinstance(read_request(arguments[0]), PlanSweep) else "first"
     clock.watch()
-    answer, commands = answer, commands
 
     def answered(**fields: Any) -> None:
         told = {"role": role, "generator": worker.__file__, "before": before, "seconds": clock.told()}
@@ -175,7 +174,7 @@ def as_worker(arguments: list[str]) -> int:
 
     def given() -> Iterator[Any]:
         nonlocal role
-        numbers = iter(commands())
+        numbers = iter(batches())
         while True:
             with clock.stage(WAIT):
                 number = next(numbers, None)
@@ -184,7 +183,7 @@ def as_worker(arguments: list[str]) -> int:
             role = "crew"
             yield number
 
-    answer, commands = answered, given  # type: ignore[assignment]
+    worker.answer, worker.batches = answered, given  # type: ignore[attr-defined]
     return int(worker.main(arguments))
 
 

@@ -16,6 +16,7 @@ import pytest
 from conftest import TINY
 
 from generator.jobs import journal, workers
+from generator.jobs.protocol import RenderSweep
 from generator.jobs.workers import WorkerPool
 from generator.model.errors import NlosError
 
@@ -80,6 +81,10 @@ def test_no_data_set_has_no_status(tmp_path, command):
     assert "error: " in result.stderr
 
 
+def asked(threads):
+    return RenderSweep(path=Path(), threads=threads, trust_links=False)
+
+
 def crew(tmp_path, script, **options):
     log = logging.getLogger(f"test {tmp_path}")
     lines = []
@@ -90,7 +95,7 @@ def crew(tmp_path, script, **options):
     def launch(arguments):
         return [sys.executable, "-c", script]
 
-    return WorkerPool(lambda threads: [], str, lambda done, total: None, launch=launch, log=log, **options), lines
+    return WorkerPool(asked, str, lambda done, total: None, launch=launch, log=log, **options), lines
 
 
 def test_a_worker_that_hangs_is_ended_and_its_unit_listed(tmp_path):
@@ -173,7 +178,7 @@ def test_nonsense_about_a_run_is_no_run(tmp_path, tiny_dataset, spoil):
 def test_no_worker_comes_after_all_are_stopped(monkeypatch):
     made = []
     monkeypatch.setattr(workers, "Worker", lambda *_: made.append(1))
-    crew = WorkerPool(lambda threads: [], str, lambda done, total: None)
+    crew = WorkerPool(asked, str, lambda done, total: None)
     crew._stopped.set()
     assert crew._start(1) is None
     crew.work([1, 2], 2, first="the background")

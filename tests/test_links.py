@@ -23,11 +23,6 @@ from generator.sets import links, seal
 from generator.sets.dataset import Dataset
 
 
-@pytest.fixture(autouse=True)
-def asked_for_nothing(monkeypatch):
-    monkeypatch.delenv(links.TRUST, raising=False)
-
-
 @pytest.fixture
 def edited(tmp_path, scene_file):
     """Return what edits the room and saves it into a folder of its own, beside one that is none of its business."""

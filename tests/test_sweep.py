@@ -9,13 +9,15 @@ import subprocess
 import sys
 import threading
 import time
+from pathlib import Path
 
 import numpy as np
 import pytest
 from conftest import ROOT, TINY
 
 from generator.files.pictures import read_picture
-from generator.jobs import sweep
+from generator.jobs import sweep, workers
+from generator.jobs.protocol import RenderSweep
 from generator.sets.dataset import Dataset
 
 SLOW = ("--engine", "patch", "--poses", "2", "--samples", "48", "--resolution", "24", "--no-probe")
@@ -25,6 +27,10 @@ def pixels_of(path):
     dataset = Dataset.open(path)
     assert len(dataset.records) == dataset.planned
     return {pose.file: dataset.picture(pose) for pose in dataset.records}
+
+
+def asked(threads):
+    return RenderSweep(path=Path(), threads=threads, trust_links=False)
 
 
 def start(scene, path, *options):
@@ -49,8 +55,8 @@ def wait_for_pictures(path, count, process, timeout=120):
 def test_killed_twice_and_resumed_with_other_workers_gives_the_same_pixels(tmp_path, scene_file, command):
     whole, killed = tmp_path / "whole", tmp_path / "killed"
     assert command("generator", "sweep", scene_file, "-o", whole, *SLOW, "--workers", "1").returncode == 0
-    for pictures, workers in ((2, "1"), (7, "2")):
-        process = start(scene_file, killed, *SLOW, "--workers", workers)
+    for pictures, count in ((2, "1"), (7, "2")):
+        process = start(scene_file, killed, *SLOW, "--workers", count)
         wait_for_pictures(killed, pictures, process)
         process.send_signal(signal.SIGKILL)
         process.wait()
@@ -276,7 +282,6 @@ def test_a_run_can_be_stopped_and_gone_on_with(tmp_path, scene_file):
 
 
 def test_one_hopeless_unit_fails_alone_of_its_batch(monkeypatch):
-    from generator.jobs import workers
     from generator.jobs.workers import WorkerPool
 
     class Mortal:
@@ -308,7 +313,7 @@ def test_one_hopeless_unit_fails_alone_of_its_batch(monkeypatch):
 
     monkeypatch.setattr(workers, "Worker", Mortal)
     told = []
-    crew = WorkerPool(lambda threads: [], str, lambda done, total: told.append((done, total)))
+    crew = WorkerPool(asked, str, lambda done, total: told.append((done, total)))
     crew.work(range(64), 1, batch=8)
     assert crew.failed == ["3: out of memory"]
     assert told[1] == (8, 64), "the others go on in batches"

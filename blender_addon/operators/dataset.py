@@ -16,6 +16,7 @@ from generator.jobs import budget, sweep
 from generator.jobs.remaining import Remaining
 from generator.model.errors import NlosError
 from generator.model.quantities import clock
+from generator.sets import links
 from generator.sets.dataset import Dataset
 from generator.sets.manifest import SCENE
 
@@ -58,6 +59,10 @@ class Job:
         launch = background.launcher()
 
         def work(task: background.Task) -> sweep.Outcome:
+            with links.trusting():  # Blender has followed the links of what is open in it
+                return render(task)
+
+        def render(task: background.Task) -> sweep.Outcome:
             settings, pace = chosen, None
             if wished:
                 self._rehearsing = True

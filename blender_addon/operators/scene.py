@@ -2,7 +2,6 @@
 
 # mypy: disable-error-code="misc"
 
-import json
 from typing import Any, cast
 
 import bpy
@@ -12,6 +11,7 @@ from generator.blender import check
 from generator.blender.scene import adopt, build, roles
 from generator.blender.scene.description import lamp_power, read_scene
 from generator.files.pictures import read_picture
+from generator.jobs.protocol import CheckScene, DrawExperiment, RenderWall
 from generator.model.errors import NlosError
 
 from ..draft import fill, grid_of, spec_of, sweep_of
@@ -158,8 +158,10 @@ class NLOS_OT_check(_Task, bpy.types.Operator):
         if worst:
             return "WARNING", worst[0].text
         state.checking = True
-        arguments = [str(background.snapshot("check.blend")), json.dumps(sweep_of(scene.nlos))]
-        background.ask(["generator.blender.worker", "check", *arguments], _checked).settle()
+        request = CheckScene(
+            scene=background.snapshot("check.blend"), chosen=sweep_of(scene.nlos), trust_links=True
+        )  # Blender has followed the links of what is open in it
+        background.ask(request, _checked, "check").settle()
         return "INFO", "Nothing stands in the way of a sweep; signal and noise are being measured"
 
 
@@ -230,12 +232,13 @@ class NLOS_OT_render_wall(_Task, bpy.types.Operator):
         difference, reference = settings.difference, described.reference_radiance
         width = described.camera.x[1] - described.camera.x[0]
         folder = background.folder()
-        arguments = [
-            str(background.snapshot("picture.blend")),
-            str(folder),
-            json.dumps(chosen),
-            "denoise" if settings.denoise else "plain",
-        ]
+        request = RenderWall(
+            scene=background.snapshot("picture.blend"),
+            folder=folder,
+            chosen=chosen,
+            denoise=settings.denoise,
+            trust_links=True,
+        )
 
         def then(task: background.Task) -> None:
             state.rendering = ""
@@ -257,7 +260,7 @@ class NLOS_OT_render_wall(_Task, bpy.types.Operator):
             state.remember("Render Wall")  # else the next undo takes the pictures away
 
         state.rendering = "Rendering ..."
-        task = background.ask(["generator.blender.worker", "picture", *arguments], then).settle()
+        task = background.ask(request, then, "picture").settle()
         if task.error:
             raise NlosError(task.error)
         return "INFO", state.rendering
@@ -292,9 +295,8 @@ class NLOS_OT_experiment(_Task, bpy.types.Operator):
                 state.remember("Experiment")
 
         state.experiment = "Drawing the pictures ..."
-        task = background.ask(
-            ["generator.blender.worker", "experiment", str(source), str(file), str(number)], then
-        ).settle()
+        request = DrawExperiment(scene=source, file=file, number=number, trust_links=True)
+        task = background.ask(request, then, "experiment").settle()
         if task.error:
             raise NlosError(task.error)
         turned = "turned about" if number == 3 else "moved along"

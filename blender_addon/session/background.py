@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import atexit
 import contextlib
-import os
 import sys
 import tempfile
 import threading
@@ -16,9 +15,9 @@ from typing import Any
 import bpy
 
 from generator.blender.scene import blend_file
+from generator.jobs.protocol import Request
 from generator.jobs.workers import Launch, Worker
 from generator.model.errors import NlosError
-from generator.sets import links
 
 from . import state
 
@@ -138,7 +137,6 @@ def launcher() -> Launch:
     """Return what starts a worker in a Blender without a window, the same as this one."""
     binary = bpy.app.binary_path  # to be asked in Blender's own thread
     # The bpy module has no Blender beside it, but Python can import it.
-    os.environ[links.TRUST] = "1"  # what is open in this Blender, Blender has followed already
     before = [binary, "--background", "--factory-startup", "-noaudio", "--python"] if binary else [sys.executable]
 
     def launch(arguments: Sequence[str]) -> list[str]:
@@ -147,15 +145,12 @@ def launcher() -> Launch:
     return launch
 
 
-def ask(arguments: Sequence[str], then: Callable[[Task], None]) -> Task:
-    """Run a worker that answers once; ``then`` finds the answer's fields as the task's result.
-
-    Its topic is what the worker is asked for.
-    """
+def ask(request: Request, then: Callable[[Task], None], topic: str) -> Task:
+    """Run a worker that answers once; ``then`` finds the answer's fields as the task's result."""
     launch = launcher()
 
     def work(task: Task) -> dict[str, Any]:
-        with Worker(arguments, launch) as worker:
+        with Worker(request, launch) as worker:
             threading.Thread(target=_kill_when, args=(task.stop, worker), daemon=True).start()
             answer = worker.answer()
             task.stop.set()
@@ -163,7 +158,7 @@ def ask(arguments: Sequence[str], then: Callable[[Task], None]) -> Task:
                 raise NlosError(f"Blender, without a window, ended early: {worker.last_words()}")
             return answer
 
-    return Task(work, then, topic=arguments[1])
+    return Task(work, then, topic=topic)
 
 
 _folder: tempfile.TemporaryDirectory[str] | None = None

@@ -1,14 +1,13 @@
 """One process, one Blender: plans a bulk set from a scene, and makes the parts it is told to.
 
-Run as ``python -m generator.blender.bulk_worker`` by the coordinator (`generator.sets.bulk_set`); the talk is
-`generator.blender.worker`'s. Blender is here for the scene, once, and to tell whether a pose cuts a surface; the
-pictures need none.
+Run as ``python -m generator.blender.bulk_worker REQUEST`` by the coordinator (`generator.jobs.bulk`), as
+`generator.blender.worker` is, which must do without what Blender lacks: HDF5. Blender is here for the scene, once,
+and to tell whether a pose cuts a surface; the pictures need none.
 """
 
 from __future__ import annotations
 
 import itertools
-import json
 import sys
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import replace
@@ -19,7 +18,7 @@ from typing import Any
 import bpy
 import numpy as np
 
-from generator.blender import misgivings, start_check, sweep_worker
+from generator.blender import misgivings, start_check, sweep_worker, worker
 from generator.blender.engines import survey
 from generator.blender.engines.settings import TURNS, with_defaults
 from generator.blender.scene import blend_file, geometry, references, roles
@@ -27,7 +26,7 @@ from generator.blender.scene.clearance import Surroundings, clearance
 from generator.blender.scene.description import read_scene
 from generator.files.toml import from_dict, to_dict
 from generator.jobs.bulk import Engine
-from generator.jobs.protocol import FORCE, NO_PROBE, answer, commands
+from generator.jobs.protocol import PlanBulk, RenderBulk, answer, batches
 from generator.model import poses
 from generator.model.errors import NlosError
 from generator.model.poses import PoseRecord
@@ -157,26 +156,25 @@ def render(found: Bulk, parts: Iterable[int], *, threads: int = 0) -> None:
         answer(part=number)
 
 
-def main(argv: list[str]) -> int:
-    """Do one of two things.
+def _plan(request: PlanBulk) -> None:
+    notes: list[str] = []
+    scene = blend_file.open_file(request.scene)
+    plan(
+        *(scene, request.scene, request.path, request.chosen),
+        force=request.force,
+        probe=request.probe,
+        tell=notes.append,
+    )
+    answer(planned=True, notes=notes)
 
-    ``plan SCENE SET SETTINGS [force]``; ``render SET THREADS``, which makes parts, their numbers on standard input.
-    """
-    try:
-        if argv[0] == "plan":
-            source, notes = Path(argv[1]), list[str]()
-            scene, chosen = blend_file.open_file(source), json.loads(argv[3])
-            options = {"force": FORCE in argv[4:], "probe": NO_PROBE not in argv[4:]}
-            plan(scene, source, Path(argv[2]), chosen, **options, tell=notes.append)
-            answer(planned=True, notes=notes)
-        else:
-            parts = itertools.chain.from_iterable(commands())
-            render(Bulk.open(Path(argv[1])), parts, threads=int(argv[2]))
-    except NlosError as error:
-        answer(error=str(error))
-        return 2
-    return 0
+
+def _render(request: RenderBulk) -> None:
+    parts = itertools.chain.from_iterable(batches())
+    render(Bulk.open(request.path), parts, threads=request.threads)
+
+
+COMMANDS: worker.Commands = {PlanBulk: _plan, RenderBulk: _render}
 
 
 if __name__ == "__main__":
-    sys.exit(main(sys.argv[1:]))
+    sys.exit(worker.main(sys.argv[1:], COMMANDS))

@@ -3,22 +3,22 @@
 from __future__ import annotations
 
 import contextlib
-import json
 import math
 import threading
 import time
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from generator.jobs.protocol import FORCE
+from generator.jobs.protocol import TrialRender
 from generator.jobs.workers import Launch, Worker, available_cores, python
 from generator.model.errors import NlosError
 from generator.model.quantities import clock, percent
 from generator.model.settings import BACKGROUND_FACTOR, Sweep
+from generator.sets import links
 from generator.transport import caching
 
 FINE = 1e-4
@@ -280,10 +280,17 @@ def rehearsed(
     cores = available_cores()
     crew = max(1, min(workers or cores, REHEARSED))
     begun = time.monotonic()
-    arguments = ["generator.blender.worker", "rehearse", str(scene), json.dumps(settings), str(max(1, cores // crew))]
-    forced = [FORCE] if force else []
+    trial = TrialRender(
+        scene=scene,
+        chosen=dict(settings),
+        threads=max(1, cores // crew),
+        share=0,
+        shares=crew,
+        force=force,
+        trust_links=links.trusted(),
+    )
     with contextlib.ExitStack() as stack:
-        started = [stack.enter_context(Worker([*arguments, f"{i}/{crew}", *forced], launch)) for i in range(crew)]
+        started = [stack.enter_context(Worker(replace(trial, share=i), launch)) for i in range(crew)]
         told = [worker.answer() for worker in started]
         for worker, answer in zip(started, told, strict=True):
             if answer is None:

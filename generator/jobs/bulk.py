@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
 from functools import partial
@@ -12,12 +11,13 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from generator.jobs.protocol import NO_PROBE
+from generator.jobs.protocol import PlanBulk, RenderBulk
 from generator.jobs.sweep import start_words
 from generator.jobs.workers import WorkerPool, planned_notes
 from generator.model.arrays import Array
 from generator.model.errors import NlosError
 from generator.model.quantities import Progress
+from generator.sets import links
 from generator.sets.bulk_set import Bulk, Pictures, check_free
 from generator.sets.resume import check_same
 from generator.sets.unknown_objects import stranger
@@ -104,8 +104,9 @@ def run(
     pending = [number for number in bulk.missing() if number % count == index]
     outcome = Outcome(bulk)
     if pending:
+        trust = links.trusted()  # asked here: the workers are started by other threads
         crew = WorkerPool(
-            lambda threads: ["generator.blender.bulk_worker", "render", str(path), str(threads)],
+            lambda threads: RenderBulk(path=path, threads=threads, trust_links=trust),
             lambda number: bulk.part_path(number).name,
             progress,
             size=lambda number: len(bulk.part_range(number)),
@@ -126,8 +127,10 @@ def _plan(scene: Path, path: Path, chosen: Mapping[str, Any], *, force: bool, pr
     if "pictures" not in chosen:
         raise NlosError(f"{path}: is a new set, so say how many pictures it shall hold with --pictures N")
     check_free(path)
-    arguments = ["generator.blender.bulk_worker", "plan", str(scene), str(path), json.dumps(dict(chosen))]
-    return planned_notes(scene, [*arguments, *([] if probe else [NO_PROBE])], force=force)
+    request = PlanBulk(
+        scene=scene, path=path, chosen=dict(chosen), force=force, probe=probe, trust_links=links.trusted()
+    )
+    return planned_notes(request)
 
 
 class Engine:

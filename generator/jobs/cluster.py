@@ -5,7 +5,7 @@ from __future__ import annotations
 import subprocess
 import time
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -31,17 +31,20 @@ class Share:
     index, count : int
     workers : int
         Processes; 0 is one per core that the job has.
+    trust_links : bool
+        As who sent the job has asked.
     """
 
     path: str
     index: int
     count: int
     workers: int = 0
+    trust_links: bool = False
 
     def __call__(self) -> list[str]:
         """Render what is missing of the share; return what failed."""
         path = Path(self.path)
-        with links.trusting():  # whoever sent the job has asked
+        with links.trusting(self.trust_links):
             return sweep.run(path / SCENE, path, {}, shard=(self.index, self.count), workers=self.workers).failed
 
     def checkpoint(self) -> Any:
@@ -100,7 +103,8 @@ def run(
         made = submitit.AutoExecutor(folder=path / LOGS / "%j", cluster=executor)
         made.update_parameters(name="nlos", **(options or {}))
         with made.batch():
-            jobs = [made.submit(Share(str(path.absolute()), i, shares, workers)) for i in range(shares)]
+            share = Share(str(path.absolute()), 0, shares, workers, links.trusted())
+            jobs = [made.submit(replace(share, index=i)) for i in range(shares)]
     except (RuntimeError, ValueError, TypeError, NameError, submitit.core.utils.FailedJobError) as error:
         raise NlosError(f"--jobs {executor}: {' '.join(str(error).split())}") from None
     tell(

@@ -6,7 +6,6 @@ A worker's word is not taken for its work: what is done is what lies on disk, wh
 from __future__ import annotations
 
 import contextlib
-import json
 import threading
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
@@ -14,11 +13,12 @@ from pathlib import Path
 from typing import Any
 
 from generator.jobs import journal as journals
-from generator.jobs.protocol import NO_PROBE
+from generator.jobs.protocol import PlanSweep, RenderSweep
 from generator.jobs.workers import Launch, WorkerPool, planned_notes, python
 from generator.model.errors import NlosError
 from generator.model.quantities import Progress
 from generator.model.settings import AUTO, Sweep
+from generator.sets import links
 from generator.sets.dataset import Dataset
 from generator.sets.manifest import check_no_set
 from generator.sets.resume import HasSettings, check_same
@@ -162,11 +162,13 @@ def _crew(dataset: Dataset, shard: tuple[int, int], progress: Progress, **option
         journal.told(done, total)
         progress(done, total)
 
-    def command(threads: int) -> list[str]:
-        return ["generator.blender.worker", "render", str(dataset.path), str(threads)]
+    trust = links.trusted()  # asked here: the workers are started by other threads
+
+    def request(threads: int) -> RenderSweep:
+        return RenderSweep(path=dataset.path, threads=threads, trust_links=trust)
 
     with journals.logged(dataset.path) as log:
-        crew = WorkerPool(command, lambda position: dataset.poses[position].file, told, log=log, **options)
+        crew = WorkerPool(request, lambda position: dataset.poses[position].file, told, log=log, **options)
         try:
             with journals.Journal(dataset.path, shard, crew.look) as journal:
                 yield crew
@@ -203,9 +205,10 @@ def prepare(
         if not scene.is_file():
             raise NlosError(f"{scene}: no such scene file")
         check_no_set(path)
-        arguments = ["generator.blender.worker", "plan", str(scene), str(path), json.dumps(dict(chosen))]
-        arguments += [] if probe else [NO_PROBE]
-        for words in planned_notes(scene, arguments, launch, force=force):
+        request = PlanSweep(
+            scene=scene, path=path, chosen=dict(chosen), force=force, probe=probe, trust_links=links.trusted()
+        )
+        for words in planned_notes(request, launch):
             tell(words)
         return Dataset.open(path)
     dataset = Dataset.open(path)

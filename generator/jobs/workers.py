@@ -17,7 +17,7 @@ from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
 
-from generator.jobs.protocol import ANSWER, FORCE
+from generator.jobs.protocol import ANSWER, PlanSweep, Request
 from generator.model.errors import NlosError
 from generator.model.quantities import Progress
 
@@ -70,13 +70,11 @@ def in_batches(units: Sequence[int], size: int) -> list[Sequence[int]]:
     return [units[at : at + size] for at in range(0, len(units), size)]
 
 
-def planned_notes(
-    scene: Path, arguments: Sequence[str], launch: Launch = python, *, force: bool = False
-) -> list[str]:
+def planned_notes(request: PlanSweep, launch: Launch = python) -> list[str]:
     """Let a worker plan a set, and return what it has to say of the scene."""
-    with Worker([*arguments, *([FORCE] if force else [])], launch) as worker:
+    with Worker(request, launch) as worker:
         if (answer := worker.answer()) is None:
-            raise NlosError(f"{scene}: Blender could not plan the set: {worker.last_words()}")
+            raise NlosError(f"{request.scene}: Blender could not plan the set: {worker.last_words()}")
         return [str(words) for words in answer.get("notes", [])]
 
 
@@ -85,14 +83,14 @@ class Worker:
 
     Parameters
     ----------
-    arguments : sequence of str
-        Its module and what follows on the command line.
+    request : Request
+        What it is asked for.
     launch : callable
         How it is started.
     """
 
-    def __init__(self, arguments: Sequence[str], launch: Launch = python) -> None:
-        command = launch(arguments)
+    def __init__(self, request: Request, launch: Launch = python) -> None:
+        command = launch(request.arguments)
         self._log = tempfile.TemporaryFile("w+", encoding="utf-8", errors="replace")  # noqa: SIM115 (closed in stop)
         # Blender and renders leave folders there that a process which is killed cannot take away.
         self._scratch = tempfile.TemporaryDirectory(prefix="nlos-worker-", ignore_cleanup_errors=True)
@@ -173,8 +171,8 @@ class WorkerPool:
 
     Parameters
     ----------
-    command : callable
-        Returns a worker's module and arguments, given how many threads it may use. The worker says when it is ready,
+    request : callable
+        Returns what a worker is asked for, given how many threads it may use. The worker says when it is ready,
         takes batches as lines, numbers of units with blanks between, and answers each batch when it is done.
     name : callable
         What a unit is called in a list of failures.
@@ -202,7 +200,7 @@ class WorkerPool:
 
     def __init__(
         self,
-        command: Callable[[int], Sequence[str]],
+        request: Callable[[int], Request],
         name: Callable[[int], str],
         progress: Progress,
         size: Callable[[int], int] = lambda unit: 1,
@@ -214,7 +212,7 @@ class WorkerPool:
         patience: tuple[float, float] = _PATIENCE,
     ) -> None:
         self.failed: list[str] = []
-        self._command = command
+        self._request = request
         self._name = name
         self._progress = progress
         self._size = size
@@ -312,7 +310,7 @@ class WorkerPool:
         with self._lock:
             if self._stopped.is_set():
                 return None
-            worker = Worker(self._command(threads), self._launch)
+            worker = Worker(self._request(threads), self._launch)
             self._workers.add(worker)
             self._log.info("worker %d begins", worker.pid)
         return worker

@@ -5,14 +5,15 @@ from __future__ import annotations
 import contextlib
 import os
 from collections.abc import Collection, Iterator, Mapping
+from contextvars import ContextVar
 from pathlib import Path
 from typing import Any
 
 from generator.files.writing import file_hash
 from generator.model.errors import NlosError
 
-TRUST = "NLOS_TRUST_LINKS"
-"""Environment variable by which ``--trust-links`` reaches the workers, wherever they run."""
+_TRUSTED = ContextVar("links are trusted", default=False)
+"""Of this thread; a request carries it to a worker (`generator.jobs.protocol.Request`)."""
 
 MISSING = "missing"
 """In place of a hash."""
@@ -20,20 +21,17 @@ MISSING = "missing"
 
 def trusted() -> bool:
     """Whether links may lead anywhere."""
-    return bool(os.environ.get(TRUST))
+    return _TRUSTED.get()
 
 
 @contextlib.contextmanager
 def trusting(yes: bool = True) -> Iterator[None]:
-    """Follow links wherever they lead for a while, if that is wanted, in this process and in those that it starts."""
-    before = os.environ.get(TRUST)
-    if yes:
-        os.environ[TRUST] = "1"
+    """Follow links wherever they lead for a while, if that is wanted, in this thread and in workers that it asks."""
+    before = _TRUSTED.set(yes or _TRUSTED.get())
     try:
         yield
     finally:
-        if yes and before is None:
-            del os.environ[TRUST]
+        _TRUSTED.reset(before)
 
 
 def recorded(found: Collection[Path], folder: Path) -> dict[str, str]:
