@@ -17,8 +17,9 @@ import numpy as np
 from matplotlib import pyplot as plt
 
 from generator.files.writing import csv_text, write_text
-from generator.jobs import sweep
+from generator.jobs import local
 from generator.jobs.journal import memory
+from generator.jobs.request import SweepRequest
 from generator.measure import figures
 
 
@@ -42,14 +43,16 @@ def main() -> None:
                 int(n)
                 for task in Path("/proc/self/task").glob("*/children")
                 for n in task.read_text().split()
-                if b"generator.worker" in Path(f"/proc/{n}/cmdline").read_bytes()
+                if b"generator.blender.worker" in Path(f"/proc/{n}/cmdline").read_bytes()
             )
             used = [memory(pid) / 2**20 for pid in [os.getpid(), *workers]]
             rows.append((done, time.monotonic() - begun, *(used + [0.0] * 3)[:3]))
 
     poses = -(-options.pictures // 9)
     chosen = {"engine": "patch", "samples": options.samples, "poses": poses, "resolution": [16, 16]}
-    outcome = sweep.run(scene, options.output / "set", chosen, workers=2, progress=told)
+    outcome = local.run(
+        SweepRequest(scene=scene, path=options.output / "set", chosen=chosen, workers=2), progress=told
+    )
     table = np.array(rows)
     write_text(
         options.output / "endurance.csv",

@@ -50,13 +50,12 @@ with atheris.instrument_imports(
     from generator.files.pictures import read_picture
     from generator.files.toml import dump_toml, from_dict, read_toml, to_dict
     from generator.jobs import journal
-    from generator.measure import plan_file
     from generator.model.errors import NlosError
     from generator.model.poses import POSE_COLUMNS
     from generator.model.presets import preset
     from generator.model.scene import MESH_SUFFIXES, Scene, Target
     from generator.model.settings import Sweep
-    from generator.sets import bulk_set, dataset, simulated
+    from generator.sets import bulk_set, dataset, plan_file, simulated
     from generator.sets.manifest import MANIFEST, POSES, read_poses
     from generator.transport import world_file as worlds
 

@@ -25,9 +25,9 @@ from generator.blender.scene.clearance import clearance
 from generator.blender.scene.description import read_scene
 from generator.files.writing import csv_text, write_text
 from generator.jobs import budget
-from generator.measure import effects, plan_file
+from generator.measure import effects, scene_plan
 from generator.measure.intervals import relative
-from generator.measure.plan_file import Effect, Plan
+from generator.measure.scene_plan import Effect, Plan
 from generator.model import poses
 from generator.model.errors import NlosError
 from generator.model.presets import preset
@@ -165,7 +165,7 @@ def again(source: Path, plan: Plan, most: float) -> dict[str, tuple[float, float
     rounds = [[p for p in planned if p.index == k] for k in range(paired.ROUNDS[1])]
     probe = paired.Probe(source, "patch", rounds, described.resolution[0] / described.resolution[1])
     pieces = [e.name for e in plan.effects if e.name in simplify.found(blend_file.open_file(source))]
-    sky = planning.ambient(source, [p for one in rounds[: plan_file.POSES] for p in one])
+    sky = planning.ambient(source, [p for one in rounds[: scene_plan.POSES] for p in one])
     pieces = [name for name in pieces if name != simplify.AMBIENT or sky is None]
     orders = [o for o in (4, 5) if any(e.name == paired.order_name(o) for e in plan.effects)]
     found = paired.measure(probe, pieces, orders=orders, tolerance=plan.tolerance, most=most)
@@ -175,13 +175,13 @@ def again(source: Path, plan: Plan, most: float) -> dict[str, tuple[float, float
         cycles = [name for name in plan.dropped if name in (*pieces, simplify.AMBIENT)]
         variant = planning.variant(source, cycles)
         every = [e.name for e in plan.effects if not e.note and e.name not in found]
-        places, turns = other_poses(source, plan_file.POSES)
+        places, turns = other_poses(source, scene_plan.POSES)
         exact, _, _ = effects.measure(
             variant,
             every,
             places,
             turns,
-            rounds=plan_file.POSES,
+            rounds=scene_plan.POSES,
             accuracy=max(budget.FINE, plan.tolerance / 20.0),
             tolerance=0.0,
         )
@@ -294,7 +294,7 @@ def run_random(options: argparse.Namespace) -> None:
         source = saved(random_scene(seed), options.output / f"random-{seed}.blend")
         try:
             plan = planning.make(source, tolerance=tolerance, most=0.0, predict=False)
-            places, turns = other_poses(source, plan_file.POSES)
+            places, turns = other_poses(source, scene_plan.POSES)
         except NlosError as error:
             print(f"{seed}: left out: {error}", flush=True)
             continue
@@ -302,7 +302,7 @@ def run_random(options: argparse.Namespace) -> None:
         whole, _ = effects.differences(variant, (), places, turns, max(budget.FINE, tolerance / 30.0))
         accuracy = plan.settings["accuracy"]
         made, _ = effects.differences(variant, plan.dropped, places, turns, accuracy)
-        squares = (((one**2).mean(axis=(1, 2))).reshape(plan_file.POSES, -1) for one in (made - whole, whole))
+        squares = (((one**2).mean(axis=(1, 2))).reshape(scene_plan.POSES, -1) for one in (made - whole, whole))
         error = relative(*squares)[0]
         ratios = []
         for _ in range(3):  # in turn

@@ -15,7 +15,7 @@ from pathlib import Path
 import numpy as np
 
 from generator.files.toml import to_dict
-from generator.jobs import sweep
+from generator.jobs import local
 from generator.model import poses
 from generator.model.presets import preset
 from generator.model.settings import Sweep
@@ -71,7 +71,7 @@ def main() -> None:
     parser.add_argument("--pictures", type=int, default=5000)
     parser.add_argument("--shares", type=int, default=10)
     options = parser.parse_args()
-    for name, look in {"all": all_of_them, "its own": sweep.gather}.items():
+    for name, look in {"all": all_of_them, "its own": local.gather}.items():
         with tempfile.TemporaryDirectory() as folder:
             print(f"{name}: {run(Path(folder) / 'set', options.pictures, options.shares, look)}", flush=True)
 

@@ -192,7 +192,7 @@ def as_coordinator(arguments: list[str]) -> int:
     began, clock = time.time(), Clock()
     with clock.stage(START):
         from generator.cli import main as cli
-        from generator.jobs import sweep
+        from generator.jobs import local
         from generator.jobs.workers import WorkerPool
     before = began - float(os.environ[STARTED])
     write_text, start = Path.write_text, subprocess.Popen
@@ -204,10 +204,10 @@ def as_coordinator(arguments: list[str]) -> int:
         return start(own, **options)
 
     subprocess.Popen = started  # type: ignore[misc,assignment]
-    sweep.planned_notes = clock.wrap("(workers)", sweep.planned_notes)  # type: ignore[attr-defined]
+    local.planned_notes = clock.wrap("(workers)", local.planned_notes)  # type: ignore[attr-defined]
     WorkerPool.work = clock.wrap("(workers)", WorkerPool.work)  # type: ignore[method-assign]
     code = int(cli.main(arguments))
-    told = {"role": "coordinator", "generator": sweep.__file__, "before": before, "seconds": clock.told()}
+    told = {"role": "coordinator", "generator": local.__file__, "before": before, "seconds": clock.told()}
     write_text(Path(os.environ[LOGS], "coordinator.json"), json.dumps(told))
     return code
 

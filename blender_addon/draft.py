@@ -44,7 +44,7 @@ def sweep_of(settings: Any) -> dict[str, Any]:
 
 
 def wished(settings: Any) -> dict[str, float]:
-    """Return the time and error that decide on a data set, as `budget.choose` takes them; nothing if none does."""
+    """Return the time and error that decide on a data set, as `SweepRequest` takes them; nothing if none does."""
     if settings.quality == "time":
         return {"budget": 60.0 * settings.minutes}
     return {"accuracy": settings.error / 100.0} if settings.quality == "error" else {}

@@ -12,10 +12,11 @@ from generator.blender.engines import simplify, survey
 from generator.blender.measure import paired, planning
 from generator.blender.scene import blend_file, build, materials, roles
 from generator.blender.scene.description import read_scene
-from generator.measure import plan_file
-from generator.measure.plan_file import Effect, Plan
+from generator.measure import scene_plan
+from generator.measure.scene_plan import Effect, Plan
 from generator.model.errors import NlosError
 from generator.model.presets import preset
+from generator.sets import plan_file
 from generator.sets.dataset import Dataset
 from generator.transport.left_out import PATCH, SHADOW
 
@@ -159,7 +160,7 @@ def test_a_plan_is_written_and_followed(tmp_path):
     ]
     settings = {"engine": "surfel", "accuracy": 0.003}
     plan = Plan(effects, ["Dust"], effects[1], settings, 0.01)
-    plan_file.write(tmp_path / "plan", scene, plan, "title")
+    scene_plan.write(tmp_path / "plan", scene, plan, "title")
     made = tomllib.loads((tmp_path / "plan" / "plan.toml").read_text())
     assert made["effects"]["Wall"] == {"error": [0.5, 0.4, 0.6], "verdict": "needed"}
     assert plan_file.read(tmp_path / "plan", scene) == {**settings, "leave_out": ["Dust"]}

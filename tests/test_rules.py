@@ -88,7 +88,7 @@ def test_coordinator_and_classifier_run_without_blender():
         "    def find_spec(self, name, *_):\n"
         "        if name.split('.')[0] in ('bpy', 'mathutils'): raise ImportError(name)\n"
         "sys.meta_path.insert(0, NoBlender())\n"
-        "import generator.jobs.sweep, generator.sets.bulk_set, generator.cli, classify.cli\n"
+        "import generator.jobs.local, generator.sets.bulk_set, generator.cli, classify.cli\n"
     )
     result = subprocess.run([sys.executable, "-c", script], cwd=ROOT, capture_output=True, text=True, check=False)
     assert result.returncode == 0, result.stderr

@@ -16,8 +16,9 @@ import pytest
 from conftest import ROOT, TINY
 
 from generator.files.pictures import read_picture
-from generator.jobs import sweep, workers
+from generator.jobs import local, workers
 from generator.jobs.protocol import RenderSweep
+from generator.jobs.request import SweepRequest
 from generator.sets.dataset import Dataset
 
 SLOW = ("--engine", "patch", "--poses", "2", "--samples", "48", "--resolution", "24", "--no-probe")
@@ -213,7 +214,7 @@ def test_what_was_spoilt_is_rendered_again(tmp_path, scene_file, tiny_dataset, c
 
 def test_a_worker_that_dies_is_replaced_and_a_hopeless_pose_is_listed(tmp_path, tiny_dataset, monkeypatch):
     """The first worker process dies on its first pose; one pose kills every worker."""
-    from generator.jobs import sweep
+    from generator.jobs import local
     from generator.jobs.workers import TRIES
 
     path = copied(tiny_dataset, tmp_path)
@@ -241,7 +242,7 @@ def test_a_worker_that_dies_is_replaced_and_a_hopeless_pose_is_listed(tmp_path, 
         return real(arguments, **options)
 
     monkeypatch.setattr(workers.subprocess, "Popen", popen)
-    outcome = sweep.run(tiny_dataset / "scene.blend", path, {}, workers=1)
+    outcome = local.run(SweepRequest(scene=tiny_dataset / "scene.blend", path=path, workers=1))
     assert outcome.failed == ["A/0000.exr: out of memory (exit code 9)"]
     assert (outcome.rendered, outcome.remaining) == (1, 1)
     assert len(started) == TRIES + (1 if len(started) > TRIES else 0)
@@ -262,7 +263,7 @@ def test_a_hidden_target_is_refused_before_anything_is_written(tmp_path, scene_f
 
 
 def test_a_run_can_be_stopped_and_gone_on_with(tmp_path, scene_file):
-    from generator.jobs import sweep
+    from generator.jobs import local
 
     stop, path = threading.Event(), tmp_path / "set"
     chosen = {"engine": "patch", "poses": 20, "samples": 512, "resolution": [4, 4]}
@@ -271,12 +272,14 @@ def test_a_run_can_be_stopped_and_gone_on_with(tmp_path, scene_file):
         if done == 2:
             stop.set()
 
-    outcome = sweep.run(scene_file, path, chosen, workers=1, progress=progress, stop=stop, probe=False)
+    outcome = local.run(
+        SweepRequest(scene=scene_file, path=path, chosen=chosen, workers=1, probe=False), progress=progress, stop=stop
+    )
     assert 2 <= outcome.rendered < 100
     assert outcome.remaining == 180 - outcome.rendered
     assert not outcome.failed
     assert all("not rendered yet" in fault for fault in Dataset.open(path).verify())
-    again = sweep.run(path / "scene.blend", path, {}, workers=2)
+    again = local.run(SweepRequest(scene=path / "scene.blend", path=path, workers=2))
     assert again.rendered == outcome.remaining
     assert not again.dataset.verify()
 
@@ -402,19 +405,19 @@ def test_a_share_reads_its_own_pictures_and_the_last_leaves_the_manifest_whole(t
     monkeypatch.setattr(Dataset, "inspect", lambda self, pose: looked.append(pose.file) or inspect(self, pose))
     dataset = Dataset.open(path)
     own = [pose.file for pose in dataset.poses[1::3]]
-    assert sweep.pending_positions(dataset, (1, 3)) == []
+    assert local.pending_positions(dataset, (1, 3)) == []
     assert looked == own, "what others have gathered is believed"
     (path / own[0]).write_bytes(b"torn")
-    assert sweep.pending_positions(Dataset.open(path), (1, 3)) == [1], "but its own pictures are not"
+    assert local.pending_positions(Dataset.open(path), (1, 3)) == [1], "but its own pictures are not"
     assert not Dataset.open(path).poses[1].done
 
     late, early = Dataset.open(path), Dataset.open(path)
     shutil.copy(tiny_dataset / own[0], path / own[0])
     looked.clear()
-    assert sweep.gather(early, (1, 3), [1]) == []
+    assert local.gather(early, (1, 3), [1]) == []
     assert looked == [own[0]]
     # One that ends at the same time overwrites the manifest by what it knew; whoever ends last mends that.
     late.write_manifest()
     assert not Dataset.open(path).poses[1].done
-    assert sweep.gather(Dataset.open(path), (2, 3), []) == []
+    assert local.gather(Dataset.open(path), (2, 3), []) == []
     assert Dataset.open(path).poses == Dataset.open(tiny_dataset).poses

@@ -12,11 +12,12 @@ import bpy
 from bpy.props import BoolProperty
 
 from generator.blender import misgivings
-from generator.jobs import budget, sweep
+from generator.jobs import sweep
 from generator.jobs.remaining import Remaining
+from generator.jobs.local import Outcome
+from generator.jobs.request import SweepRequest
 from generator.model.errors import NlosError
 from generator.model.quantities import clock
-from generator.sets import links
 from generator.sets.dataset import Dataset
 from generator.sets.manifest import SCENE
 
@@ -37,48 +38,21 @@ class Job:
         How it ended; empty while it goes on.
     left : float, optional
         Seconds that it still takes, once that can be told.
-    choice : str
-        What was settled on, where a time or an error decides.
+    told : list of str
+        What was settled on, and what the check at the start found.
     """
 
-    def __init__(
-        self,
-        scene: Path,
-        path: Path,
-        chosen: dict[str, Any],
-        workers: int,
-        wished: dict[str, float] | None = None,
-        *,
-        force: bool = False,
-    ) -> None:
-        self.path = path
-        self.done, self.total, self.words, self.choice = 0, 0, "", ""
+    def __init__(self, request: SweepRequest) -> None:
+        self.path = request.path
+        self.done, self.total, self.words = 0, 0, ""
+        self.told: list[str] = []
         self.left: float | None = None
         self._remaining = Remaining()
-        self._cancelled = self._rehearsing = False
+        self._cancelled, self._measures = False, bool(request.budget or request.accuracy)
         launch = background.launcher()
 
-        def work(task: background.Task) -> sweep.Outcome:
-            with links.trusting():  # Blender has followed the links of what is open in it
-                return render(task)
-
-        def render(task: background.Task) -> sweep.Outcome:
-            settings, pace = chosen, None
-            if wished:
-                self._rehearsing = True
-                how: dict[str, Any] = {"workers": workers, "tell": self._chose, "launch": launch, "force": force}
-                decided = budget.choose(scene, chosen, **{**wished, **how})
-                self._rehearsing = False
-                settings, pace = decided.settings, decided.pace
-            return sweep.run(
-                *(scene, path, settings),
-                workers=workers,
-                progress=self._told,
-                launch=launch,
-                stop=task.stop,
-                pace=pace,
-                force=force,
-            )
+        def work(task: background.Task) -> Outcome:
+            return sweep.run(request, progress=self._told, tell=self.told.append, launch=launch, stop=task.stop)
 
         self._task = background.Task(work, self._ended, self._shown)
 
@@ -96,17 +70,13 @@ class Job:
         """Return how far it is, in a line."""
         if not self.running:
             return self.words
-        if self._rehearsing:
-            return "Rendering a few pictures, to learn what they take"
         if not self.total:
-            return "Planning the poses"
+            rehearses = self._measures and not self.told
+            return "Rendering a few pictures, to learn what they take" if rehearses else "Planning the poses"
         if not self.done:
             return f"Rendering the background, then {self.total} pictures"
         left = "" if self.left is None else f", {clock(self.left)} left"
         return f"{self.done} of {self.total} pictures{left}"
-
-    def _chose(self, words: str) -> None:
-        self.choice = words
 
     def _told(self, done: int, total: int) -> None:  # in the crew's threads
         self.left = self._remaining.told(done, total)
@@ -222,9 +192,18 @@ class NLOS_OT_sweep_start(_Running, bpy.types.Operator):
             misgivings.refuse(misgivings.look(scene))
         source = background.snapshot("dataset.blend")
         settings = scene.nlos
+        limits = wished(settings)
         return Job(
-            *(source, path, sweep_of(settings), settings.workers, wished(settings)),
-            force=self.force,
+            SweepRequest(
+                scene=source,
+                path=path,
+                chosen=sweep_of(settings),
+                budget=limits.get("budget", 0.0),
+                accuracy=limits.get("accuracy", 0.0),
+                workers=settings.workers,
+                force=self.force,
+                trust_links=True,  # Blender has followed the links of what is open in it
+            )
         )
 
 
@@ -239,7 +218,7 @@ class NLOS_OT_sweep_resume(_Running, bpy.types.Operator):
         path = folder(scene)
         if not Dataset.exists(path):
             raise NlosError(f"{path} holds no data set to go on with")
-        return Job(path / SCENE, path, {}, scene.nlos.workers)
+        return Job(SweepRequest(scene=path / SCENE, path=path, workers=scene.nlos.workers, trust_links=True))
 
 
 class NLOS_OT_sweep_cancel(bpy.types.Operator):

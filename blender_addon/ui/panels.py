@@ -293,8 +293,8 @@ class NLOS_PT_dataset(_Tab, bpy.types.Panel):
             row.operator("nlos.sweep_resume", icon="PLAY")
             if job is not None:
                 _sentence(context, layout, job.status())
-        if job is not None and job.choice:
-            _sentence(context, layout, job.choice)
+        for words in job.told if job is not None else ():
+            _sentence(context, layout, words)
         layout.operator("nlos.open_folder", icon="FILE_FOLDER")
 
 

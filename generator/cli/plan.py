@@ -13,7 +13,7 @@ from generator.cli.options import (
     option,
 )
 from generator.cli.terminal import print_table
-from generator.measure import plan_file
+from generator.measure import scene_plan
 from generator.model.errors import NlosError
 from generator.model.quantities import fraction, seconds
 from generator.model.settings import Sweep
@@ -75,7 +75,7 @@ def _add_plan(commands: Commands) -> None:
     )
     parser.add_argument("-o", "--output", type=Path, metavar="FOLDER", help="for plan.toml, plan.csv and plan.png")
     parser.add_argument(
-        "--poses", type=int, default=plan_file.POSES, metavar="N", help=f"per voxel (default: {plan_file.POSES})"
+        "--poses", type=int, default=scene_plan.POSES, metavar="N", help=f"per voxel (default: {scene_plan.POSES})"
     )
     parser.add_argument("--seed", type=int, default=0, metavar="N", help="of the poses (default: 0)")
     parser.add_argument(
@@ -130,11 +130,11 @@ def run_plan(options: argparse.Namespace) -> int:
         tell=functools.partial(print, flush=True),
     )
     title = f"{options.scene.name}, seed {options.seed}, tolerance {100.0 * options.tolerance:g} %"
-    print_table(f"{title}; intervals of 95 %", plan_file.HEADINGS, plan_file.rows(found))
-    for line in plan_file.words(found):
+    print_table(f"{title}; intervals of 95 %", scene_plan.HEADINGS, scene_plan.rows(found))
+    for line in scene_plan.words(found):
         print(line)
     if options.output:
-        for path in plan_file.write(options.output, options.scene, found, title):
+        for path in scene_plan.write(options.output, options.scene, found, title):
             print(path)
         print(f"nlos-generate sweep {options.scene} -o DATASET --plan {options.output}")
     return 0

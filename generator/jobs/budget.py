@@ -215,13 +215,13 @@ def choose(
     accuracy : float
         Relative root mean square error of a difference picture, in the median pose; 0 is as exact as can be.
     workers : int
-        As of `generator.jobs.sweep.run`.
+        As of `generator.jobs.local.run`.
     tell : callable
         Is told what was measured and chosen.
     launch : callable
         How workers are started.
     force : bool
-        As of `generator.jobs.sweep.run`.
+        As of `generator.jobs.local.run`.
 
     Raises
     ------

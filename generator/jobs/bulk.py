@@ -11,8 +11,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from generator.jobs.local import start_words
 from generator.jobs.protocol import PlanBulk, RenderBulk
-from generator.jobs.sweep import start_words
 from generator.jobs.workers import WorkerPool, planned_notes
 from generator.model.arrays import Array
 from generator.model.errors import NlosError

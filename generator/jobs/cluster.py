@@ -4,12 +4,13 @@ from __future__ import annotations
 
 import subprocess
 import time
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
-from generator.jobs import journal, sweep
+from generator.jobs import journal, local
+from generator.jobs.request import SweepRequest
 from generator.model.errors import NlosError
 from generator.model.quantities import Progress
 from generator.sets import links
@@ -44,8 +45,9 @@ class Share:
     def __call__(self) -> list[str]:
         """Render what is missing of the share; return what failed."""
         path = Path(self.path)
+        request = SweepRequest(scene=path / SCENE, path=path, shard=(self.index, self.count), workers=self.workers)
         with links.trusting(self.trust_links):
-            return sweep.run(path / SCENE, path, {}, shard=(self.index, self.count), workers=self.workers).failed
+            return local.run(request).failed
 
     def checkpoint(self) -> Any:
         """Return the job that goes on after this one: what is rendered lies on disk."""
@@ -55,55 +57,45 @@ class Share:
 
 
 def run(
-    scene: Path,
-    path: Path,
-    chosen: Mapping[str, Any],
+    request: SweepRequest,
     *,
-    executor: str = "slurm",
-    shares: int = 8,
-    workers: int = 0,
-    options: Mapping[str, Any] | None = None,
     progress: Progress = lambda done, total: None,
     tell: Callable[[str], None] = lambda words: None,
-    force: bool = False,
-    probe: bool = True,
-) -> sweep.Outcome:
+) -> local.Outcome:
     """Plan a data set here, let jobs render it, and wait for them.
 
     Parameters
     ----------
-    scene, path, chosen
-        As of `sweep.run`. The folder must be one that the jobs' machines share.
-    executor : {"slurm", "local", "debug"}
-        Slurm; processes of this machine; or, one after the other, this process.
-    shares : int
-        Jobs of the array.
-    workers : int
-        Of each.
-    options : mapping
-        Of submitit's executor: ``slurm_partition``, ``timeout_min``, ``cpus_per_task``, ...
+    request : SweepRequest
+        Its folder must be one that the jobs' machines share; its workers are each job's.
     progress, tell : callable
-    force, probe : bool
-        As of `sweep.run`.
+        As of `generator.jobs.sweep.run`.
+
+    Returns
+    -------
+    Outcome
+        The set, and what the jobs did.
 
     Raises
     ------
     NlosError
         The input is bad, submitit or Slurm is missing, or refuses an option.
     """
+    assert request.cluster
+    path, executor, shares = request.path, request.cluster.executor, request.cluster.shares
     try:
         import submitit
     except ImportError:
         raise NlosError("--jobs: submitit is missing; install it with pip install 'nlos-lab[slurm]'") from None
-    outcome = sweep.begin(scene, path, chosen, tell=tell, force=force, probe=probe)
-    todo = outcome.remaining = len(sweep.pending_positions(outcome.dataset))
+    outcome = local.begin(request, tell=tell)
+    todo = outcome.remaining = len(local.pending_positions(outcome.dataset))
     if not todo:
         return outcome
     try:
         made = submitit.AutoExecutor(folder=path / LOGS / "%j", cluster=executor)
-        made.update_parameters(name="nlos", **(options or {}))
+        made.update_parameters(name="nlos", **request.cluster.options)
         with made.batch():
-            share = Share(str(path.absolute()), 0, shares, workers, links.trusted())
+            share = Share(str(path.absolute()), 0, shares, request.workers, links.trusted())
             jobs = [made.submit(replace(share, index=i)) for i in range(shares)]
     except (RuntimeError, ValueError, TypeError, NameError, submitit.core.utils.FailedJobError) as error:
         raise NlosError(f"--jobs {executor}: {' '.join(str(error).split())}") from None

@@ -13,7 +13,7 @@ import cv2
 import numpy as np
 
 from generator.measure.intervals import relative
-from generator.measure.plan_file import Effect
+from generator.measure.scene_plan import Effect
 from generator.model.arrays import Array
 from generator.transport import Transport, World
 from generator.transport.left_out import PARTS, PATCH

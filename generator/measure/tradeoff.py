@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import tempfile
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -12,7 +12,8 @@ import numpy as np
 from matplotlib import pyplot as plt
 
 from generator.files.writing import csv_text, write_text
-from generator.jobs import sweep
+from generator.jobs import local
+from generator.jobs.request import SweepRequest
 from generator.jobs.workers import available_cores
 from generator.measure import figures
 from generator.measure.intervals import bootstrap
@@ -111,11 +112,11 @@ def run(
     most : float
         Seconds that a rung may take; one that would take longer, judged by the one below it, is left out.
     workers : int
-        As of `generator.jobs.sweep.run`.
+        As of `generator.jobs.local.run`.
     tell : callable
         Is told of each rung.
     force : bool
-        As of `generator.jobs.sweep.run`.
+        As of `generator.jobs.local.run`.
 
     Raises
     ------
@@ -129,7 +130,10 @@ def run(
         tell(words)
     with tempfile.TemporaryDirectory(prefix="nlos-") as trial:
         settings = {**common, "poses": 1, "engine": "auto"}
-        planned = sweep.prepare(scene, Path(trial) / "plan", settings, force=force, probe=False, tell=tell)
+        request = SweepRequest(
+            scene=scene, path=Path(trial) / "plan", chosen=settings, workers=workers, force=force, probe=False
+        )
+        planned = local.prepare(request, tell=tell)
     cheapest = planned.sweep.engine
     if cheapest == "path":
         raise NlosError(f"{scene}: only the engine 'path' can render it, so there is nothing to trade")
@@ -140,8 +144,7 @@ def run(
         if guess > most:
             tell(f"{rung.name}: left out, would take about {clock(guess)}")
             continue
-        options: dict[str, Any] = {"workers": workers, "force": force, "probe": False}
-        outcome = sweep.run(scene, folder / rung.name, {**common, **rung.settings}, **options)
+        outcome = local.run(replace(request, path=folder / rung.name, chosen={**common, **rung.settings}))
         if outcome.failed:
             raise NlosError(f"{folder / rung.name}: {outcome.failed[0]}")
         seconds = sum(record.seconds for record in outcome.dataset.records)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import contextlib
 import functools
 import hashlib
+import importlib.util
 import os
 import stat
 import tempfile
@@ -68,6 +69,8 @@ def _private() -> Path:
 
 def compiling_words(engine: str | None) -> str:
     """Return what to say before an engine's first run, which compiles it; nothing if there is nothing to wait for."""
+    if importlib.util.find_spec("numba") is None:
+        return ""
     newest = max(source.stat().st_mtime for source in caching.sources())
     kept = caching.folder()
     compiled = kept is not None and any(index.stat().st_mtime > newest for index in kept.glob("*/*.nbi"))

@@ -20,7 +20,7 @@ from generator.blender.scene.description import read_scene
 from generator.jobs import budget
 from generator.measure import effects
 from generator.measure.intervals import relative
-from generator.measure.plan_file import POSES, Effect, Plan
+from generator.measure.scene_plan import POSES, Effect, Plan
 from generator.model import poses
 from generator.model.errors import NlosError
 from generator.model.poses import PoseRecord

@@ -3,25 +3,21 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from generator.files.toml import dump_toml, read_toml
+from generator.files.toml import dump_toml
 from generator.files.writing import csv_text, write_text
-from generator.model.errors import NlosError
 from generator.model.quantities import clock
-from generator.sets.manifest import PLAN, scene_hash
+from generator.sets.manifest import scene_hash
+from generator.sets.plan_file import FILE, FORMAT
 
-FORMAT = 1
-FILE = PLAN
 POSES = 10
 """Per voxel, that `surfel` looks at for a plan; five missed what shows at few poses, in 1 of 24 random rooms."""
-SETTINGS = ("engine", "accuracy", "samples", "leave_out")
-"""Of a sweep, that follow from a plan."""
 
 NEEDED, LEFT_OUT = "needed", "left out"
 
@@ -169,53 +165,3 @@ def write(folder: Path, scene: Path, plan: Plan, title: str) -> list[Path]:
 
 def _numbers(share: Sequence[float]) -> list[float]:
     return [float(f"{s:.4g}") for s in share if math.isfinite(s)]
-
-
-def followed(path: Path, scene: Path, chosen: Mapping[str, Any]) -> dict[str, Any]:
-    """Return the settings of a sweep that follows a plan: its own, and those that the user chose besides.
-
-    Raises
-    ------
-    NlosError
-        As `read`; or the user chose what follows from the plan.
-    """
-    settings = read(path, scene)
-    if twice := [name for name in SETTINGS if name in chosen]:
-        raise NlosError(f"{twice[0]}: follows from --plan; leave it out, or leave --plan out")
-    return {**chosen, **settings}
-
-
-def keep(path: Path, dataset: Path) -> None:
-    """Copy a plan, or the one in a folder, into the data set that was made by it."""
-    write_text(dataset / FILE, _file(path).read_text(encoding="utf-8"))
-
-
-def _file(path: Path) -> Path:
-    return path / FILE if path.is_dir() else path
-
-
-def read(path: Path, scene: Path) -> dict[str, Any]:
-    """Return the settings of a sweep that follow from a plan.
-
-    Parameters
-    ----------
-    path : Path
-        The file, or the folder that holds it.
-    scene : Path
-        That is to be swept.
-
-    Raises
-    ------
-    NlosError
-        It is no plan, is newer than this software, or is of another scene.
-    """
-    file = _file(path)
-    made = read_toml(file)
-    settings = made.get("settings")
-    if not isinstance(settings, dict) or made.get("format") != FORMAT or set(settings) - set(SETTINGS):
-        raise NlosError(f"{file}: is no plan of format {FORMAT}; make one with nlos-generate plan")
-    if made.get("scene_sha256") != scene_hash(scene):
-        raise NlosError(
-            f"{file}: is a plan of another scene than {scene}, or of this one before it was edited; plan again"
-        )
-    return settings

@@ -1,0 +1,253 @@
+"""A sweep on this machine: planned, rendered by workers, resumed. The coordinator never imports bpy.
+
+A worker's word is not taken for its work: what is done is what lies on disk, whole and with the right hash.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import threading
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import Any, Protocol
+
+from generator.jobs import journal as journals
+from generator.jobs.protocol import PlanSweep, RenderSweep
+from generator.jobs.request import SweepRequest
+from generator.jobs.workers import Launch, WorkerPool, in_batches, planned_notes, python
+from generator.model.errors import NlosError
+from generator.model.quantities import Progress
+from generator.model.settings import AUTO, Sweep
+from generator.sets import links
+from generator.sets.dataset import Dataset
+from generator.sets.manifest import check_no_set
+from generator.sets.resume import HasSettings, check_same
+from generator.transport.caching import compiling_words
+
+_ON_GPU = 4
+"""Workers that share a GPU, if none are asked for: more gain little, and each takes memory there."""
+
+_BATCH, _BATCH_PIXELS = 32, 2**17
+"""Most poses that `surfel` renders at once, and most pixels: more gain nothing, but memory and an uneven end."""
+
+
+@dataclass
+class Outcome:
+    """What a sweep did.
+
+    Attributes
+    ----------
+    dataset : Dataset
+    rendered : int
+        Pictures made by this run.
+    failed : list of str
+        Files of the poses that could not be rendered, each with its reason.
+    remaining : int
+        Poses of the whole set, other shards' included, that are not rendered yet.
+    """
+
+    dataset: Dataset
+    rendered: int = 0
+    failed: list[str] = field(default_factory=list)
+    remaining: int = 0
+
+
+Pace = Callable[[], int]
+"""Is asked, whenever a worker is about to begin a picture, with how many samples."""
+
+
+class Here(Protocol):
+    """Plans and renders in this process, in place of workers."""
+
+    def plan(self, request: SweepRequest, tell: Callable[[str], None]) -> None:
+        """Make the data set that a request asks for, and check it at its start."""
+
+    def render(self, dataset: Dataset, batches: Sequence[Sequence[int]], done: Callable[[int], None]) -> None:
+        """Render batches of poses, and the background if it is missing; call ``done`` with how many were rendered."""
+
+
+def run(
+    request: SweepRequest,
+    *,
+    progress: Progress = lambda done, total: None,
+    tell: Callable[[str], None] = lambda words: None,
+    launch: Launch = python,
+    stop: threading.Event | None = None,
+    pace: Pace | None = None,
+    here: Here | None = None,
+) -> Outcome:
+    """Render a data set, or what is missing of it, by processes of this machine, or in this one.
+
+    Parameters
+    ----------
+    request : SweepRequest
+        Its budget, accuracy, plan and cluster are `generator.jobs.sweep.run`'s to follow.
+    progress, tell, launch, stop, here
+        As of `generator.jobs.sweep.run`.
+    pace : callable, optional
+        Says with how many samples each picture is rendered; without it all take the data set's. Voxels then take
+        turns, lest the noise tell them apart.
+
+    Returns
+    -------
+    Outcome
+        The set, and what this run did.
+
+    Raises
+    ------
+    NlosError
+        The input is bad, the check finds an error, or the data set at that path was made with other settings.
+    """
+    shard = request.shard
+    dataset = begin(request, tell=tell, launch=launch, stop=stop, here=here).dataset
+    outcome = Outcome(dataset)
+    pending = pending_positions(dataset, shard)
+    if pace:
+        pending.sort(key=lambda position: dataset.poses[position].index)
+    if here:
+        _render_here(dataset, shard, pending, here, progress)
+    elif pending:
+        say = (lambda position: f"{position}:{pace()}") if pace else str
+        shared = _ON_GPU if dataset.sweep.device == "gpu" else 0
+        with _crew(dataset, shard, progress, say=say, launch=launch, stop=stop) as crew:
+            crew.work(pending, request.workers or shared, batch=batch_size(dataset))
+        outcome.failed = crew.failed
+    outcome.rendered = sum(dataset.poses[position].done for position in pending)  # as gathered from disk
+    outcome.remaining = sum(not pose.done for pose in dataset.poses)
+    if outcome.rendered and not outcome.remaining:
+        dataset.tidy()
+    return outcome
+
+
+def begin(
+    request: SweepRequest,
+    *,
+    tell: Callable[[str], None] = lambda words: None,
+    launch: Launch = python,
+    stop: threading.Event | None = None,
+    here: Here | None = None,
+) -> Outcome:
+    """Plan a data set and render its background, as far as that is not done; parameters as of `run`."""
+    path, chosen, new = request.path, request.chosen, not Dataset.exists(request.path)
+    known = chosen.get("engine", AUTO) if new else Dataset.open(path).settings["engine"]
+    if words := compiling_words(known):
+        tell(words)
+    dataset = prepare(request, tell=tell, launch=launch, here=here)
+    if chosen.get("engine", AUTO) == AUTO:
+        tell(engine_words(dataset, chosen))
+    if new and (words := start_words(dataset)):
+        tell(words)
+    if not here and not all(dataset.has_background(name) for name in dataset.background_names):
+        with _crew(dataset, request.shard, lambda done, total: None, launch=launch, stop=stop) as crew:
+            crew.work([], first="the background")
+    return Outcome(dataset, remaining=len(dataset.poses))
+
+
+def _render_here(
+    dataset: Dataset, shard: tuple[int, int], pending: Sequence[int], here: Here, progress: Progress
+) -> None:
+    done = 0
+
+    def report(count: int) -> None:
+        nonlocal done
+        done += count
+        progress(done, len(pending))
+
+    report(0)
+    try:
+        here.render(dataset, in_batches(pending, batch_size(dataset)), report)
+    finally:
+        gather(dataset, shard, pending)
+
+
+@contextlib.contextmanager
+def _crew(dataset: Dataset, shard: tuple[int, int], progress: Progress, **options: Any) -> Iterator[WorkerPool]:
+    """Give a crew that renders a data set and tells of it; on leaving, gather what it has made."""
+
+    def told(done: int, total: int) -> None:
+        journal.told(done, total)
+        progress(done, total)
+
+    trust = links.trusted()  # asked here: the workers are started by other threads
+
+    def request(threads: int) -> RenderSweep:
+        return RenderSweep(path=dataset.path, threads=threads, trust_links=trust)
+
+    with journals.logged(dataset.path) as log:
+        crew = WorkerPool(request, lambda position: dataset.poses[position].file, told, log=log, **options)
+        try:
+            with journals.Journal(dataset.path, shard, crew.look) as journal:
+                yield crew
+        finally:
+            mine = range(shard[0], dataset.planned, shard[1])
+            gather(dataset, shard, [position for position in mine if not dataset.poses[position].done])
+
+
+def engine_words(dataset: Dataset, chosen: Mapping[str, Any]) -> str:
+    """Return which engine renders a data set, what in its scene asked for one so dear, and what is nothing to it."""
+    engine, reasons = dataset.settings["engine"], dataset.meta.get("engine_reasons", [])
+    words = f"engine: {engine}" + (f", because {'; '.join(reasons)}" if reasons else "")
+    idle = [f"--{name}" for name in Sweep.idle(engine) if name in chosen]
+    return words + (f"; {' and '.join(idle)} {'mean' if len(idle) > 1 else 'means'} nothing to it" if idle else "")
+
+
+def start_words(dataset: HasSettings) -> str:
+    """Return what the check at the start found, and how long it took; empty if there was none."""
+    return str(dataset.meta.get("start_check", {}).get("words", ""))
+
+
+def prepare(
+    request: SweepRequest,
+    *,
+    tell: Callable[[str], None] = lambda words: None,
+    launch: Launch = python,
+    here: Here | None = None,
+) -> Dataset:
+    """Return the data set at a path, planned now if there is none, after comparing the settings if there is one."""
+    scene, path = request.scene, request.path
+    if Dataset.exists(path):
+        dataset = Dataset.open(path)
+        check_same(dataset, scene, request.chosen)
+        return dataset
+    if not scene.is_file():
+        raise NlosError(f"{scene}: no such scene file")
+    check_no_set(path)
+    if here:
+        here.plan(request, tell)
+        return Dataset.open(path)
+    asked = PlanSweep(
+        scene=scene,
+        path=path,
+        chosen=dict(request.chosen),
+        force=request.force,
+        probe=request.probe,
+        trust_links=links.trusted(),
+    )
+    for words in planned_notes(asked, launch):
+        tell(words)
+    return Dataset.open(path)
+
+
+def pending_positions(dataset: Dataset, shard: tuple[int, int] = (0, 1)) -> list[int]:
+    """Return which poses of a shard are still to be rendered, judged by the pictures on disk."""
+    index, count = shard
+    if not 0 <= index < count:
+        raise NlosError(f"--shard {index}/{count}: must be i/n with i from 0 to n - 1")
+    return gather(dataset, shard, range(index, dataset.planned, count))
+
+
+def gather(dataset: Dataset, shard: tuple[int, int], own: Sequence[int]) -> list[int]:
+    """Bring a manifest up to date, and return which of the share's own poses are still to be rendered.
+
+    A share looks at its own pictures: were each to look at all, a thousand shares would read each a thousand times.
+    """
+    dataset.gather(own if shard[1] > 1 else None)
+    return [position for position in own if not dataset.poses[position].done]
+
+
+def batch_size(dataset: Dataset) -> int:
+    """Return how many poses a worker is given at once at most: `surfel` renders many in less time than one by one."""
+    if dataset.settings["engine"] != "surfel":
+        return 1
+    width, height = dataset.sweep.resolution
+    return max(1, min(_BATCH, _BATCH_PIXELS // (width * height)))

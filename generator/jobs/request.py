@@ -1,0 +1,75 @@
+"""What a sweep is asked for, whoever asks: command line, batch script, extension or a Python program."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+
+@dataclass(frozen=True, kw_only=True)
+class ClusterJobs:
+    """An array of jobs that render a sweep.
+
+    Attributes
+    ----------
+    shares : int
+        Jobs of the array.
+    executor : {"slurm", "local", "debug"}
+        Slurm; processes of this machine; or, one after the other, this process.
+    options : mapping
+        Of submitit's executor: ``slurm_partition``, ``timeout_min``, ``cpus_per_task``, ...
+    """
+
+    shares: int
+    executor: str = "slurm"
+    options: Mapping[str, Any] = field(default_factory=dict)
+
+
+@dataclass(frozen=True, kw_only=True)
+class SweepRequest:
+    """A data set to be rendered, or gone on with.
+
+    Attributes
+    ----------
+    scene : Path
+        The ``.blend``.
+    path : Path
+        Folder of the data set: new, empty, or holding the same sweep.
+    chosen : mapping
+        Fields of `Sweep` that the user chose. What is left out follows from the data set if there is one, else from
+        the scene and the defaults. The engine may be ``auto``: the data set's, or the cheapest that the scene allows.
+    accuracy : float
+        Relative error of a difference picture for which samples or the engine's accuracy are measured out; 0 if none
+        is asked for. That of ``chosen`` is taken for it under a budget, and for ``path`` and ``patch``.
+    budget : float
+        Seconds, in which a new set is to end; 0 for no limit.
+    plan : Path, optional
+        Plan that the sweep follows (`generator.sets.plan_file`).
+    workers : int
+        Processes; 0 is one per core, or four that share a GPU.
+    shard : (int, int)
+        ``(i, n)``: render the i-th of n parts only, i from 0.
+    cluster : ClusterJobs, optional
+        Render as jobs of a cluster, in place of processes of this machine.
+    force : bool
+        Begin a new set in spite of errors that the check finds in the scene.
+    probe : bool
+        Whether a new set begins with the check of its engine against plain Cycles (`generator.blender.start_check`).
+    trust_links : bool
+        Whether what the scene refers to may lie outside its own folder.
+    """
+
+    scene: Path
+    path: Path
+    chosen: Mapping[str, Any] = field(default_factory=dict)
+    accuracy: float = 0.0
+    budget: float = 0.0
+    plan: Path | None = None
+    workers: int = 0
+    shard: tuple[int, int] = (0, 1)
+    cluster: ClusterJobs | None = None
+    force: bool = False
+    probe: bool = True
+    trust_links: bool = False
