@@ -13,8 +13,8 @@ from bpy.props import BoolProperty
 
 from generator.blender import misgivings
 from generator.jobs import sweep
-from generator.jobs.remaining import Remaining
 from generator.jobs.local import Outcome
+from generator.jobs.remaining import Remaining
 from generator.jobs.request import SweepRequest
 from generator.model.errors import NlosError
 from generator.model.quantities import clock
