@@ -48,6 +48,8 @@ QUICK, QUICK_REPEATS, QUICK_CRITICAL = 1024, 4, 3.0
 difference picture and 5 % of the background. The noise is the base scene's, known better than by four pictures."""
 MANY, REPEATS = 2048, 12
 """Of the second look, at what the first finds amiss."""
+RARE = 16 * MANY
+"""Of a third, where not one of plain Cycles' paths met the light in some picture of the second: no spread is told."""
 CRITICAL = 7.0
 """Of Student's t with about 15 degrees of freedom: one false alarm in 100,000 comparisons, of 21 an edit."""
 TOLERANCE = {"patch": 3e-3, "surfel": 3e-3}
@@ -743,13 +745,16 @@ class Judge:
             tolerance = AMBIENT_TOLERANCE
         noise = (self.noise[engine], self.noise["plain"])
         why = ""
-        for samples, repeats, known in ((QUICK, QUICK_REPEATS, noise), (MANY, REPEATS, None)):
+        looks = ((QUICK, QUICK_REPEATS, noise), (MANY, REPEATS, None), (RARE, REPEATS, None))
+        for samples, repeats, known in looks:
             if samples not in plain:
                 plain[samples] = self._plain(file, samples, range(100, 100 + repeats))
             every = [ours] if engine == "surfel" else self._ours(file, engine, samples, range(500, 500 + repeats))
             why = differ(every, plain[samples], tolerance, known)
             if not why:
                 return "follows", ""
+            if samples == MANY and all(background.any() for _, background in plain[samples]):
+                break
         return "wrong", why + still
 
     def _inside(self, solid: Callable[[Any], Any], file: Path, engine: str) -> str:
@@ -797,7 +802,8 @@ def serve() -> None:
 class Server:
     """A process of `serve`."""
 
-    def __init__(self) -> None:
+    def __init__(self, patience: float) -> None:
+        self._patience = patience
         command = [sys.executable, __file__, "--serve"]
         self._process = subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True, bufsize=1)
         if self._answer(3 * PATIENCE) != "ready":
@@ -817,7 +823,7 @@ class Server:
         """Return what became of an edit; None if the process did not live through it."""
         self._process.stdin.write(json.dumps(list(edit)) + "\n")
         self._process.stdin.flush()
-        line = self._answer(PATIENCE)
+        line = self._answer(self._patience)
         return Row(**json.loads(line)) if line else None
 
     def stop(self) -> None:
@@ -826,17 +832,17 @@ class Server:
         self._process.wait()
 
 
-def run(listed: Sequence[Sequence[str]], report: Callable[[Row], None]) -> None:
+def run(listed: Sequence[Sequence[str]], report: Callable[[Row], None], patience: float = PATIENCE) -> None:
     """Judge edits in a process of their own, which is started again where Blender ends it."""
-    server = Server()
+    server = Server(patience)
     for number, edit in enumerate(listed):
         if number and number % 400 == 0:  # what Blender keeps of hundreds of files
             server.stop()
-            server = Server()
+            server = Server(patience)
         row = server.judge(edit)
         if row is None:
             server.stop()
-            server = Server()
+            server = Server(patience)
             row = Row(*edit, plain="ends Blender")
         report(row)
     server.stop()
@@ -872,7 +878,7 @@ def table(rows: Sequence[Row], blender: str) -> str:
         ]
     lines += [f"- **wrong**: {r.label}: {' / '.join(verdicts(r))}" for r in judged if "wrong" in verdicts(r)]
     outside = [r for r in rows if r.plain == "ends Blender"]
-    lines += [f"- left out, since Blender itself ends or hangs: {r.owner}, {r.name}" for r in outside]
+    lines += [f"- left out, for no answer within {PATIENCE:g} s: {r.owner}, {r.name}" for r in outside]
     refused = sum(r.plain == "not accepted" for r in rows)
     lines += [f"- left out, since Blender does not accept the value: {refused} edits"] * bool(refused)
     return "\n".join(lines)
@@ -915,6 +921,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     parser.add_argument(
         "--only", default="", help="regular expression: edits whose 'owner | name = value' it matches"
     )
+    parser.add_argument("--patience", type=float, default=PATIENCE, help="seconds for an edit (default: %(default)g)")
     parser.add_argument("--shard", default="0/1", help="i/n: every n-th edit, from the i-th on")
     parser.add_argument("--merge", type=Path, nargs="+", help="make the table from these files of earlier runs alone")
     parser.add_argument("--blender", default="", help="the Blender of those, for the heading")
@@ -949,7 +956,7 @@ def main(argv: Sequence[str] | None = None) -> int:
             if "wrong" in verdicts or row.plain == "ends Blender":
                 print(f"{row.label} [{row.plain}]: {' '.join(verdicts)}: {told}", flush=True)
 
-        run(listed, report)
+        run(listed, report, options.patience)
     text = table(rows, bpy.app.version_string)
     (options.output / "table.md").write_text(text + "\n", encoding="utf-8")
     print(text)

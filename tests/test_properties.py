@@ -74,6 +74,7 @@ SAMPLE = (
     ("view layer", "use_solid", "false"),
     ("layer collection", "exclude", "true"),
     ("collection", "hide_render", "true"),
+    ("slot room", "link", '"OBJECT"'),
     ("scene.render", "pixel_aspect_x", "2.0"),
     ("scene.render", "use_border", "true"),
     ("scene.cycles", "caustics_reflective", "false"),

@@ -40,7 +40,8 @@ def overlapping(triangles: Array) -> Array:
     size = float(np.abs(triangles).max())
     local = triangles - middle
     sides = np.cross(local[:, 1] - local[:, 0], local[:, 2] - local[:, 0])
-    normals = sides / np.linalg.norm(sides, axis=1, keepdims=True)
+    with np.errstate(invalid="ignore"):  # a triangle without area has no normal, and lies on nothing
+        normals = sides / np.linalg.norm(sides, axis=1, keepdims=True)
     slack = _NEAR * size
     low, high = local.min(axis=1) - slack, local.max(axis=1) + slack
     found = [empty]

@@ -70,6 +70,12 @@ def _read_instance(
     matrix = numbers(instance.matrix_world)
     if not instance.is_instance and obj.original in played:
         reading.places[role if role != "target" or obj.original == target else obj.name] = matrix
+    if instance.show_self and _has_empty_slot(obj.original):
+        words = (
+            f"{obj.name!r} has a material slot of its own that is empty, which Blender's versions fill differently"
+        )
+        reading.layers += [words] * (words not in reading.layers)
+        reading.reasons += [words] * (words not in reading.reasons)
     if obj.type == "LIGHT":
         _read_lamp(instance, played.get(obj.original, "room"), matrix, reading)
         return
@@ -127,6 +133,18 @@ def _read_instance(
         kind = "SURFACE" if shape.glowing.any() else "VOLUME"
         shining = triangles[shape.glowing] if shape.glowing.any() else triangles
         reading.lights.append(Light(obj.name, kind, role, instance.is_instance, matrix, corners=shining))
+
+
+def _has_empty_slot(obj: bpy.types.Object) -> bool:
+    """Whether a slot is the object's own and empty, while the data have a material for it.
+
+    Cycles takes the data's material in Blender 5.0 and its own in 5.2; both show the data's on the evaluated object.
+    """
+    own = getattr(obj.data, "materials", ())
+    return any(
+        slot.link == "OBJECT" and slot.material is None and material is not None
+        for slot, material in zip(obj.material_slots, own, strict=False)
+    )
 
 
 def _read_lamp(instance: Any, role: str, matrix: Array, reading: Reading) -> None:

@@ -91,7 +91,7 @@ class Reading:
     reasons : list of str
         What else there is that `surfel` cannot honour.
     layers : list of str
-        What the view layers do to a picture that only plain Cycles does.
+        What only plain Cycles does to a whole picture: view layers, materials that depend on Blender's version.
     sky : ndarray of shape (3,) or None
         Radiance of a world that shines alike from everywhere, if it does.
     lights : list of Light
