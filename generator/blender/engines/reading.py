@@ -71,7 +71,7 @@ def _read_instance(
     if not instance.is_instance and obj.original in played:
         reading.places[role if role != "target" or obj.original == target else obj.name] = matrix
     if instance.show_self and _has_empty_slot(obj.original):
-        words = f"{obj.name!r} has a material slot of its own that is empty, which Blender versions fill differently"
+        words = (
             f"{obj.name!r} has a material slot of its own that is empty, which Blender's versions fill differently"
         )
         reading.layers += [words] * (words not in reading.layers)
