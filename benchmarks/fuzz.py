@@ -34,7 +34,7 @@ import atheris
 import numpy as np
 
 sys.path[:0] = [str(Path(__file__).resolve().parents[k]) for k in (0, 1)]
-sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "tests"))
+sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "tests" / "support"))
 
 # What is compiled, numba must see as it was written.
 _COMPILED = {path.stem for path in Path(__file__).parents[1].glob("generator/transport/*.py")} - {"store", "world"}

@@ -53,6 +53,7 @@ def add_parsers(commands: Commands) -> None:
 
 
 def run_atlas(options: argparse.Namespace) -> int:
+    """Make an atlas from a bulk set."""
     from classify.inference import atlas
     from generator.sets.bulk_set import Bulk
 

@@ -41,6 +41,7 @@ def add_parsers(commands: Commands) -> None:
 
 
 def run_bound(options: argparse.Namespace) -> int:
+    """Print what no method can beat, and draw its map."""
     from classify.classifiers import models
     from classify.inference import bound
     from classify.inference.posterior import Synthesis

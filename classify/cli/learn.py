@@ -107,6 +107,7 @@ def _add_predict(commands: Commands) -> None:
 
 
 def run_compare(options: argparse.Namespace) -> int:
+    """Compare classifiers, and write the report."""
     from classify.classifiers import evaluate, models
     from classify.pictures import feature_table
     from classify.report import comparison
@@ -143,6 +144,7 @@ def run_compare(options: argparse.Namespace) -> int:
 
 
 def run_learn(options: argparse.Namespace) -> int:
+    """Draw learning curves."""
     from classify.classifiers import curves, models
     from classify.pictures import feature_table
     from classify.report import page
@@ -179,6 +181,7 @@ def run_learn(options: argparse.Namespace) -> int:
 
 
 def run_train(options: argparse.Namespace) -> int:
+    """Train a classifier, and save it."""
     from classify.classifiers import models
     from classify.pictures import feature_table
 
@@ -193,6 +196,7 @@ def run_train(options: argparse.Namespace) -> int:
 
 
 def run_predict(options: argparse.Namespace) -> int:
+    """Print the voxels that a model sees in pictures."""
     from classify.classifiers import models
     from generator.files.pictures import COLOUR_SPACE, read_picture
     from generator.sets.readable import check_colours

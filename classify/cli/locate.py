@@ -154,6 +154,7 @@ def _add_detect(commands: Commands) -> None:
 
 
 def run_locate(options: argparse.Namespace) -> int:
+    """Print where the hidden object of each picture is, and how often that is right."""
     import numpy as np
 
     from classify.classifiers import models
@@ -204,6 +205,7 @@ def run_locate(options: argparse.Namespace) -> int:
 
 
 def run_tradeoff(options: argparse.Namespace) -> int:
+    """Print what better pictures are worth."""
     from classify.classifiers import models
     from classify.inference import worth
     from classify.report import page
@@ -238,6 +240,7 @@ def run_tradeoff(options: argparse.Namespace) -> int:
 
 
 def run_track(options: argparse.Namespace) -> int:
+    """Follow the object through the frames of a trajectory."""
     from classify.classifiers import models
     from classify.inference import sequence
     from classify.report import page
@@ -289,6 +292,7 @@ def _gap(text: str) -> tuple[int, int]:
 
 
 def run_detect(options: argparse.Namespace) -> int:
+    """Print how often something is found, at a rate of false alarms."""
     from classify.classifiers import models
     from classify.inference import atlas, detect
     from classify.report import page

@@ -27,6 +27,7 @@ SENSORS = ("full_well", "read_noise", "bits", "exposure", "fill", "frames", "bac
 
 
 def add_sensor_options(parser: argparse.ArgumentParser, otherwise: str = "by the default sensor") -> None:
+    """Add the camera's sensor and its frames."""
     parser.add_argument(
         "--sensor",
         metavar="default|FILE.toml",
@@ -38,6 +39,7 @@ def add_sensor_options(parser: argparse.ArgumentParser, otherwise: str = "by the
 
 
 def sensor_of(options: argparse.Namespace) -> Sensor:
+    """Return the sensor that was asked for."""
     from dataclasses import replace
 
     from classify.pictures.sensor import Sensor
@@ -59,6 +61,7 @@ def check_output(path: Path, *, folder: bool = False) -> None:
 
 @contextlib.contextmanager
 def progress_bar(what: str, unit: str) -> Iterator[Callable[[int, int, str], None]]:
+    """Give what shows how much is done: a bar, or lines in a log."""
     if not sys.stderr.isatty():
         lines = LineProgress(unit)
         yield lambda done, total, now: lines(done, total)

@@ -53,6 +53,7 @@ def add_parsers(commands: Commands) -> None:
 
 
 def run_bulk(options: argparse.Namespace) -> int:
+    """Make a bulk set, or what is missing of it."""
     from generator.jobs import bulk
     from generator.sets import bulk_set
 

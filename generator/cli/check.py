@@ -35,6 +35,7 @@ def add_parsers(commands: Commands) -> None:
 
 
 def run_check(options: argparse.Namespace) -> int:
+    """Print what would spoil a sweep; return 1 if an error is among it."""
     from generator.blender import check
     from generator.blender.scene import blend_file
 

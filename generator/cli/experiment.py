@@ -48,6 +48,7 @@ def add_parsers(commands: Commands) -> None:
 
 
 def run_experiment(options: argparse.Namespace) -> int:
+    """Write an experiment's tables and pictures."""
     from generator.blender.measure import experiment_report
     from generator.blender.scene import blend_file
 

@@ -44,6 +44,7 @@ def _add_status(commands: Commands) -> None:
 
 
 def run_status(options: argparse.Namespace) -> int:
+    """Print how far a data set is, and what its runs are doing."""
     import json
 
     from generator.jobs import journal
@@ -54,6 +55,7 @@ def run_status(options: argparse.Namespace) -> int:
 
 
 def run_verify(options: argparse.Namespace) -> int:
+    """Print what is wrong with a set; return 1 if anything is."""
     from generator.sets.bulk_set import Bulk
 
     if Bulk.exists(options.dataset):

@@ -20,6 +20,7 @@ FRAMES = 200
 
 
 def add_sweep_options(parser: argparse.ArgumentParser, *, frames: bool = False) -> None:
+    """Add the options of a sweep, or of a trajectory's frames."""
     default = Sweep()
     parser.add_argument("-o", "--output", type=Path, required=True, metavar="DATASET", help="folder of the data set")
     if frames:
@@ -38,6 +39,7 @@ def add_sweep_options(parser: argparse.ArgumentParser, *, frames: bool = False) 
 
 
 def add_force_option(parser: argparse.ArgumentParser) -> None:
+    """Add ``--force``."""
     parser.add_argument(
         "--force",
         action="store_true",
@@ -46,6 +48,7 @@ def add_force_option(parser: argparse.ArgumentParser) -> None:
 
 
 def add_probe_option(parser: argparse.ArgumentParser) -> None:
+    """Add ``--no-probe``."""
     parser.add_argument(
         "--no-probe",
         dest="probe",
@@ -55,6 +58,7 @@ def add_probe_option(parser: argparse.ArgumentParser) -> None:
 
 
 def add_links_option(parser: argparse.ArgumentParser) -> None:
+    """Add ``--trust-links``."""
     parser.add_argument(
         "--trust-links",
         action="store_true",
@@ -75,6 +79,7 @@ def option(read: Callable[[str], float]) -> Callable[[str], float]:
 
 
 def add_engine_options(parser: argparse.ArgumentParser) -> None:
+    """Add what says how a picture is rendered."""
     default = Sweep()
     parser.add_argument(
         "--engine",
@@ -113,6 +118,7 @@ def add_engine_options(parser: argparse.ArgumentParser) -> None:
 
 
 def add_pose_options(parser: argparse.ArgumentParser, seed: str, *, inside: bool = True) -> None:
+    """Add what says where the target is put, and the pictures' size."""
     default = Sweep()
     parser.add_argument("--seed", type=int, metavar="N", help=f"{seed} (default: {default.seed})")
     parser.add_argument("--resolution", metavar="R", help="64 or 64x48 (default: the scene's)")

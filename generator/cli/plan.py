@@ -91,6 +91,7 @@ def _add_plan(commands: Commands) -> None:
 
 
 def run_tradeoff(options: argparse.Namespace) -> int:
+    """Measure what pictures cost and how wrong they are; write the table and the figures."""
     from generator.measure import tradeoff
 
     if not 1 <= options.poses <= Sweep.poses:
@@ -114,6 +115,7 @@ def run_tradeoff(options: argparse.Namespace) -> int:
 
 
 def run_plan(options: argparse.Namespace) -> int:
+    """Measure what a scene needs modelled, and write the plan."""
     from generator.blender.measure import planning
 
     if options.output and options.output.exists() and not options.output.is_dir():

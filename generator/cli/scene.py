@@ -46,6 +46,7 @@ def add_parsers(commands: Commands) -> None:
 
 
 def run_scene(options: argparse.Namespace) -> int:
+    """Build a preset scene, changed as asked for, and save or show it."""
     plain = to_dict(preset(options.preset, options.target))
     if options.config:
         plain = merge(plain, read_toml(options.config))

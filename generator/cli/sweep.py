@@ -123,6 +123,7 @@ def _job_option(text: str) -> tuple[str, Any]:
 
 
 def run_trajectory(options: argparse.Namespace) -> int:
+    """Render a trajectory, or what is missing of it."""
     if options.frames is None:
         known = Dataset.open(options.output).settings if Dataset.exists(options.output) else {}
         options.frames = known.get("frames", FRAMES)

@@ -48,6 +48,7 @@ def guarded(work: Callable[[], int], interrupted: str = "interrupted; the same c
 
 
 def refused(why: object) -> int:
+    """Say why a command is refused; return its exit code."""
     console.complain(f"error: {why}")
     return 2
 
@@ -105,6 +106,7 @@ def print_table(title: str, headings: Sequence[str], rows: Sequence[Sequence[str
 
 @contextlib.contextmanager
 def progress_bar() -> Iterator[Callable[[int, int], None]]:
+    """Give what shows how many pictures are done: a bar, or lines in a log."""
     if not sys.stderr.isatty():
         yield LineProgress()
         return
@@ -124,6 +126,7 @@ def progress_bar() -> Iterator[Callable[[int, int], None]]:
 
 
 def report(dataset: Dataset | Bulk, rendered: int, remaining: int, failed: list[str]) -> int:
+    """Say how a run ended; return its exit code."""
     for failure in failed:
         console.complain(f"failed: {failure}")
     if isinstance(dataset, Dataset) and (words := audit.words(dataset)):

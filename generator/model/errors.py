@@ -8,5 +8,6 @@ class NlosError(ValueError):
 
 
 def require(ok: bool, message: str) -> None:
+    """Raise NlosError unless something holds."""
     if not ok:
         raise NlosError(message)

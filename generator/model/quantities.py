@@ -36,12 +36,14 @@ def clock(seconds: float) -> str:
 
 
 def rough_time(seconds: float) -> str:
+    """Return a time as people estimate it: 40 s, 5 min, 2.5 h."""
     if seconds < 90.0:
         return f"{seconds:.0f} s"
     return f"{seconds / 60.0:.0f} min" if seconds < 5400.0 else f"{seconds / 3600.0:.1f} h"
 
 
 def byte_size(count: float) -> str:
+    """Return a size in MB or GB."""
     return f"{count / 1e6:.3g} MB" if count < 1e9 else f"{count / 1e9:.3g} GB"
 
 
@@ -81,6 +83,7 @@ def fraction(text: str) -> float:
 
 
 def percent(share: float) -> str:
+    """Return a share in per cent, two digits."""
     return f"{100.0 * share:.2g} %"
 
 

@@ -45,7 +45,7 @@ from generator.sets.manifest import (
     plan_hash,
     read_poses,
 )
-from generator.sets.readable import RENDER_AGAIN, Seen, as_read, fault_words, rendered
+from generator.sets.readable import RENDER_AGAIN, Seen, as_read, rendered, vector_text
 
 
 class Dataset:
@@ -278,8 +278,8 @@ class Dataset:
             "label": pose.label,
             "index": str(pose.index),
             "seed": str(pose.seed),
-            "position": fault_words(pose.position),
-            "rotation": fault_words(pose.rotation),
+            "position": vector_text(pose.position),
+            "rotation": vector_text(pose.rotation),
         }
 
     def see(self, pose: PoseRecord) -> Seen:

@@ -122,11 +122,13 @@ class Rows:
 
 
 def describe_file(file: Any) -> None:
+    """Write units and meaning beside the tables of a part."""
     for name, attributes in _ABOUT.items():
         file[name].attrs.update(attributes)
 
 
 def write_image(path: Path, file: Any) -> None:
+    """Put an HDF5 file that was made in memory into place, whole or not at all."""
     file.flush()
     with atomic(path) as temporary:
         temporary.write_bytes(file.id.get_file_image())

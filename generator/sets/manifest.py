@@ -114,6 +114,13 @@ def check_no_set(path: Path) -> None:
 
 
 def read_poses(path: Path) -> list[PoseRecord]:
+    """Return the poses of a manifest.
+
+    Raises
+    ------
+    NlosError
+        It is missing, cannot be read, or is no table of poses.
+    """
     try:
         with path.open(newline="", encoding="utf-8") as file:
             return list(_parse_poses(csv.DictReader(file), path))

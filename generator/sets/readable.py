@@ -109,5 +109,6 @@ def rendered(pose: PoseRecord, seen: Seen) -> PoseRecord:
     return replace(pose, pixel_hash=seen.digest, seconds=seconds, samples=samples)
 
 
-def fault_words(vector: Vector) -> str:
+def vector_text(vector: Vector) -> str:
+    """Return a vector as an attribute of a picture holds it: every digit, blanks between."""
     return " ".join(repr(float(value)) for value in vector)

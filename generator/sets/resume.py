@@ -20,7 +20,8 @@ class HasSettings(Protocol):
     meta: dict[str, Any]
 
     @property
-    def settings(self) -> dict[str, Any]: ...
+    def settings(self) -> dict[str, Any]:
+        """Settings that the set was made with."""
 
 
 def check_same(dataset: HasSettings, scene: Path, chosen: Mapping[str, Any]) -> None:

@@ -132,6 +132,7 @@ def plain_cycles(scene: bpy.types.Scene, overrides: Overrides) -> None:
 
 
 def replace_settings(scene: bpy.types.Scene, overrides: Overrides, settings: Sequence[replaced.Setting]) -> None:
+    """Give the scene the values that a sweep renders with, in place of the file's."""
     for setting in settings:
         for owner, name in replaced.places(scene, setting):
             overrides.set(owner, name, setting.value)

@@ -33,6 +33,7 @@ _RIM = 1.0 - 1e-3
 
 
 def read_lit_patch(scene: bpy.types.Scene, reading: Reading) -> tuple[LitPatch | None, list[str]]:
+    """Return the patch that the spot lights, if it can be read, and the reasons against engines that start there."""
     lamp, wall = roles.find(scene, "spot"), roles.find(scene, "relay_wall")
     light = lamp.data
     if lamp.type != "LIGHT" or light.type != "SPOT":

@@ -14,6 +14,7 @@ from generator.model.arrays import Array
 
 
 def blocked(lamp: bpy.types.Object, wall: bpy.types.Object, hit: Surface | None) -> str:
+    """Return in words what stands in the way of the spot's cone."""
     if hit is None or hit.role == "relay_wall":
         return f"part of the cone of the spot {lamp.name!r} misses the plane of the relay wall {wall.name!r}"
     return f"{hit.name!r} stands in the cone of the spot {lamp.name!r}, before the relay wall"
@@ -37,6 +38,7 @@ def colour_within(walls: Sequence[Surface], planes: Sequence[Plane]) -> Array | 
 
 
 def perpendicular(normal: Array) -> Array:
+    """Return a unit vector at right angles to a normal."""
     other = np.eye(3)[int(np.argmin(np.abs(normal)))]
     across = np.cross(normal, other)
     unit: Array = across / np.linalg.norm(across)
@@ -108,6 +110,7 @@ def _cut(polygon: Array, plane: Plane) -> Array:
 
 
 def polygon_area(polygon: Array) -> float:
+    """Return the area of a plane polygon, corners (n, 2); 0 for fewer than three."""
     if len(polygon) < 3:
         return 0.0
     spokes = polygon[1:] - polygon[0]

@@ -39,6 +39,7 @@ def lights(scene: bpy.types.Scene) -> list[Light]:
 
 
 def read_surfaces(scene: bpy.types.Scene) -> Reading:
+    """Read the scene as a render will see it: surfaces, lights, world, and what engines cannot honour."""
     parts = roles.target_parts(scene)
     played = {roles.find(scene, role): role for role in ("relay_wall", "spot", "camera", "target")}
     played |= dict.fromkeys(parts, "target")

@@ -21,6 +21,7 @@ COARSE = 0.1
 
 
 def shape_of(obj: Any) -> Shape:
+    """Return an evaluated object's triangles, colours and flaws, in its own frame."""
     mesh = obj.to_mesh()
     try:
         mesh.calc_loop_triangles()

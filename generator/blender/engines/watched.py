@@ -27,6 +27,7 @@ from generator.transport.world import Watched
 def read_watched(
     scene: bpy.types.Scene, reading: Reading, resolution: tuple[int, int]
 ) -> tuple[Watched | None, list[str]]:
+    """Return the part of the wall that the camera sees, or None, and what an engine cannot honour about it."""
     camera, wall = roles.find(scene, "camera"), roles.find(scene, "relay_wall")
     name = f"the camera {camera.name!r}"
     if camera.type != "CAMERA" or camera.data.type not in ("PERSP", "ORTHO"):

@@ -123,6 +123,7 @@ def _clear(scene: bpy.types.Scene) -> None:
 
 
 def add_part(collection: bpy.types.Collection, obj: bpy.types.Object, role: str) -> None:
+    """Put an object into a collection, in a role."""
     obj[ROLE] = role
     collection.objects.link(obj)
 
@@ -207,6 +208,7 @@ def _camera(wanted: Scene) -> bpy.types.Object:
 
 
 def build_target(wanted: Target) -> bpy.types.Object:
+    """Make the hidden object."""
     if wanted.kind == "sheet":
         h = wanted.size / 2.0
         target = _quad("Target", "y", 0.0, {"x": (-h, h), "z": (-h, h)}, wanted.albedo, inward=-1)

@@ -167,6 +167,13 @@ def target_parts(scene: bpy.types.Scene) -> list[bpy.types.Object]:
 
 
 def read_grid(scene: bpy.types.Scene) -> VoxelGrid:
+    """Return the voxels that the scene remembers.
+
+    Raises
+    ------
+    NlosError
+        It remembers none, or what it remembers is no grid.
+    """
     missing = [key for key in (GRID_LO, GRID_HI, GRID_SHAPE) if key not in scene]
     if missing:
         raise NlosError(f"{file_name()}: lacks the voxel grid (custom property {missing[0]} of the scene)")

@@ -21,6 +21,7 @@ def numbers(value: Any) -> Array:
 
 
 def file_name() -> str:
+    """Return what to call the open scene in an error: its file, if it has one."""
     return bpy.data.filepath or "scene"
 
 
@@ -30,6 +31,7 @@ def short(value: float) -> float:
 
 
 def range_of(low: Array, high: Array, axis: int) -> Range:
+    """Return the range along an axis, as short decimals."""
     return (short(low[axis]), short(high[axis]))
 
 

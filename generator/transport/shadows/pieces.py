@@ -150,10 +150,12 @@ def may_meet(facet: Floats, polygon: Floats, n: int, ends: Cones, part: int, lin
 
 @jit
 def no_pieces() -> Pieces:
+    """Return room for pieces of polygons: corners, and how many each has."""
     return np.empty((PIECES, CORNERS, 2)), np.empty(PIECES, dtype=np.int64)
 
 
 @jit
 def room_to_work(cones: Cones) -> Work:
+    """Return the arrays that cutting works in, for as many cones as one can meet."""
     depth = cones[0].shape[1]
     return no_pieces(), no_pieces(), np.empty((3, CORNERS, 2)), np.empty((depth, 3)), np.empty((_STACK, 6))

@@ -408,7 +408,7 @@ np.savez({out!r}, added=made.added, hidden=made.hidden)
 
 def test_without_a_compiler_the_picture_is_the_same(tmp_path):
     out = str(tmp_path / "plain.npz")
-    script = WITHOUT_NUMBA.format(root=str(ROOT), tests=str(ROOT / "tests"), out=out)
+    script = WITHOUT_NUMBA.format(root=str(ROOT), tests=str(ROOT / "tests" / "support"), out=out)
     done = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, check=False)
     assert done.returncode == 0, done.stderr
     panel = worlds.quad((-1.5, 1.5, -1.5), (3.5, 0.0, 0.0), (0.0, 0.0, 3.0), 0.8)

@@ -4,6 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+import worlds
 
 from generator.blender.engines import renderers, survey
 from generator.blender.engines.settings import settled
@@ -19,7 +20,6 @@ from generator.sets import simulated as simulations
 from generator.sets.dataset import Dataset
 from generator.transport import AmbientLight, Mesh, Sphere, Transport, ambient
 from generator.transport.world_file import load_world, save_world, world_hash
-from tests import worlds
 
 
 def under_sky(target, *, albedo=worlds.WALL, half=2.0, room=(), radiance=1.0, **changes):

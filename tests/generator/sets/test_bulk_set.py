@@ -216,8 +216,9 @@ def test_size_of_parts():
 def test_killed_in_the_middle_and_resumed_gives_the_same_pixels(whole, tmp_path):
     path = new_set(tmp_path / "killed").path
     for parts in (1, 4):
-        code = f"import sys; sys.path[:0] = [{str(ROOT)!r}, {str(ROOT / 'tests')!r}]; import test_bulk; "
-        code += f"test_bulk.render_missing({str(path)!r}, delay=0.3)"
+        folders = [str(ROOT / folder) for folder in ("", "tests", "tests/support", "tests/generator/sets")]
+        code = f"import sys; sys.path[:0] = {folders!r}; import test_bulk_set; "
+        code += f"test_bulk_set.render_missing({str(path)!r}, delay=0.3)"
         process = subprocess.Popen([sys.executable, "-c", code])
         wait_for_parts(path, parts, process)
         process.send_signal(signal.SIGKILL)

@@ -18,7 +18,7 @@ import pytest
 
 from blender_addon.packaging import build
 
-ROOT = Path(__file__).resolve().parent.parent
+ROOT = Path(__file__).resolve().parents[2]
 
 INSTALL = """
 import sys

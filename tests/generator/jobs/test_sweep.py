@@ -2,18 +2,17 @@
 
 from __future__ import annotations
 
-import os
 import shutil
 import signal
 import subprocess
 import sys
 import threading
-import time
 from pathlib import Path
 
 import numpy as np
 import pytest
 from conftest import ROOT, TINY
+from processes import start, wait_for_pictures
 
 from generator.files.pictures import read_picture
 from generator.jobs import local, workers
@@ -32,25 +31,6 @@ def pixels_of(path):
 
 def asked(threads):
     return RenderSweep(path=Path(), threads=threads, trust_links=False)
-
-
-def start(scene, path, *options):
-    return subprocess.Popen(
-        [sys.executable, "-m", "generator.cli", "sweep", str(scene), "-o", str(path), *options],
-        stdout=subprocess.DEVNULL,
-        stderr=subprocess.DEVNULL,
-        env={**os.environ, "PYTHONPATH": str(ROOT)},
-        # A shell that runs the tests in the background has them, and all they start, ignore Ctrl-C.
-        preexec_fn=lambda: signal.signal(signal.SIGINT, signal.SIG_DFL),
-    )
-
-
-def wait_for_pictures(path, count, process, timeout=120):
-    end = time.monotonic() + timeout
-    while len(list(path.glob("?/*.exr"))) < count:
-        assert time.monotonic() < end, "no pictures appear"
-        assert process.poll() is None, "the sweep ended before it was killed"
-        time.sleep(0.02)
 
 
 def test_killed_twice_and_resumed_with_other_workers_gives_the_same_pixels(tmp_path, scene_file, command):

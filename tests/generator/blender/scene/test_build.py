@@ -8,6 +8,7 @@ import bpy
 import numpy as np
 import pytest
 import radiometry
+from conftest import ROOT
 
 from generator.blender.engines import renderers
 from generator.blender.engines.cycles import use_gpu
@@ -50,9 +51,8 @@ def test_what_is_built_is_read_back(name, target):
 
 @pytest.mark.parametrize("name", PRESETS)
 def test_shipped_scenes_are_the_presets(name):
-    from pathlib import Path
 
-    path = Path(__file__).resolve().parents[1] / "blend_scenes" / f"{name}.blend"
+    path = ROOT / "blend_scenes" / f"{name}.blend"
     assert_close(read_scene(blend_file.open_file(path)), preset(name))
 
 

@@ -7,7 +7,7 @@ import signal
 
 import numpy as np
 import pytest
-from test_sweep import start, wait_for_pictures
+from processes import start, wait_for_pictures
 
 from generator.blender.engines import renderers, survey
 from generator.blender.scene import blend_file, build, posing, roles
