@@ -35,7 +35,7 @@ def pick(chance: Chance, some: Sequence[Any]) -> Any:
 
 _MANY = 10**5
 LIMIT = 2**20
-"""Bytes that any file may hold while the fuzzer runs, in place of `bombs.MUCH`."""
+"""Bytes that any file may hold while the fuzzer runs, in place of `limits.MUCH`."""
 
 NUMBERS = [0, 1, -1, 2, 3, 5, 2**31 - 1, 2**31, 2**62, -(2**63), 0.0, -1.0, 1e308, float("nan"), float("inf")]
 DTYPES = ["f8", "f4", "f2", ">f8", "i8", "u8", "i1", ">i4", "?", "c16", "S3", "V5", [("a", "f8"), ("b", "S4")]]

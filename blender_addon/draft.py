@@ -27,7 +27,7 @@ PRESETS = (
 
 
 def sweep_of(settings: Any) -> dict[str, Any]:
-    """Return what the draft says of a sweep: fields of `spec.Sweep`, those that mean something to its engine."""
+    """Return what the draft says of a sweep: fields of `Sweep`, those that mean something to its engine."""
     chosen = {
         "engine": settings.engine,
         "samples": settings.samples,

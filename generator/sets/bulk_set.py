@@ -109,7 +109,7 @@ class Settings:
     pictures : int
         In all voxels together.
     seed, inside, rotation, resolution
-        As of `spec.Sweep`.
+        As of `Sweep`.
     accuracy : float
         Relative, of the engine.
     part : int

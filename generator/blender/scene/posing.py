@@ -52,7 +52,7 @@ def move_target(scene: bpy.types.Scene, position: Vector, rotation: Vector) -> N
     target.location, target.rotation_euler = position, turn
     bpy.context.view_layer.update()
     if not target.visible_get():
-        return  # the viewport does not know of it; what is rendered is looked at before a sweep (`extract.survey`)
+        return  # the viewport does not know of it; what is rendered is looked at before a sweep (`engines.survey`)
     wanted = Matrix.LocRotScale(
         mathutils.Vector(position), turn, mathutils.Vector(target.scale) * mathutils.Vector(target.delta_scale)
     )
