@@ -9,6 +9,7 @@ from bl_ui.utils import PresetPanel
 
 from generator.blender import check
 from generator.blender.scene import roles
+from generator.model.engines import AUTO, traits_of
 
 from ..operators import answer, dataset
 from ..session import state
@@ -198,10 +199,11 @@ class NLOS_PT_rendering(_Tab, bpy.types.Panel):
         _split(layout)
         layout.prop(settings, "engine")
         layout.prop(settings, "reflection_order")
-        if settings.engine != "surfel":
+        noisy = settings.engine == AUTO or traits_of(settings.engine).noisy
+        if noisy:
             layout.prop(settings, "samples")
             layout.prop(settings, "seed")
-        if settings.engine in ("surfel", "auto"):
+        if settings.engine == AUTO or not noisy:
             layout.prop(settings, "accuracy")
         layout.prop(settings, "quality")
         if settings.quality != "figures":
@@ -210,7 +212,7 @@ class NLOS_PT_rendering(_Tab, bpy.types.Panel):
         column.prop(settings, "resolution", index=0, text="Resolution X")
         column.prop(settings, "resolution", index=1, text="Y")
         layout.prop(settings, "difference")
-        if settings.engine != "surfel":
+        if noisy:
             layout.prop(settings, "denoise")
         column = layout.column()
         column.scale_y = 1.4

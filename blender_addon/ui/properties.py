@@ -22,35 +22,27 @@ from bpy.props import (
     StringProperty,
 )
 
+from generator.model.engines import AUTO, AUTO_HELP, ENGINES
 from generator.model.presets import preset
-from generator.model.settings import AUTO, Sweep
+from generator.model.settings import Sweep
 
 from ..draft import PRESETS, ROOM, fill
 from ..view import live, overlay
+
+
+def _sentence(words: str) -> str:
+    return words[0].upper() + words[1:]
+
 
 _KINDS = (
     ("sheet", "Sheet", "A square sheet, two-sided; unrotated it faces the wall"),
     ("sphere", "Sphere", "A sphere"),
     ("mesh", "Mesh File", "A mesh from an OBJ, PLY or STL file"),
 )
+# Files keep an item's number, so numbers are never given anew.
 _ENGINES = (
-    (
-        "patch",
-        "Lit Patch",
-        "Start from the patch of wall that the lamp lights, as an emitter. Far less noise; needs a diffuse wall",
-    ),
-    (
-        "path",
-        "Full Path",
-        "Follow all light from the lamp itself. Honours any material, but finds the small lit patch by chance only",
-    ),
-    (
-        "surfel",
-        "Integral",
-        "Sum the three reflections themselves, without noise. Plain diffuse scenes; the first picture of a furnished "
-        "room may take a minute",
-    ),
-    ("auto", "Automatic", "The cheapest of the three that the scene allows; says what asked for a dearer one"),
+    *((n, ENGINES[n].title, _sentence(ENGINES[n].help), i) for i, n in enumerate(("patch", "path", "surfel"))),
+    (AUTO, "Automatic", _sentence(AUTO_HELP), 3),
 )
 
 

@@ -18,8 +18,8 @@ from bpy.app.handlers import persistent
 from generator.blender.engines import renderers, survey
 from generator.blender.scene import materials, roles
 from generator.blender.scene.description import read_scene
+from generator.model.engines import AUTO
 from generator.model.errors import NlosError
-from generator.model.settings import AUTO
 from generator.transport import Transport
 from generator.transport.compiled import COMPILED
 

@@ -19,17 +19,17 @@ from generator.blender.engines.lit_patch import other_lights
 from generator.blender.engines.reading import MAX_ORDER, lights
 from generator.blender.engines.settings import settled
 from generator.blender.engines.surface import Light
-from generator.blender.engines.surfel import SurfelRenderer
 from generator.blender.lighting import Beam, Eyes
 from generator.blender.scene import adopt, clearance, geometry, replaced, roles
 from generator.blender.scene.description import read_scene
 from generator.model import poses
 from generator.model.arrays import Array
+from generator.model.engines import AUTO, ENGINES
 from generator.model.errors import NlosError
 from generator.model.grid import VoxelGrid
 from generator.model.quantities import byte_size, rough_time
 from generator.model.scene import Scene
-from generator.model.settings import AUTO, Sweep
+from generator.model.settings import Sweep
 
 GOOD, NOTE, WARNING, ERROR = "good", "note", "warning", "error"
 
@@ -214,7 +214,8 @@ def _engine(scene: bpy.types.Scene, engine: str) -> list[Finding]:
             Finding(ERROR, f"The engine {engine!r} cannot honour that {why}; {chosen!r} can", _named(scene, why))
             for why in reasons
         ]
-    if renderers.ENGINES.index(chosen) > renderers.ENGINES.index(engine):
+    by_cost = list(ENGINES)  # the dearest first
+    if by_cost.index(chosen) > by_cost.index(engine):
         return [Finding(NOTE, f"The engine {chosen!r} can render this scene too, in less time")]
     return []
 
@@ -474,9 +475,9 @@ def probe(scene: bpy.types.Scene, sweep: Sweep) -> Probe:
     voxels = read_scene(scene).grid.n_voxels
     pictures = sweep.poses * voxels
     few = min(_PROBE_SAMPLES, sweep.samples)
-    other = sweep.engine == "surfel" or not survey.survey(scene, ambient=True).reasons("surfel")
+    exact = not sweep.noisy
+    other = exact or not survey.survey(scene, ambient=True).reasons("surfel")
     with renderers.opened(scene, sweep.engine, **renderers.settings(sweep)) as renderer:
-        exact = isinstance(renderer, SurfelRenderer)
         renderer.render(samples=few, seed=0)  # what is made once is no part of a picture's time
         if not exact:
             renderer.render(samples=few, seed=0, target=False)

@@ -7,8 +7,8 @@ from dataclasses import dataclass, field
 import bpy
 
 from generator.blender import check
+from generator.model.engines import AUTO
 from generator.model.errors import NlosError
-from generator.model.settings import AUTO
 
 
 @dataclass(frozen=True)

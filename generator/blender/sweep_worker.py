@@ -16,20 +16,20 @@ import numpy as np
 
 from generator.blender import misgivings, start_check
 from generator.blender.engines import renderers, simplify, survey
-from generator.blender.engines.cycles import Renderer
+from generator.blender.engines.renderer import Renderer, Shot
 from generator.blender.engines.settings import settled
-from generator.blender.engines.surfel import SurfelRenderer
-from generator.blender.scene import blend_file, geometry, posing, references, replaced, roles
+from generator.blender.scene import blend_file, geometry, references, replaced, roles
 from generator.blender.scene.clearance import clearance
 from generator.blender.scene.description import read_scene
 from generator.blender.scene.quiet import Overrides
 from generator.files.pictures import COLOUR_SPACE, Picture, write_picture
 from generator.files.toml import to_dict
 from generator.model import poses
+from generator.model.engines import AUTO
 from generator.model.errors import NlosError
 from generator.model.poses import PoseRecord
 from generator.model.scene import Scene
-from generator.model.settings import AUTO, BACKGROUND_FACTOR, Sweep
+from generator.model.settings import BACKGROUND_FACTOR, Sweep
 from generator.sets import links
 from generator.sets.dataset import Dataset
 from generator.sets.manifest import BACKGROUND_AMBIENT, SCENE, check_no_set, scene_hash
@@ -127,7 +127,7 @@ def plan(
                 render,
             )
     dataset = Dataset.create(path, meta, records)
-    if isinstance(renderer, SurfelRenderer):
+    if not sweep.noisy:
         _background(renderer, dataset, sweep)  # needs no scene, and far less time than a process of its own to start
     return dataset
 
@@ -211,17 +211,12 @@ def render(
         background = _background(renderer, dataset, sweep)
         for batch in batches:
             chosen = [dataset.poses[position] for position in batch]
-            samples = [own or sweep.samples for own in batch.values()]
+            samples = [(own or sweep.samples) if sweep.noisy else 0 for own in batch.values()]
             start = time.perf_counter()
-            pictures: Iterable[Picture]
-            if isinstance(renderer, SurfelRenderer):
-                samples = [0] * len(chosen)
-                pictures = renderer.pictures([pose.position for pose in chosen], [pose.rotation for pose in chosen])
-            else:
-                pictures = [
-                    _picture(scene, renderer, pose, replace(sweep, samples=own), background)
-                    for pose, own in zip(chosen, samples, strict=True)
-                ]
+            shots = [
+                Shot(pose.position, pose.rotation, own, pose.seed) for pose, own in zip(chosen, samples, strict=True)
+            ]
+            pictures = renderer.pictures(shots, background if sweep.paired else None)
             write = functools.partial(_write, dataset, (time.perf_counter() - start) / len(chosen))
             report(list(writers.map(write, chosen, pictures, samples)))
 
@@ -230,22 +225,9 @@ def _write(dataset: Dataset, seconds: float, pose: PoseRecord, pixels: Picture, 
     return dataset.write_pose(pose, pixels, seconds=seconds, samples=samples)
 
 
-def _picture(
-    scene: bpy.types.Scene, renderer: Renderer, pose: PoseRecord, sweep: Sweep, background: Picture
-) -> Picture:
-    """Render a pose with Cycles."""
-    posing.move_target(scene, pose.position, pose.rotation)
-    pixels = renderer.render(samples=sweep.samples, seed=pose.seed)
-    if sweep.paired and background.any():
-        # A control variate of weight 1: rays that never meet the target are the same in both, and cancel.
-        own = renderer.render(samples=sweep.samples, seed=pose.seed, target=False)
-        pixels = pixels + (background - own)
-    return pixels
-
-
-def _background(renderer: Renderer | SurfelRenderer, dataset: Dataset, sweep: Sweep) -> Picture:
+def _background(renderer: Renderer, dataset: Dataset, sweep: Sweep) -> Picture:
     seed = poses.noise_seed(sweep.seed, 0)
-    samples = 0 if sweep.engine == "surfel" else BACKGROUND_FACTOR * sweep.samples
+    samples = BACKGROUND_FACTOR * sweep.samples if sweep.noisy else 0
     for name in dataset.background_names:
         if not dataset.has_background(name):
             pixels = renderer.render(samples=samples, seed=seed, target=False, ambient=name == BACKGROUND_AMBIENT)

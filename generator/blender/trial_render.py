@@ -9,8 +9,7 @@ import bpy
 import numpy as np
 
 from generator.blender.engines import renderers, simplify
-from generator.blender.engines.cycles import Renderer
-from generator.blender.engines.surfel import SurfelRenderer
+from generator.blender.engines.renderer import Shot
 from generator.blender.scene import geometry, posing
 from generator.blender.scene.clearance import clearance
 from generator.blender.scene.description import read_scene
@@ -51,7 +50,7 @@ def rehearse(scene: bpy.types.Scene, sweep: Sweep, *, share: tuple[int, int] = (
     planned = {r.voxel: r for r in poses.plan(described.grid, replace(sweep, poses=1), geometry.hull(scene), is_free)}
     mine = [planned[int(voxel)] for voxel in voxels][share[0] :: share[1]]
     simplify.apply(scene, sweep.leave_out)
-    if sweep.engine == "surfel":
+    if not sweep.noisy:
         work = (1.0 / ACCURACIES[0], 1.0 / ACCURACIES[1])
         return Rehearsal(sweep.engine, described.grid.n_voxels, work, _exact(scene, sweep, mine, threads), [])
     seconds, noise = _noisy(scene, sweep, mine, threads)
@@ -65,11 +64,10 @@ def _exact(scene: bpy.types.Scene, sweep: Sweep, mine: list[PoseRecord], threads
     for accuracy in ACCURACIES:
         settings["accuracy"] = accuracy
         with renderers.opened(scene, sweep.engine, threads=threads, **settings) as renderer:
-            assert isinstance(renderer, SurfelRenderer)
-            places, turns = [p.position for p in mine], [p.rotation for p in mine]
-            renderer.pictures(places, turns)  # what is compiled and made once is no part of a picture's time
+            shots = [Shot(pose.position, pose.rotation) for pose in mine]
+            renderer.pictures(shots)  # what is compiled and made once is no part of a picture's time
             start = time.perf_counter()
-            renderer.pictures(places, turns)
+            renderer.pictures(shots)
             took.append((time.perf_counter() - start) / max(1, len(mine)))
     return took[0], took[1]
 
@@ -80,7 +78,6 @@ def _noisy(
     share = 1.0 / SAMPLES[0] - 1.0 / SAMPLES[1]
     took, noise = np.zeros(2), []
     with renderers.opened(scene, sweep.engine, threads=threads, **renderers.settings(sweep)) as renderer:
-        assert isinstance(renderer, Renderer)
         renderer.render(samples=1, seed=0)
         for pose in mine:
             posing.move_target(scene, pose.position, pose.rotation)

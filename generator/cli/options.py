@@ -9,9 +9,10 @@ from pathlib import Path
 from typing import Any, TypeAlias
 
 from generator.files.toml import from_dict
+from generator.model.engines import AUTO, AUTO_HELP, ENGINES
 from generator.model.errors import NlosError
 from generator.model.quantities import fraction, parse_resolution, parse_shard
-from generator.model.settings import AUTO, Sweep
+from generator.model.settings import Sweep
 
 Commands: TypeAlias = "argparse._SubParsersAction[argparse.ArgumentParser]"
 """What verbs are added to."""
@@ -83,11 +84,8 @@ def add_engine_options(parser: argparse.ArgumentParser) -> None:
     default = Sweep()
     parser.add_argument(
         "--engine",
-        choices=["auto", "path", "patch", "surfel"],
-        help="path: Cycles from the spot lamp, any scene, very noisy; "
-        "patch: the lit patch as an emitter, same picture, far less noise; "
-        "surfel: the integral itself, plain diffuse scenes, no noise, far faster, ambient light to a few per cent; "
-        "auto: the cheapest that the scene allows, and says why (default)",
+        choices=[AUTO, *ENGINES],
+        help="; ".join([*(f"{name}: {of.help}" for name, of in ENGINES.items()), f"{AUTO}: {AUTO_HELP} (default)"]),
     )
     parser.add_argument(
         "--samples", type=int, metavar="N", help=f"rays per pixel, of path and patch (default: {default.samples})"

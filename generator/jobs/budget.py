@@ -15,6 +15,7 @@ import numpy as np
 
 from generator.jobs.protocol import TrialRender
 from generator.jobs.workers import Launch, Worker, available_cores, python
+from generator.model.engines import traits_of
 from generator.model.errors import NlosError
 from generator.model.quantities import clock, percent
 from generator.model.settings import BACKGROUND_FACTOR, Sweep
@@ -97,7 +98,8 @@ class Measured:
 
     def total(self, work: float, pictures: int) -> float:
         """Return the seconds that a sweep takes."""
-        background = 0.0 if self.engine == "surfel" else self.picture(BACKGROUND_FACTOR * work) / 2.0 / self.workers
+        noisy = traits_of(self.engine).noisy
+        background = self.picture(BACKGROUND_FACTOR * work) / 2.0 / self.workers if noisy else 0.0
         return self.start + background + pictures * self.picture(work) / self.workers
 
     def most(self, limit: float, pictures: int, low: float, high: float) -> float:
@@ -236,11 +238,11 @@ def choose(
         tell(words)
     known = rehearsed(scene, settings, workers, launch, force=force)
     pictures = int(settings.get("poses", Sweep.poses)) * known.voxels
-    surfel = known.engine == "surfel"
+    exact = not traits_of(known.engine).noisy
     left = budget - (time.monotonic() - begun)
-    low, high = (1.0 / _COARSE, 1.0 / FINE) if surfel else (1.0, float(_MOST_SAMPLES))
+    low, high = (1.0 / _COARSE, 1.0 / FINE) if exact else (1.0, float(_MOST_SAMPLES))
     if accuracy:
-        wanted = 1.0 / max(accuracy, FINE) if surfel else (known.noise / accuracy) ** 2
+        wanted = 1.0 / max(accuracy, FINE) if exact else (known.noise / accuracy) ** 2
         high = min(max(low, wanted), high)
     work = high if known.total(high, pictures) <= left else known.most(_FILL * left, pictures, low, high)
     least = known.total(low, pictures)
@@ -253,7 +255,7 @@ def choose(
     pace = None
     reason = "as exact as asked for" if accuracy and work >= high else "what the budget allows"
     took = clock(known.total(work, pictures))
-    if surfel:
+    if exact:
         settings["accuracy"] = float(f"{1.0 / work:.2g}")
         error, words = settings["accuracy"], f"accuracy {settings['accuracy']:g}"
     else:
@@ -262,7 +264,7 @@ def choose(
         if work < high:
             words = f"about {words}"
             pace = Pace(known, settings["samples"], pictures, begun + _FILL * budget)
-    if surfel and work >= 1.0 / FINE:
+    if exact and work >= 1.0 / FINE:
         reason = "as exact as float32 pictures can hold"
     tell(f"{known.engine}, {words}: {reason}; about {took}, error of a difference picture {percent(error)}")
     return Choice(settings, pace)
@@ -300,7 +302,8 @@ def rehearsed(
     found = [one for one in found if one.seconds[0] > 0.0]  # of few voxels some workers had none
     engine, work, each = found[0].engine, found[0].work, np.mean([f.seconds for f in found], axis=0)
     shortest = 1e-4  # of what a clock may be trusted with
-    if engine == "surfel":  # all of it grows with the accuracy, slowly
+    exact = not traits_of(engine).noisy
+    if exact:  # all of it grows with the accuracy, slowly
         power = max(0.0, math.log(max(each[1], shortest) / max(each[0], shortest)) / math.log(work[1] / work[0]))
         fixed, slope, noise = _WRITING, max(float(each[1]), shortest) / work[1] ** power, 0.0
     else:
@@ -309,5 +312,5 @@ def rehearsed(
         noise = math.sqrt(float(np.median([n for f in found for n in f.noise])))
     # What was no picture is Blender's start, which a sweep waits for twice or thrice: plan, background, crew.
     idle = max(0.0, wall - sum(found[0].seconds) * math.ceil(REHEARSED / crew))
-    starts = 2.0 if engine == "surfel" else 3.0
+    starts = 2.0 if exact else 3.0
     return Measured(engine, found[0].voxels, starts * idle, fixed, slope, power, noise, float(workers or cores))

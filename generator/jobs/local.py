@@ -15,9 +15,10 @@ from generator.jobs import journal as journals
 from generator.jobs.protocol import PlanSweep, RenderSweep
 from generator.jobs.request import SweepRequest
 from generator.jobs.workers import Launch, WorkerPool, in_batches, planned_notes, python
+from generator.model.engines import AUTO, traits_of
 from generator.model.errors import NlosError
 from generator.model.quantities import Progress
-from generator.model.settings import AUTO, Sweep
+from generator.model.settings import Sweep
 from generator.sets import links
 from generator.sets.dataset import Dataset
 from generator.sets.manifest import check_no_set
@@ -27,8 +28,8 @@ from generator.transport.caching import compiling_words
 _ON_GPU = 4
 """Workers that share a GPU, if none are asked for: more gain little, and each takes memory there."""
 
-_BATCH, _BATCH_PIXELS = 32, 2**17
-"""Most poses that `surfel` renders at once, and most pixels: more gain nothing, but memory and an uneven end."""
+_BATCH_PIXELS = 2**17
+"""Most pixels that are rendered at once: more gain nothing, but memory and an uneven end."""
 
 
 @dataclass
@@ -247,7 +248,5 @@ def gather(dataset: Dataset, shard: tuple[int, int], own: Sequence[int]) -> list
 
 def batch_size(dataset: Dataset) -> int:
     """Return how many poses a worker is given at once at most: `surfel` renders many in less time than one by one."""
-    if dataset.settings["engine"] != "surfel":
-        return 1
     width, height = dataset.sweep.resolution
-    return max(1, min(_BATCH, _BATCH_PIXELS // (width * height)))
+    return max(1, min(traits_of(dataset.sweep.engine).largest_batch, _BATCH_PIXELS // (width * height)))

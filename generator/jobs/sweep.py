@@ -11,6 +11,7 @@ from generator.jobs import budget, cluster, local
 from generator.jobs.local import Here, Outcome
 from generator.jobs.request import SweepRequest
 from generator.jobs.workers import Launch, python
+from generator.model.engines import AUTO, traits_of
 from generator.model.errors import NlosError
 from generator.model.quantities import Progress
 from generator.sets import links, plan_file
@@ -72,12 +73,16 @@ def run(
     return outcome
 
 
+def _is_noisy(engine: str) -> bool:
+    return engine != AUTO and traits_of(engine).noisy
+
+
 def _decided(
     request: SweepRequest, tell: Callable[[str], None], launch: Launch
 ) -> tuple[SweepRequest, budget.Pace | None]:
     """Return the request with the settings that follow from its plan, budget or accuracy, and the samples' pace."""
     new, chosen, accuracy = not Dataset.exists(request.path), dict(request.chosen), request.accuracy
-    if request.budget or (chosen.get("engine") in ("path", "patch") and "frames" not in chosen):
+    if request.budget or (_is_noisy(chosen.get("engine", AUTO)) and "frames" not in chosen):
         accuracy = chosen.pop("accuracy", accuracy)  # decides on settings, and is none itself
     if request.plan:
         chosen = plan_file.followed(request.plan, request.scene, chosen)

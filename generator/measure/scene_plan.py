@@ -12,6 +12,7 @@ import numpy as np
 
 from generator.files.toml import dump_toml
 from generator.files.writing import csv_text, write_text
+from generator.model.engines import traits_of
 from generator.model.quantities import clock
 from generator.sets.manifest import scene_hash
 from generator.sets.plan_file import FILE, FORMAT
@@ -108,7 +109,7 @@ def words(plan: Plan) -> list[str]:
         made.append(f"within {percent} nothing may be left out")
     engine, settings = plan.settings["engine"], plan.settings
     how = f"accuracy {settings['accuracy']:g}" if "accuracy" in settings else f"{settings.get('samples', 0)} samples"
-    noise = "" if engine == "surfel" else f", and noise of {percent} in the median pose"
+    noise = "" if not traits_of(engine).noisy else f", and noise of {percent} in the median pose"
     made.append(f"plan: {engine}, {how}; error {plan.together.percent()}{noise}")
     known = plan.predicted
     if known:

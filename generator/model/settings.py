@@ -7,10 +7,8 @@ from dataclasses import dataclass
 from typing import Literal
 
 from generator.model.arrays import Vector
+from generator.model.engines import ENGINES, traits_of
 from generator.model.errors import require
-
-AUTO = "auto"
-"""The cheapest engine that a scene allows: what a sweep takes where its user names none."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -69,7 +67,14 @@ class Sweep:
     @classmethod
     def idle(cls, engine: str) -> tuple[str, ...]:
         """Return the settings that mean nothing to an engine."""
-        return ("samples", "device", "denoise", "paired") if engine == "surfel" else ("accuracy",)
+        own = traits_of(engine).settings
+        every = dict.fromkeys(name for traits in ENGINES.values() for name in traits.settings)
+        return tuple(name for name in every if name not in own)
+
+    @property
+    def noisy(self) -> bool:
+        """Whether the engine's pictures depend on samples and a seed."""
+        return traits_of(self.engine).noisy
 
     @property
     def unused(self) -> tuple[str, ...]:

@@ -16,6 +16,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from generator.files.writing import fingerprint
+from generator.model.engines import traits_of
 from generator.model.poses import PoseRecord, noise_seed
 from generator.sets import seal
 from generator.sets.manifest import FORMAT, LOG, MANIFEST, PLAN, POSES, SCENE, plan_hash, scene_hash
@@ -251,7 +252,7 @@ def alike(dataset: Dataset) -> list[str]:
         )
     for same in groups.values():
         # Without noise, the same pose is the same picture.
-        noisy = dataset.settings["engine"] != "surfel"
+        noisy = traits_of(dataset.settings["engine"]).noisy
         if len(same) > 1 and (noisy or len({(pose.position, pose.rotation) for pose in same}) > 1):
             others = ", ".join(pose.file for pose in same[1 : 1 + _NAMED])
             more = f" and {len(same) - 1 - _NAMED} more" if len(same) > 1 + _NAMED else ""
@@ -260,7 +261,7 @@ def alike(dataset: Dataset) -> list[str]:
 
 
 def _nothing(dataset: Dataset) -> str:
-    if dataset.settings["engine"] == "surfel":
+    if not traits_of(dataset.settings["engine"]).noisy:
         return "the object changes nothing there, so it is in full shadow or hidden by something"
     samples = dataset.settings["samples"]
     return f"the object changes nothing there, or no path met it in {samples} samples a pixel"

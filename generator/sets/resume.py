@@ -6,9 +6,10 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any, Protocol
 
+from generator.model.engines import AUTO
 from generator.model.errors import NlosError
 from generator.model.quantities import parse_resolution
-from generator.model.settings import AUTO, Sweep
+from generator.model.settings import Sweep
 from generator.sets import links
 from generator.sets.manifest import SCENE, scene_hash
 

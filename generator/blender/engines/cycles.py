@@ -8,20 +8,27 @@ from pathlib import Path
 import bpy
 import numpy as np
 
-from generator.blender.scene import blend_file, materials, nodes, replaced, roles
+from generator.blender.engines.renderer import Shot
+from generator.blender.scene import blend_file, materials, nodes, posing, replaced, roles
 from generator.blender.scene.quiet import Overrides, quiet
 from generator.blender.scene.roles import refuse_hidden
 from generator.files.pictures import Picture, read_picture
+from generator.model.arrays import Array
 from generator.model.errors import NlosError
 
 GPU_KINDS = ("OPTIX", "CUDA", "HIP", "METAL", "ONEAPI")
 """Cycles' names of what it can reach a GPU through, the quickest first."""
 
 
-class Renderer:
-    """Renders what the camera sees on the relay wall.
+class CyclesRenderer:
+    """Renders by Cycles: the engines `path` and `patch`, which differ in what the scene has for a lamp.
 
-    Made by `opened`, which also puts the scene back as it was.
+    Parameters
+    ----------
+    scene : bpy.types.Scene
+        Made ready, as `generator.blender.engines.renderers.opened` does.
+    folder : Path
+        For a picture on its way.
     """
 
     def __init__(self, scene: bpy.types.Scene, folder: Path) -> None:
@@ -83,6 +90,29 @@ class Renderer:
         if not np.isfinite(pixels).all():
             raise NlosError(f"{bpy.data.filepath}: Cycles rendered NaN or infinite pixels (seed {seed})")
         return pixels
+
+    def difference(self, shot: Shot) -> Array:
+        """Return what the target at a pose changes, by two renders of one noise, (height, width, 3), W/m^2/sr."""
+        posing.move_target(self._scene, shot.position, shot.rotation)
+        picture = self.render(samples=shot.samples, seed=shot.seed).astype(np.float64)
+        without: Array = picture - self.render(samples=shot.samples, seed=shot.seed, target=False)
+        return without
+
+    def pictures(self, shots: Sequence[Shot], background: Picture | None = None) -> list[Picture]:
+        """Render pictures of many poses, (height, width, 3) each; the target stays where the last has it.
+
+        With a background, each pose's own is rendered too, and only the difference of the two put on top of it: a
+        control variate of weight 1, since rays that never meet the target are the same in both, and cancel.
+        """
+        made = []
+        for shot in shots:
+            posing.move_target(self._scene, shot.position, shot.rotation)
+            pixels = self.render(samples=shot.samples, seed=shot.seed)
+            if background is not None and background.any():
+                own = self.render(samples=shot.samples, seed=shot.seed, target=False)
+                pixels = pixels + (background - own)
+            made.append(pixels)
+        return made
 
 
 def use_gpu(overrides: Overrides) -> list[str]:

@@ -1,4 +1,4 @@
-"""One interface, three engines: Cycles from the true spot (`path`), Cycles from the lit patch (`patch`), and the
+"""An engine opened for a scene: Cycles from the true spot (`path`), Cycles from the lit patch (`patch`), or the
 three-reflection integral itself (`surfel`).
 
 All give the same scene-linear radiance in the same units; they differ in what they model, in noise and in cost.
@@ -15,17 +15,17 @@ from typing import Any
 import bpy
 
 from generator.blender.engines import survey
-from generator.blender.engines.cycles import Renderer, linear_output, plain_cycles, use_gpu
+from generator.blender.engines.cycles import CyclesRenderer, linear_output, plain_cycles, use_gpu
 from generator.blender.engines.patch_lamp import patch_lamp
+from generator.blender.engines.renderer import Renderer
 from generator.blender.engines.surfel import SurfelRenderer
 from generator.blender.scene import geometry, roles
 from generator.blender.scene.quiet import Overrides
+from generator.model.engines import ENGINES
 from generator.model.errors import NlosError
 from generator.model.settings import Sweep
 from generator.transport import Transport, left_out
 from generator.transport.compiled import COMPILED
-
-ENGINES = ("path", "patch", "surfel")
 
 
 @contextlib.contextmanager
@@ -39,7 +39,7 @@ def opened(
     denoise: bool = False,
     device: str = "cpu",
     leave_out: Sequence[str] = (),
-) -> Iterator[Renderer | SurfelRenderer]:
+) -> Iterator[Renderer]:
     """Make a scene ready to be rendered by an engine; on leaving, put it back as it was.
 
     Parameters
@@ -70,7 +70,7 @@ def opened(
         geometry.hold_camera(scene, overrides)
         linear_output(scene, overrides)
         plain_cycles(scene, overrides)
-        if device == "gpu" and engine != "surfel":
+        if device == "gpu" and ENGINES[engine].noisy:
             use_gpu(overrides)
             overrides.set(scene.cycles, "device", "GPU")
         if denoise:
@@ -89,7 +89,7 @@ def opened(
             yield SurfelRenderer(scene, Transport(world, accuracy=accuracy, threads=threads), shadows=shadows)
             return
         with patch_lamp(scene, found, order) if engine == "patch" else contextlib.nullcontext():
-            yield Renderer(scene, Path(folder))
+            yield CyclesRenderer(scene, Path(folder))
 
 
 def settings(sweep: Sweep) -> dict[str, Any]:

@@ -9,10 +9,11 @@ import bpy
 
 from generator.blender.engines import renderers
 from generator.files.toml import from_dict
+from generator.model.engines import AUTO
 from generator.model.errors import NlosError
 from generator.model.quantities import parse_resolution
 from generator.model.scene import Scene
-from generator.model.settings import AUTO, Sweep
+from generator.model.settings import Sweep
 
 _SMALLEST = 4
 """Pixels: Blender's own limit of a picture's sides."""
@@ -30,7 +31,7 @@ def settled(scene: bpy.types.Scene, described: Scene, chosen: Mapping[str, Any])
         settings["engine"], reasons = renderers.choose(scene)
     sweep: Sweep = from_dict(Sweep, settings, "")
     width, height = sweep.resolution
-    if sweep.engine != "surfel" and min(width, height) < _SMALLEST:  # Blender would take the least that it knows
+    if sweep.noisy and min(width, height) < _SMALLEST:  # Blender would take the least that it knows
         raise NlosError(
             f"resolution: {width} x {height} is less than Blender renders, {_SMALLEST} pixels a side; ask for more, "
             "or take the engine 'surfel'"

@@ -9,6 +9,7 @@ import bpy
 import numpy as np
 from mathutils import Matrix
 
+from generator.blender.engines.renderer import Shot
 from generator.blender.scene import geometry
 from generator.blender.scene.roles import refuse_hidden
 from generator.files.pictures import Picture
@@ -17,7 +18,7 @@ from generator.transport import Transport
 
 
 class SurfelRenderer:
-    """As `Renderer`, by the three-reflection integral: no samples, no noise.
+    """Renders by the three-reflection integral: no samples, no noise.
 
     Parameters
     ----------
@@ -40,15 +41,17 @@ class SurfelRenderer:
         position, turn, _ = Matrix(geometry.snapshot(self._scene).matrices["target"].tolist()).decompose()
         return self.at(tuple(position), tuple(math.degrees(angle) for angle in turn.to_euler("XYZ")))
 
-    def difference(self, position: Sequence[float], rotation: Sequence[float]) -> Array:
+    def difference(self, shot: Shot) -> Array:
         """Return what the target at a pose changes of the empty scene, (height, width, 3), W/m^2/sr."""
-        return self._transport.difference(position, rotation, shadows=self._shadows)
+        return self._transport.difference(shot.position, shot.rotation, shadows=self._shadows)
 
     def at(self, position: Sequence[float], rotation: Sequence[float]) -> Picture:
         """Render one picture with the target at a pose: metres, and degrees about x, then y, then z."""
-        picture: Picture = self.pictures([position], [rotation])[0]
-        return picture
+        return self._pictures([position], [rotation])[0]
 
-    def pictures(self, positions: Sequence[Sequence[float]], rotations: Sequence[Sequence[float]]) -> Picture:
-        """Render the pictures of many poses, (n, height, width, 3); each as `at` does, in less time."""
-        return self._transport.pictures(positions, rotations, shadows=self._shadows)
+    def pictures(self, shots: Sequence[Shot], background: Picture | None = None) -> list[Picture]:
+        """Render pictures of many poses, (height, width, 3) each, as `at` does, in less time."""
+        return self._pictures([shot.position for shot in shots], [shot.rotation for shot in shots])
+
+    def _pictures(self, positions: Sequence[Sequence[float]], rotations: Sequence[Sequence[float]]) -> list[Picture]:
+        return list(self._transport.pictures(positions, rotations, shadows=self._shadows))

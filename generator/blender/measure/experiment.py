@@ -12,13 +12,13 @@ import bpy
 import numpy as np
 
 from generator.blender.engines import renderers
-from generator.blender.engines.cycles import Renderer
-from generator.blender.engines.surfel import SurfelRenderer
+from generator.blender.engines.renderer import Renderer, Shot
 from generator.blender.scene import geometry, posing
 from generator.blender.scene.description import read_scene
 from generator.files.pictures import Picture
 from generator.model import poses
 from generator.model.arrays import Array
+from generator.model.engines import traits_of
 from generator.model.poses import Pose
 from generator.model.scene import Target
 
@@ -146,10 +146,10 @@ def run(
     with posing.stand_in(scene, wanted):
         engine, _ = renderers.choose(scene)
         with renderers.opened(scene, engine, resolution=(pixels, pixels), accuracy=ACCURACY) as renderer:
-            if isinstance(renderer, SurfelRenderer):
-                taken = _exact(renderer, rows)
-            else:
+            if traits_of(engine).noisy:
                 taken = _sampled(scene, renderer, rows, samples, repeats, progress)
+            else:
+                taken = np.array([[[renderer.difference(Shot(*pose)) for pose in row] for row in rows]])
     return Experiment(number, target, engine, rows, TURN if number == 3 else size / 4.0, taken)
 
 
@@ -171,10 +171,6 @@ def draw(scene: bpy.types.Scene, number: int, *, pixels: int = 64) -> Picture:
     apart = run(scene, number, "sphere" if number == 1 else "sheet", pixels=pixels, repeats=1).differences
     sheet: Picture = np.concatenate([np.concatenate(row, axis=1) for row in apart]).astype(np.float32)
     return sheet
-
-
-def _exact(renderer: SurfelRenderer, rows: list[list[Pose]]) -> Array:
-    return np.array([[[renderer.difference(*pose) for pose in row] for row in rows]])
 
 
 def _sampled(
