@@ -17,6 +17,7 @@ from generator.cli.options import (
 )
 from generator.cli.terminal import progress_bar, report
 from generator.jobs.request import ClusterJobs, SweepRequest
+from generator.model.engines import ENGINES
 from generator.model.errors import NlosError
 from generator.model.quantities import seconds
 from generator.sets.dataset import Dataset
@@ -90,11 +91,17 @@ def run_sweep(options: argparse.Namespace) -> int:
     """Render a data set, or what is missing of it."""
     from generator.jobs import sweep
 
+    budget, accuracy = getattr(options, "budget", None), 0.0
+    noisy = options.engine in ENGINES and ENGINES[options.engine].noisy
+    if budget or (noisy and not getattr(options, "frames", None)):
+        # It decides on settings, and is none itself.
+        accuracy, options.accuracy = options.accuracy or 0.0, None
     request = SweepRequest(
         scene=options.scene,
         path=options.output,
         chosen=chosen_settings(options),
-        budget=getattr(options, "budget", None) or 0.0,
+        accuracy=accuracy,
+        budget=budget or 0.0,
         plan=getattr(options, "plan", None),
         cluster=_cluster(options),
         force=options.force,

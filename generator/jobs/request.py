@@ -42,7 +42,7 @@ class SweepRequest:
         the scene and the defaults. The engine may be ``auto``: the data set's, or the cheapest that the scene allows.
     accuracy : float
         Relative error of a difference picture for which samples or the engine's accuracy are measured out; 0 if none
-        is asked for. That of ``chosen`` is taken for it under a budget, and for ``path`` and ``patch``.
+        is asked for.
     budget : float
         Seconds, in which a new set is to end; 0 for no limit.
     plan : Path, optional

@@ -11,7 +11,6 @@ from generator.jobs import budget, cluster, local
 from generator.jobs.local import Here, Outcome
 from generator.jobs.request import SweepRequest
 from generator.jobs.workers import Launch, python
-from generator.model.engines import AUTO, traits_of
 from generator.model.errors import NlosError
 from generator.model.quantities import Progress
 from generator.sets import links, plan_file
@@ -73,26 +72,20 @@ def run(
     return outcome
 
 
-def _is_noisy(engine: str) -> bool:
-    return engine != AUTO and traits_of(engine).noisy
-
-
 def _decided(
     request: SweepRequest, tell: Callable[[str], None], launch: Launch
 ) -> tuple[SweepRequest, budget.Pace | None]:
     """Return the request with the settings that follow from its plan, budget or accuracy, and the samples' pace."""
-    new, chosen, accuracy = not Dataset.exists(request.path), dict(request.chosen), request.accuracy
-    if request.budget or (_is_noisy(chosen.get("engine", AUTO)) and "frames" not in chosen):
-        accuracy = chosen.pop("accuracy", accuracy)  # decides on settings, and is none itself
+    new, chosen = not Dataset.exists(request.path), request.chosen
     if request.plan:
         chosen = plan_file.followed(request.plan, request.scene, chosen)
     if request.budget and not new:
         tell(f"{request.path}: goes on as it was begun; --budget is for new sets")
-    elif new and (request.budget or accuracy):
+    elif new and (request.budget or request.accuracy):
         choice = budget.choose(
             *(request.scene, chosen),
             budget=request.budget or math.inf,
-            accuracy=accuracy,
+            accuracy=request.accuracy,
             workers=request.workers,
             tell=tell,
             launch=launch,
