@@ -2,10 +2,9 @@
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass
 
-_Z95 = 1.959963984540054
+from scipy import stats
 
 
 @dataclass(frozen=True)
@@ -27,7 +26,5 @@ class Interval:
 
 def wilson(successes: int, trials: int) -> Interval:
     """Return a proportion with its 95 % score interval (Wilson 1927)."""
-    p, z2 = successes / trials, _Z95**2
-    centre = (p + z2 / (2 * trials)) / (1 + z2 / trials)
-    half = _Z95 / (1 + z2 / trials) * math.sqrt(p * (1 - p) / trials + z2 / (4 * trials**2))
-    return Interval(p, max(0.0, centre - half), min(1.0, centre + half))
+    found = stats.binomtest(successes, trials).proportion_ci(method="wilson")
+    return Interval(successes / trials, float(found.low), float(found.high))

@@ -15,10 +15,16 @@ _RESAMPLES = 2000
 
 
 def bootstrap(values: Array, what: Callable[..., Any] = np.mean) -> tuple[float, float, float]:
-    """Return a figure of values (n,), and its 95 % percentile interval of a bootstrap (Efron 1979)."""
-    drawn = np.random.default_rng(0).choice(values, size=(_RESAMPLES, len(values)))
-    low, high = np.percentile(what(drawn, axis=1), [2.5, 97.5])
-    return float(what(values)), float(low), float(high)
+    """Return a figure of values (n,), and its 95 % percentile interval of a bootstrap (Efron 1979).
+
+    One value alone tells nothing of how far it may be off: its interval is not a number.
+    """
+    if len(values) < 2:
+        return float(what(values)), math.nan, math.nan
+    rng = np.random.default_rng(0)
+    options: dict[str, Any] = {"n_resamples": _RESAMPLES, "method": "percentile", "vectorized": True, "rng": rng}
+    found = stats.bootstrap((values,), what, **options).confidence_interval
+    return float(what(values)), float(found.low), float(found.high)
 
 
 def relative(error: Array, signal: Array) -> tuple[float, float, float]:

@@ -69,7 +69,7 @@ def test_errors_are_relative_to_what_the_object_changes(folder):
 
 
 def test_advice_takes_the_best_that_ends_in_time(monkeypatch):
-    monkeypatch.setattr(tradeoff.sweep, "available_cores", lambda: 2)
+    monkeypatch.setattr(tradeoff, "available_cores", lambda: 2)
     steps = [Cost(f"patch-{n}", 0.1 * n, (1.0 / n, 0.0, 1.0), (1.0, 1.0, 1.0)) for n in (1, 10, 100)]
     told = tradeoff.advice(steps, budgets=(10.0, 60.0, 600.0))
     assert told[0] == "900 pictures in 0:10: none ends; the quickest takes 0:45"
