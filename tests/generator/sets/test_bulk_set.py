@@ -27,7 +27,7 @@ from generator.model.arrays import rotation_matrix
 from generator.model.errors import NlosError
 from generator.model.presets import preset
 from generator.model.settings import Sweep
-from generator.sets import bulk_set, hdf5
+from generator.sets import bulk_set
 from generator.sets.bulk_set import Bulk, Settings
 from generator.sets.dataset import Dataset
 from generator.transport.world import LitPatch, Mesh, Sphere, Watched, World
@@ -168,7 +168,7 @@ def test_reading_one_picture_opens_one_part(whole, monkeypatch):
 
 
 def test_few_parts_are_open_at_a_time(tmp_path, monkeypatch):
-    monkeypatch.setattr(hdf5, "OPENED", 3)
+    monkeypatch.setattr(bulk_set, "OPENED", 3)
     found = render_missing(new_set(tmp_path / "set", part=1).path)
     found.pictures[:], found.pictures[::-1]
     descriptors = Path("/proc/self/fd")
