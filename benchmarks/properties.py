@@ -510,7 +510,7 @@ def read(path: Path) -> Any:
 
 
 class Product:
-    """Renders a file as a sweep does, by one engine, whatever pose it is asked for."""
+    """Renders a file as a sweep does, by one engine."""
 
     def __init__(self, file: Path, engine: str) -> None:
         from generator.blender import sweep_worker
@@ -533,6 +533,26 @@ class Product:
         said = {setting.path.rsplit(".", 1)[-1] for setting in replaced.replaced(self.scene)}
         unsaid = {s.path.rsplit(".", 1)[-1] for s in (*replaced.OUTPUT, *replaced.SAMPLING) if not s.words}
         self.replaces = said | unsaid | OWN
+
+    @property
+    def first(self) -> Pose:
+        """The first pose that a sweep plans."""
+        return self.records[0].position, self.records[0].rotation
+
+    def may_stand(self, pose: Pose) -> bool:
+        """Whether a sweep might plan a pose: the target is in the voxels, and nothing is in the way."""
+        from generator.blender.scene import geometry
+        from generator.blender.scene.clearance import clearance
+        from generator.blender.scene.quiet import Overrides
+        from generator.model.arrays import rotation_matrix
+
+        grid, (position, rotation) = self.described.grid, pose
+        corners = geometry.hull(self.scene) @ rotation_matrix(rotation).T + position
+        if not ((corners > np.array(grid.lo) - 1e-6) & (corners < np.array(grid.hi) + 1e-6)).all():
+            return False
+        with Overrides() as overrides:
+            geometry.shape_pictures(self.scene, self.sweep.resolution, overrides)
+            return bool(clearance(self.scene, self.described, engine=self.sweep.engine)(position, rotation))
 
     def pairs(self, pose: Pose, shots: Sequence[tuple[int, int]]) -> list[Pair]:
         """Render with samples and seeds, each with the target and without."""
@@ -620,8 +640,9 @@ class Judge:
         self.base = base_file()
         self.instead: tuple[str, Any] | None = None
         """What plain Cycles is told that a sweep replaces in the file at hand."""
-        record = Product(self.base, "path").records[0]
-        self.pose: Pose = record.position, record.rotation
+        self.pose = Product(self.base, "path").first
+        if not all(Product(self.base, engine).may_stand(self.pose) for engine in ENGINES):
+            raise AssertionError("the pose is none that every engine would plan")
         self.plain = [*self._plain(self.base, SAMPLES, [7]), *self._plain(self.base, MANY, range(100, 100 + REPEATS))]
         self.ours = {engine: self._ours(self.base, engine, SAMPLES, [7]) for engine in ENGINES}
         self.ours["patch"] += self._ours(self.base, "patch", MANY, range(500, 500 + REPEATS))
@@ -640,20 +661,19 @@ class Judge:
         every = np.array([figures(p) for p in pairs])
         return every.std(axis=0, ddof=1) / levels(every) * math.sqrt(MANY / QUICK)
 
-    def _cycles(self, file: Path) -> Plain:
-        cycles = Plain(file, self.pose, self.folder)
+    def _cycles(self, file: Path, pose: Pose) -> Plain:
+        cycles = Plain(file, pose, self.folder)
         if self.instead:
             setattr(cycles.scene.render, *self.instead)
         return cycles
 
-    def _plain(self, file: Path, samples: int, seeds: Sequence[int]) -> list[Pair]:
+    def _plain(self, file: Path, samples: int, seeds: Sequence[int], pose: Pose | None = None) -> list[Pair]:
         # A file opened afresh: Cycles is given nothing to remember.
-        cycles = self._cycles(file)
+        cycles = self._cycles(file, pose or self.pose)
         return [cycles.pair(samples, seed) for seed in seeds]
 
     def _ours(self, file: Path, engine: str, samples: int, seeds: Sequence[int]) -> list[Pair]:
-        self.product = Product(file, engine)
-        return self.product.pairs(self.pose, [(samples, seed) for seed in seeds])
+        return Product(file, engine).pairs(self.pose, [(samples, seed) for seed in seeds])
 
     def row(self, owner: str, name: str, value: str) -> Row:
         """Make an edit, render it every way, and say what became of it."""
@@ -661,7 +681,6 @@ class Judge:
         import edits
 
         from generator.blender.scene import blend_file
-        from generator.model.errors import NlosError
 
         begun = time.monotonic()
         row = Row(owner, name, value)
@@ -675,58 +694,87 @@ class Judge:
             return row
         bpy.ops.wm.save_as_mainfile(filepath=str(file), copy=True)
         case = edits.EDITS[name] if owner == "by hand" else None
-        expect = case.expect if case else "cycles"
         self.instead = case.instead if case else None
-        plain: dict[int, list[Pair]] = {}
+        ours = {engine: made for engine in ENGINES if (made := self._asked(row, file, engine))}
+        if ours:  # else plain Cycles need not be asked; of some files it makes no end
+            self._judge(row, file, ours, case)
+        row.seconds = time.monotonic() - begun
+        return row
+
+    def _asked(self, row: Row, file: Path, engine: str) -> tuple[Product, Pose, Pair] | None:
+        """Return what an engine renders of an edit, and at which pose; None after it is taken down as refused."""
+        from generator.model.errors import NlosError
+
         try:
-            cycles = self._cycles(file)
-            plain[SAMPLES] = [cycles.pair(SAMPLES, 7)]
-            self.rounded = cycles.nudged
-            row.plain = "unchanged" if equal(plain[SAMPLES][0], self.plain[0]) else "changed"
-            if not cycles.stays():
-                expect = "refuse"
-        except (LookupError, RuntimeError, OSError, ValueError, TypeError, AttributeError) as error:
-            row.plain = "fails"
-            row.reason["plain"] = " ".join(str(error).split())[:200]
-        for engine in ENGINES:
-            try:
-                ours = self._ours(file, engine, SAMPLES, [7])
-            except NlosError as error:
-                setattr(row, engine, "refused")
-                row.reason[engine] = str(error).replace(str(file), "scene").replace(str(self.folder), "")
-                continue
-            except Exception as error:
-                setattr(row, engine, "wrong")
-                row.reason[engine] = f"traceback: {type(error).__name__}: {error}"[:300]
-                continue
+            product = Product(file, engine)
+            pose = self.pose if product.may_stand(self.pose) else product.first  # where the target is another
+            return product, pose, product.pairs(pose, [(SAMPLES, 7)])[0]
+        except NlosError as error:
+            setattr(row, engine, "refused")
+            row.reason[engine] = str(error).replace(str(file), "scene").replace(str(self.folder), "")
+        except Exception as error:
+            setattr(row, engine, "wrong")
+            row.reason[engine] = f"traceback: {type(error).__name__}: {error}"[:300]
+        return None
+
+    def _judge(self, row: Row, file: Path, ours: dict[str, tuple[Product, Pose, Pair]], case: Any) -> None:
+        """Render an edit by plain Cycles, and take down what each engine makes of it."""
+        expect = case.expect if case else "cycles"
+        plain: dict[Pose, dict[int, list[Pair]]] = {}
+        for engine, (product, pose, pair) in ours.items():
+            if pose not in plain:
+                plain[pose] = self._plainly(row, file, pose)
+                if row.plain == "moves":
+                    row.plain, expect = "changed", "refuse"
             if expect == "refuse":
                 verdict, why = "wrong", "should be refused"
             elif case and case.solid and (why := self._inside(case.solid, file, engine)):
                 verdict = "wrong"
             else:
-                verdict, why = self._verdict(file, engine, ours[0], plain, expect, name)
+                verdict, why = self._verdict(file, product, pose, pair, plain[pose], expect, row.name)
                 if self.instead and verdict == "follows":
-                    verdict = "replaced" if self.instead[0] in self.product.replaces else "wrong"
+                    verdict = "replaced" if self.instead[0] in product.replaces else "wrong"
             setattr(row, engine, verdict)
             if why:
                 row.reason[engine] = why
-        row.seconds = time.monotonic() - begun
-        return row
+
+    def _plainly(self, row: Row, file: Path, pose: Pose) -> dict[int, list[Pair]]:
+        """Return plain Cycles' first pictures of an edit; none if it makes none, or its target does not stay."""
+        try:
+            cycles = self._cycles(file, pose)
+            pair = cycles.pair(SAMPLES, 7)
+            self.rounded = cycles.nudged
+            row.plain = "unchanged" if pose == self.pose and equal(pair, self.plain[0]) else "changed"
+            if not cycles.stays():
+                row.plain = "moves"
+            return {SAMPLES: [pair]}
+        except (LookupError, RuntimeError, OSError, ValueError, TypeError, AttributeError) as error:
+            row.plain = "fails"
+            row.reason["plain"] = " ".join(str(error).split())[:200]
+            return {}
 
     def _verdict(
-        self, file: Path, engine: str, ours: Pair, plain: dict[int, list[Pair]], expect: str, name: str
+        self,
+        file: Path,
+        product: Product,
+        pose: Pose,
+        ours: Pair,
+        plain: dict[int, list[Pair]],
+        expect: str,
+        name: str,
     ) -> tuple[str, str]:
         """Return what an engine makes of an edit, and why."""
+        engine = product.sweep.engine
         base = self.ours[engine][0]
         same = equal(ours, base)
         if engine == "surfel":
             same = all(np.allclose(a, b, rtol=3e-6) for a, b in zip(ours, base, strict=True))
         if expect == "base":
             return ("replaced", "") if same else ("wrong", "not as without the edit")
-        said = same and name in self.product.replaces
+        said = same and name in product.replaces
         if SAMPLES not in plain:
             return ("replaced", "") if said else ("wrong", "Cycles alone makes no picture")
-        changed = not equal(plain[SAMPLES][0], self.plain[0])
+        changed = pose != self.pose or not equal(plain[SAMPLES][0], self.plain[0])
         if equal(ours, plain[SAMPLES][0]) if engine == "path" else same and not changed:
             return "follows", ""
         if self.rounded and same:
@@ -741,15 +789,19 @@ class Judge:
         if engine == "path":
             return "wrong", _ratios(ours, plain[SAMPLES][0]) + still
         tolerance = TOLERANCE[engine]
-        if engine == "surfel" and self.product.described.ambient:
+        if engine == "surfel" and product.described.ambient:
             tolerance = AMBIENT_TOLERANCE
         noise = (self.noise[engine], self.noise["plain"])
         why = ""
         looks = ((QUICK, QUICK_REPEATS, noise), (MANY, REPEATS, None), (RARE, REPEATS, None))
         for samples, repeats, known in looks:
             if samples not in plain:
-                plain[samples] = self._plain(file, samples, range(100, 100 + repeats))
-            every = [ours] if engine == "surfel" else self._ours(file, engine, samples, range(500, 500 + repeats))
+                plain[samples] = self._plain(file, samples, range(100, 100 + repeats), pose)
+            every = (
+                [ours]
+                if engine == "surfel"
+                else Product(file, engine).pairs(pose, [(samples, seed) for seed in range(500, 500 + repeats)])
+            )
             why = differ(every, plain[samples], tolerance, known)
             if not why:
                 return "follows", ""

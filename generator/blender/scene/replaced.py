@@ -99,6 +99,7 @@ SAMPLING = (
     Setting("cycles.auto_scrambling_distance", False, "automatic scrambling distance", _OWN_NOISE),
     Setting("cycles.use_sample_subset", False, "sample subset", _ALL_SAMPLES),
     Setting("cycles.sample_offset", 0, "sample offset", _ALL_SAMPLES),
+    Setting("cycles.use_pixel_jitter", False, "pixel jitter", _OWN_NOISE),  # Blender 5.2
     Setting("layer.samples", 0),
     Setting("layer.cycles.use_denoising", True),  # what --denoise asks for, for every layer
 )
