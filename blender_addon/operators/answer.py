@@ -20,6 +20,7 @@ from generator.blender import sweep_worker
 from generator.files.pictures import write_picture
 from generator.model.errors import NlosError
 
+from .. import __package__ as extension
 from ..session import background, state
 from ..view import overlay
 
@@ -32,7 +33,7 @@ _TEST = "import classify.classifiers.models, sys; print('.'.join(map(str, sys.ve
 class NlosPreferences(bpy.types.AddonPreferences):
     """What depends on the machine, not on the scene."""
 
-    bl_idname = __package__ or "nlos_lab"
+    bl_idname = extension or "nlos_lab"
 
     python: StringProperty(
         name="Python",
@@ -55,7 +56,7 @@ class NlosPreferences(bpy.types.AddonPreferences):
 
 def named() -> str:
     """Return what the preferences name; empty if nothing."""
-    addon = bpy.context.preferences.addons.get(__package__)
+    addon = bpy.context.preferences.addons.get(extension)
     return str(bpy.path.abspath(addon.preferences.python)) if addon else ""
 
 

@@ -53,7 +53,8 @@ def write(
     """
     loader = jinja2.FileSystemLoader(Path(__file__).parent / "templates")
     environment = jinja2.Environment(loader=loader, autoescape=True, undefined=jinja2.StrictUndefined)
-    command = " ".join(map(shlex.quote, [Path(sys.argv[0]).name, *sys.argv[1:]]))
+    name = Path(sys.argv[0]).name
+    command = " ".join(map(shlex.quote, ["nlos-classify" if name == "__main__.py" else name, *sys.argv[1:]]))
     text = environment.get_template("page.html").render(
         title=title,
         lead=lead,

@@ -133,7 +133,7 @@ def test_manifest() -> None:
 def test_absolute_import_is_refused(tmp_path: Path) -> None:
     source = tmp_path / "module.py"
     source.write_text("def f():\n    import generator.model.scene\n")
-    with pytest.raises(build.BuildError, match=r"import generator\.model\.spec"):
+    with pytest.raises(build.BuildError, match=r"import generator\.model\.scene"):
         build._copy(source, tmp_path, Path("copy.py"))
 
 
