@@ -184,7 +184,7 @@ def read_bulk(data: bytes) -> None:
         try:
             with contextlib.suppress(NlosError):
                 opened.verify()
-            read = simulated.Simulated(opened)
+            read = simulated.SimulatedSet(opened)
             read.background()
             for record in read.records[:: max(1, len(read.records) // 8)]:
                 read.picture(record)

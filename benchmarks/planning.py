@@ -163,8 +163,8 @@ def again(source: Path, plan: Plan, most: float) -> dict[str, tuple[float, float
     sweep, _ = settled(scene, described, {"engine": "patch", "poses": paired.ROUNDS[1], "seed": OTHER})
     planned = poses.plan(described.grid, sweep, geometry.hull(scene), clearance(scene, described, engine="patch"))
     rounds = [[p for p in planned if p.index == k] for k in range(paired.ROUNDS[1])]
-    probe = paired.Probe(source, "patch", rounds, described.resolution[0] / described.resolution[1])
-    pieces = [e.name for e in plan.effects if e.name in simplify.found(blend_file.open_file(source))]
+    probe = paired.PairedMeasurement(source, "patch", rounds, described.resolution[0] / described.resolution[1])
+    pieces = [e.name for e in plan.effects if e.name in simplify.removable_pieces(blend_file.open_file(source))]
     sky = planning.ambient(source, [p for one in rounds[: scene_plan.POSES] for p in one])
     pieces = [name for name in pieces if name != simplify.AMBIENT or sky is None]
     orders = [o for o in (4, 5) if any(e.name == paired.order_name(o) for e in plan.effects)]

@@ -73,7 +73,7 @@ def run_features(options: argparse.Namespace) -> int:
     from classify.classifiers import models
     from classify.pictures import feature_table
     from classify.pictures.features import FeatureSettings
-    from generator.sets.simulated import opened
+    from generator.sets.simulated import open_set
 
     settings = FeatureSettings(
         set=options.set,
@@ -85,7 +85,7 @@ def run_features(options: argparse.Namespace) -> int:
     )
     models.check_seed(options.seed)
     sensor = None if options.sensor is None and options.frames is None else sensor_of(options)
-    dataset = opened(options.dataset, options.count)
+    dataset = open_set(options.dataset, options.count)
     check_output(options.output)
     with progress_bar("describing", "pictures") as progress:
         features = feature_table.extract(

@@ -161,13 +161,13 @@ def run_locate(options: argparse.Namespace) -> int:
     from classify.inference import evaluation
     from classify.report import page
     from generator.files.writing import write_text
-    from generator.sets.simulated import opened
+    from generator.sets.simulated import open_set
 
     models.check_seed(options.seed)
     if options.output:
         check_output(options.output, folder=True)
     found = loaded(options)
-    dataset = opened(options.dataset, options.count)
+    dataset = open_set(options.dataset, options.count)
     with progress_bar("locating", "pictures") as progress:
         answers = evaluation.run(
             found,
@@ -252,7 +252,7 @@ def run_track(options: argparse.Namespace) -> int:
     if options.output:
         check_output(options.output, folder=True)
 
-    def told(so_far: sequence.Pursuit) -> None:
+    def told(so_far: sequence.TrackedSequence) -> None:
         record, step = so_far.records[-1], so_far.steps[-1]
         x, y, z = step.position
         label = found.grid.labels[step.voxels.argmax()]

@@ -23,8 +23,8 @@ from numpy.typing import NDArray
 from sklearn.utils.extmath import randomized_svd
 
 from classify.inference import unknown_object
-from classify.inference.unknown_object import Strengths
-from classify.pictures.feature_table import numbers, opened
+from classify.inference.unknown_object import AmplitudePrior
+from classify.pictures.feature_table import numbers, open_table
 from classify.pictures.sensor import Sensor
 from generator.files.pictures import COLOUR_SPACE, Picture
 from generator.files.toml import from_dict, to_dict
@@ -122,9 +122,9 @@ class Atlas:
         return self.codes if self.hiding is None else self.codes - self.hiding
 
     @cached_property
-    def _strengths(self) -> Strengths:
+    def _strengths(self) -> AmplitudePrior:
         assert self.hiding is not None
-        return Strengths.of(self.added, self.hiding)
+        return AmplitudePrior.of(self.added, self.hiding)
 
     def logs(self, codes: NDArray[np.float32]) -> NDArray[np.float32]:
         """Return how much better each pose explains pictures than an empty scene: logarithms, (..., n).
@@ -438,7 +438,7 @@ def load(path: Path) -> Atlas:
     NlosError
         The file is missing, of a newer format, or no atlas.
     """
-    with opened(path, "atlas", FORMAT) as file:
+    with open_table(path, "atlas", FORMAT) as file:
         atlas = Atlas(
             **{name: numbers(file, name, kind) for name, kind in _ARRAYS.items()},
             grid=from_dict(VoxelGrid, json.loads(str(file.attrs["grid"])), "grid."),

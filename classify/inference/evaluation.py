@@ -23,14 +23,14 @@ from generator.measure import figures
 from generator.model.arrays import Array
 from generator.model.errors import NlosError
 from generator.model.poses import PoseRecord
-from generator.sets.readable import Readable, check_colours
+from generator.sets.readable import PictureSet, check_colours
 
 _EMPTY = 1000
 _MOST_LABELS = 30
 
 
 @dataclass(frozen=True)
-class Trial:
+class Evaluation:
     """The answers to a data set's pictures.
 
     Attributes
@@ -175,19 +175,19 @@ _AXES = ("x", "y", "z")
 
 def run(
     atlas: Atlas,
-    dataset: Readable,
+    dataset: PictureSet,
     *,
     false_alarm: float = 0.01,
     seed: int = 0,
     empty: int = _EMPTY,
     progress: Callable[[int, int], None] = lambda done, total: None,
-) -> Trial:
+) -> Evaluation:
     """Answer every picture of a data set, as the atlas' sensor would have seen it.
 
     Parameters
     ----------
     atlas : Atlas
-    dataset : Dataset or Simulated
+    dataset : Dataset or SimulatedSet
         Of the same grid and resolution; the pictures on it are clean.
     false_alarm : float
         Share of empty scenes that may be taken for something.
@@ -225,7 +225,7 @@ def run(
     if dataset.grid != grid:  # the same volume, cut otherwise
         own = grid.voxels(np.array([record.position for record in records]))
         records = [replace(r, voxel=int(v), label=grid.labels[v]) for r, v in zip(records, own, strict=True)]
-    return Trial(
+    return Evaluation(
         records=records,
         places=places,
         evidence=evidence(atlas, np.array(codes)),

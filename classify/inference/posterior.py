@@ -19,7 +19,7 @@ from scipy.stats import chi2
 
 from classify.inference.atlas import Atlas
 from classify.inference.tracker import Step
-from classify.inference.unknown_object import Strengths
+from classify.inference.unknown_object import AmplitudePrior
 from generator.model.arrays import Array, Vector
 from generator.model.errors import NlosError
 from generator.transport import Transport, World
@@ -320,7 +320,7 @@ def _joined(parts: list[Array], like: list[Array], code: NDArray[np.float32]) ->
     """Codes of parts (n, k) at the strengths that a picture asks of others like them."""
     if len(parts) == 1:
         return parts[0]
-    found = Strengths.of(*like).means(like[0] @ code, like[1] @ code)
+    found = AmplitudePrior.of(*like).means(like[0] @ code, like[1] @ code)
     return found[:, :1] * parts[0] + found[:, 1:] * parts[1]
 
 
@@ -329,7 +329,7 @@ def _explained(parts: list[Array], code: Array) -> Array:
     if len(parts) == 1:
         logs: Array = parts[0] @ code - 0.5 * (parts[0] ** 2).sum(axis=1)
     else:
-        logs = Strengths.of(*parts).logs(parts[0] @ code, parts[1] @ code)
+        logs = AmplitudePrior.of(*parts).logs(parts[0] @ code, parts[1] @ code)
     return logs
 
 

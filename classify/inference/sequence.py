@@ -33,7 +33,7 @@ _ELLIPSE = 2.448
 
 
 @dataclass
-class Pursuit:
+class TrackedSequence:
     """Frames and what was made of them.
 
     Attributes
@@ -165,8 +165,8 @@ def run(
     gaps: Sequence[tuple[int, int]] = (),
     patience: float = 0.0,
     seed: int = 0,
-    told: Callable[[Pursuit], None] = lambda pursuit: None,
-) -> Pursuit:
+    told: Callable[[TrackedSequence], None] = lambda pursuit: None,
+) -> TrackedSequence:
     """Track the object through a data set's pictures in their order, as the atlas' sensor would have seen them.
 
     Parameters
@@ -195,7 +195,7 @@ def run(
     if dataset.grid != atlas.grid:
         raise NlosError(f"{dataset.path}: has another voxel grid than the atlas; make both of one scene")
     check_colours(dataset.path, dataset.colour_space, atlas.colour_space, "the atlas")
-    tracker, pursuit = Filter(atlas, step=step), Pursuit()
+    tracker, pursuit = Filter(atlas, step=step), TrackedSequence()
     camera = Camera(dataset, atlas.sensor, seed, like=atlas.background)
     background, clean = camera.background(), camera.empty()
     rng = np.random.default_rng([seed, 6])

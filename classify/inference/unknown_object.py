@@ -31,7 +31,7 @@ COVARIANCE = np.array(
 
 
 @dataclass(frozen=True)
-class Strengths:
+class AmplitudePrior:
     """What of the likelihood does not depend on the picture, pose by pose.
 
     Attributes
@@ -49,7 +49,7 @@ class Strengths:
     rest: Floats
 
     @classmethod
-    def of(cls, added: Floats, hiding: Floats) -> Strengths:
+    def of(cls, added: Floats, hiding: Floats) -> AmplitudePrior:
         """Return them for codes (n, k) of what is added and of what is hidden (negative light)."""
         gram = np.stack([np.einsum("nk,nk->n", a, b) for a, b in ((added, added), (added, hiding), (hiding, hiding))])
         gram = gram.astype(np.float64)

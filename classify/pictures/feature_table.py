@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from classify.pictures.features import FeatureSettings, describe, feature_names, software
 from classify.pictures.physics import Setup
 from classify.pictures.sensor import Camera, Sensor
-from generator.files.limits import check_heaps, excessive, limited
+from generator.files.limits import check_heaps, exceeds_limit, limited
 from generator.files.pictures import COLOUR_SPACE, Picture
 from generator.files.toml import from_dict, to_dict
 from generator.files.writing import atomic
@@ -25,7 +25,7 @@ from generator.model.errors import NlosError
 from generator.model.grid import VoxelGrid
 from generator.model.poses import PoseRecord
 from generator.model.scene import Scene
-from generator.sets.readable import Readable, check_colours
+from generator.sets.readable import PictureSet, check_colours
 
 FORMAT = 1
 
@@ -87,7 +87,7 @@ class Features:
 
 
 def extract(
-    dataset: Readable,
+    dataset: PictureSet,
     settings: FeatureSettings,
     *,
     partial: bool = False,
@@ -99,7 +99,7 @@ def extract(
 
     Parameters
     ----------
-    dataset : Dataset or Simulated
+    dataset : Dataset or SimulatedSet
     settings : FeatureSettings
         For ``physics`` without a setup, that of the data set's scene.
     partial : bool
@@ -163,7 +163,7 @@ def extract(
 
 
 def _described(
-    camera: Readable | Camera,
+    camera: PictureSet | Camera,
     path: Path,
     records: Sequence[PoseRecord],
     settings: FeatureSettings,
@@ -208,7 +208,7 @@ def write(path: Path, features: Features) -> None:
 
 
 @contextlib.contextmanager
-def opened(path: Path, what: str, newest: int) -> Iterator[Any]:
+def open_table(path: Path, what: str, newest: int) -> Iterator[Any]:
     """Open an HDF5 file of ours to read; whatever is wrong with it is one sentence.
 
     Parameters
@@ -231,7 +231,7 @@ def opened(path: Path, what: str, newest: int) -> Iterator[Any]:
         with h5py.File(path, "r") as file:
             with limited(_SPARE):
                 claimed = _check_inside(file, what, newest)
-            if excessive(claimed, size := path.stat().st_size):
+            if exceeds_limit(claimed, size := path.stat().st_size):
                 raise NlosError(f"claims {claimed} bytes in {size}")
             with limited(_SPARE + _COPIES * claimed):
                 yield file
@@ -279,7 +279,7 @@ def read(path: Path) -> Features:
     NlosError
         The file is missing, of a newer format, or does not hold features.
     """
-    with opened(path, "features", FORMAT) as file:
+    with open_table(path, "features", FORMAT) as file:
         features = Features(
             values=numbers(file, "features", np.float64),
             names=texts(file, "feature_names"),

@@ -21,7 +21,7 @@ from generator.files.pictures import Picture
 from generator.model.arrays import Array
 from generator.model.errors import NlosError
 from generator.model.poses import PoseRecord
-from generator.sets.readable import Readable
+from generator.sets.readable import PictureSet
 
 Floats = NDArray[Any]
 
@@ -234,7 +234,7 @@ class Camera:
 
     Parameters
     ----------
-    dataset : Dataset or Simulated
+    dataset : Dataset or SimulatedSet
     sensor : Sensor
         Where it has no exposure, the brightest pixel of the data set fills it to ``fill``.
     seed : int
@@ -257,7 +257,7 @@ class Camera:
         The data set has no light, or a picture is broken.
     """
 
-    def __init__(self, dataset: Readable, sensor: Sensor, seed: int = 0, *, like: Array | None = None) -> None:
+    def __init__(self, dataset: PictureSet, sensor: Sensor, seed: int = 0, *, like: Array | None = None) -> None:
         self._dataset = dataset
         self._seed = seed
         self.level = 1.0 if like is None else _level(_grey(dataset.background()), like)

@@ -33,7 +33,7 @@ from generator.model.poses import PoseRecord
 from generator.sets import bulk_set, links
 from generator.sets.bulk_set import Bulk, Settings
 from generator.sets.manifest import SCENE, scene_hash
-from generator.sets.unknown_objects import stranger
+from generator.sets.unknown_objects import unknown_object
 from generator.transport import Transport
 
 
@@ -138,7 +138,7 @@ def _poses(scene: bpy.types.Scene, settings: Settings) -> Callable[[int, int], p
 
     @lru_cache(maxsize=2)
     def sampler(index: int) -> poses.Sampler:
-        corners = stranger(described.grid, settings.sweep, index).triangles.reshape(-1, 3)
+        corners = unknown_object(described.grid, settings.sweep, index).triangles.reshape(-1, 3)
         faces = np.arange(len(corners)).reshape(-1, 3).tolist()
         return poses.Sampler(described.grid, sweep, corners, around.free(corners, faces))
 

@@ -13,7 +13,7 @@ from generator.blender.engines.renderer import Shot
 from generator.blender.scene import geometry, posing
 from generator.blender.scene.clearance import clearance
 from generator.blender.scene.description import read_scene
-from generator.jobs.budget import REHEARSED, Rehearsal
+from generator.jobs.budget import REHEARSED, TrialResult
 from generator.model import poses
 from generator.model.arrays import Array
 from generator.model.poses import PoseRecord
@@ -23,7 +23,9 @@ SAMPLES = (8, 48)
 ACCURACIES = (1e-1, 1e-3)
 
 
-def rehearse(scene: bpy.types.Scene, sweep: Sweep, *, share: tuple[int, int] = (0, 1), threads: int = 0) -> Rehearsal:
+def trial_render(
+    scene: bpy.types.Scene, sweep: Sweep, *, share: tuple[int, int] = (0, 1), threads: int = 0
+) -> TrialResult:
     """Render one pose in each of some voxels, with little work and with more.
 
     The error of one round is its difference from the other, of which its samples are a part: with n samples out of
@@ -52,10 +54,10 @@ def rehearse(scene: bpy.types.Scene, sweep: Sweep, *, share: tuple[int, int] = (
     simplify.apply(scene, sweep.leave_out)
     if not sweep.noisy:
         work = (1.0 / ACCURACIES[0], 1.0 / ACCURACIES[1])
-        return Rehearsal(sweep.engine, described.grid.n_voxels, work, _exact(scene, sweep, mine, threads), [])
+        return TrialResult(sweep.engine, described.grid.n_voxels, work, _exact(scene, sweep, mine, threads), [])
     seconds, noise = _noisy(scene, sweep, mine, threads)
     work = (float(SAMPLES[0]), float(SAMPLES[1]))
-    return Rehearsal(sweep.engine, described.grid.n_voxels, work, seconds, noise)
+    return TrialResult(sweep.engine, described.grid.n_voxels, work, seconds, noise)
 
 
 def _exact(scene: bpy.types.Scene, sweep: Sweep, mine: list[PoseRecord], threads: int) -> tuple[float, float]:

@@ -70,7 +70,7 @@ def _try(request: TrialRender) -> None:
     sweep, _ = settled(scene, read_scene(scene), request.chosen)
     doubted(scene, sweep, force=request.force)
     share = (request.share, request.shares)
-    answer(**vars(trial_render.rehearse(scene, sweep, share=share, threads=request.threads)))
+    answer(**vars(trial_render.trial_render(scene, sweep, share=share, threads=request.threads)))
 
 
 def _picture(request: RenderWall) -> None:

@@ -19,7 +19,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from generator.files.limits import excessive
+from generator.files.limits import exceeds_limit
 
 Planes = dict[str, NDArray[np.float32]]
 
@@ -197,7 +197,7 @@ def _claim(header: Mapping[str, tuple[str, bytes]], size: int) -> tuple[int, int
         raise ExrError(f"it claims {width} x {height} pixels")
     # A channel takes a name and 16 bytes of the header, and 2 bytes a pixel at least.
     raw = width * height * 2 * max(1, len(header["channels"][1]) // 18)
-    if excessive(raw, size):
+    if exceeds_limit(raw, size):
         raise ExrError(f"it claims {width} x {height} pixels in {size} bytes")
     return width, height, y0
 

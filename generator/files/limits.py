@@ -16,7 +16,7 @@ MOST = 100
 """Times its own size that a larger one may unpack to."""
 
 
-def excessive(claimed: int, size: int) -> bool:
+def exceeds_limit(claimed: int, size: int) -> bool:
     """Whether a file of a size claims to hold more bytes than one may."""
     return claimed > MUCH and claimed > MOST * size
 
@@ -84,5 +84,5 @@ def check_archive(path: Path) -> None:
     size = path.stat().st_size
     with zipfile.ZipFile(path) as archive:
         claimed = sum(inside.file_size for inside in archive.infolist())
-    if excessive(claimed, size):
+    if exceeds_limit(claimed, size):
         raise ValueError(f"it claims {claimed} bytes in {size}")

@@ -41,7 +41,7 @@ _WRITING = 2e-3
 
 
 @dataclass(frozen=True)
-class Rehearsal:
+class TrialResult:
     """What two rounds of a few pictures took and showed: a worker's answer (`generator.blender.trial_render`).
 
     Attributes
@@ -236,7 +236,7 @@ def choose(
     settings = {"engine": "auto", **{k: v for k, v in chosen.items() if k != "accuracy"}}
     if words := caching.compiling_words(str(settings["engine"])):
         tell(words)
-    known = rehearsed(scene, settings, workers, launch, force=force)
+    known = measured_by_trial(scene, settings, workers, launch, force=force)
     pictures = int(settings.get("poses", Sweep.poses)) * known.voxels
     exact = not traits_of(known.engine).noisy
     left = budget - (time.monotonic() - begun)
@@ -270,7 +270,7 @@ def choose(
     return Choice(settings, pace)
 
 
-def rehearsed(
+def measured_by_trial(
     scene: Path,
     settings: Mapping[str, Any],
     workers: int = 0,
@@ -298,7 +298,7 @@ def rehearsed(
             if answer is None:
                 raise NlosError(f"{scene}: could not be rehearsed: {worker.last_words()}")
     wall = time.monotonic() - begun
-    found = [Rehearsal(**answer) for answer in told if answer]
+    found = [TrialResult(**answer) for answer in told if answer]
     found = [one for one in found if one.seconds[0] > 0.0]  # of few voxels some workers had none
     engine, work, each = found[0].engine, found[0].work, np.mean([f.seconds for f in found], axis=0)
     shortest = 1e-4  # of what a clock may be trusted with

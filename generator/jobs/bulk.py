@@ -20,7 +20,7 @@ from generator.model.quantities import Progress
 from generator.sets import links
 from generator.sets.bulk_set import Bulk, Pictures, check_free
 from generator.sets.resume import check_same
-from generator.sets.unknown_objects import stranger
+from generator.sets.unknown_objects import unknown_object
 from generator.transport.caching import compiling_words
 
 
@@ -173,7 +173,7 @@ class Engine:
         index = numbers // bulk.grid.n_voxels
         made = []
         for some in np.split(np.arange(len(numbers)), np.flatnonzero(np.diff(index)) + 1):
-            one = replace(self._world, target=(stranger(bulk.grid, bulk.plan.sweep, int(index[some[0]])),))
+            one = replace(self._world, target=(unknown_object(bulk.grid, bulk.plan.sweep, int(index[some[0]])),))
             self._last = self._make(one, like=self._last)
             made.append(self._last.pictures(positions[some], rotations[some], shadows=shadows))
         return np.concatenate(made)

@@ -44,7 +44,7 @@ import h5py
 import numpy as np
 from numpy.typing import NDArray
 
-from generator.files.limits import MUCH, check_heaps, excessive, limited
+from generator.files.limits import MUCH, check_heaps, exceeds_limit, limited
 from generator.files.pictures import COLOUR_SPACE, Picture, pixel_hash, read_picture, write_picture
 from generator.files.toml import dump_toml, from_dict, read_toml, to_dict
 from generator.files.writing import atomic, file_hash, fingerprint, write_text
@@ -486,7 +486,7 @@ class Bulk:
                 if file[name].dtype.kind != ("i" if name in COLUMNS[2:] else "f"):
                     raise ValueError(f"holds {name} as {file[name].dtype}")
                 claimed += file[name].nbytes
-            if excessive(claimed, path.stat().st_size):
+            if exceeds_limit(claimed, path.stat().st_size):
                 raise ValueError(f"claims {claimed} bytes in {path.stat().st_size}")
         except Exception as error:  # HDF5's and h5py's, of many kinds
             file.close()

@@ -16,8 +16,8 @@ from generator.model.grid import VoxelGrid
 from generator.model.poses import PoseRecord
 
 
-class Readable(Protocol):
-    """What pictures are read from: `Dataset`, or `generator.sets.simulated.Simulated`."""
+class PictureSet(Protocol):
+    """What pictures are read from: `Dataset`, or `generator.sets.simulated.SimulatedSet`."""
 
     @property
     def path(self) -> Path:

@@ -15,10 +15,10 @@ from generator.model.grid import VoxelGrid
 from generator.model.poses import PoseRecord
 from generator.sets.bulk_set import Bulk
 from generator.sets.dataset import Dataset
-from generator.sets.readable import Readable
+from generator.sets.readable import PictureSet
 
 
-class Simulated:
+class SimulatedSet:
     """The first pictures of a finished bulk set.
 
     Parameters
@@ -45,7 +45,7 @@ class Simulated:
             bulk.refuse_changed_parts(self._count)
 
     def __reduce__(self) -> tuple[Any, ...]:
-        return partial(Simulated, check=False), (self._bulk, self._count)
+        return partial(SimulatedSet, check=False), (self._bulk, self._count)
 
     @property
     def path(self) -> Path:
@@ -119,7 +119,7 @@ class Simulated:
         return found if found.ndim == 3 else np.repeat(found[..., None], 3, axis=2)
 
 
-def opened(path: Path, count: int = 0) -> Readable:
+def open_set(path: Path, count: int = 0) -> PictureSet:
     """Open a data set, or a bulk set as one.
 
     Parameters
@@ -134,7 +134,7 @@ def opened(path: Path, count: int = 0) -> Readable:
         There is neither, or a number was given for a data set.
     """
     if Bulk.exists(path):
-        return Simulated(Bulk.open(path), count)
+        return SimulatedSet(Bulk.open(path), count)
     if count:
         raise NlosError(f"{path}: is no simulated set (nlos-generate bulk), of which a number could be taken")
     return Dataset.open(path)

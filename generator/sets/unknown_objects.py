@@ -29,7 +29,7 @@ _TRIES = 10_000
 _FACES = ((0, 1, 3, 2), (4, 6, 7, 5), (0, 4, 5, 1), (2, 3, 7, 6), (0, 2, 6, 4), (1, 5, 7, 3))
 
 
-def stranger(grid: VoxelGrid, sweep: Sweep, index: int) -> Mesh:
+def unknown_object(grid: VoxelGrid, sweep: Sweep, index: int) -> Mesh:
     """Return an object, in its own frame, turned already as far as the sweep turns.
 
     Parameters

@@ -134,9 +134,9 @@ def test_what_a_file_claims_is_held_against_its_size(sound, monkeypatch, reader,
 
 
 def test_the_limit_is_a_hundred_times_the_size_and_128_mib_at_least():
-    assert not limits.excessive(2**27, 1)
-    assert limits.excessive(2**27 + 1, 2**20)
-    assert not limits.excessive(2**27 + 1, 2**21)
+    assert not limits.exceeds_limit(2**27, 1)
+    assert limits.exceeds_limit(2**27 + 1, 2**20)
+    assert not limits.exceeds_limit(2**27 + 1, 2**21)
 
 
 @pytest.mark.skipif(sys.platform != "linux", reason="only Linux tells how much memory a process has")
@@ -364,7 +364,7 @@ def test_spoilt_simulated_sets_are_refused(copied, change, words):
     meta = merge(read_toml(path / bulk_set.MANIFEST), change)
     (path / bulk_set.MANIFEST).write_text(dump_toml(meta))
     with pytest.raises(NlosError, match=words):
-        simulated.opened(path)
+        simulated.open_set(path)
 
 
 @pytest.mark.parametrize(

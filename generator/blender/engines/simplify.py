@@ -28,14 +28,14 @@ FINE = "the fine mesh of "
 _GREY = 0.8
 
 
-def found(scene: bpy.types.Scene) -> list[str]:
+def removable_pieces(scene: bpy.types.Scene) -> list[str]:
     """Return what of a scene `surfel` does not model, or at a price, each piece by the name that `apply` knows."""
     return list(_pieces(scene))
 
 
 def lights(scene: bpy.types.Scene) -> list[str]:
     """Return those of `found` that give light of their own, to which the rest adds nothing."""
-    return [name for name in found(scene) if name == AMBIENT or name.startswith(_LAMP)]
+    return [name for name in removable_pieces(scene) if name == AMBIENT or name.startswith(_LAMP)]
 
 
 def apply(scene: bpy.types.Scene, names: Iterable[str]) -> None:

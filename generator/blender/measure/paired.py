@@ -32,7 +32,7 @@ SURE = 0.4
 
 
 @dataclass
-class Probe:
+class PairedMeasurement:
     """Difference pictures of a scene with and without some of its pieces.
 
     A round is one pose in each voxel, rendered twice with independent noise, so that the product of both has the
@@ -173,7 +173,7 @@ def share(errors: Sequence[Array], wholes: Sequence[Array]) -> tuple[float, floa
 
 
 def measure(
-    probe: Probe,
+    probe: PairedMeasurement,
     names: Sequence[str],
     *,
     orders: Sequence[int] = (),
@@ -222,7 +222,7 @@ def measure(
 
 
 def denoiser_bias(
-    probe: Probe,
+    probe: PairedMeasurement,
     resolution: tuple[int, int],
     *,
     most: float = 60.0,

@@ -84,7 +84,7 @@ def make(
     """
     scene = blend_file.open_file(source)
     described = read_scene(scene)
-    pieces = simplify.found(scene)
+    pieces = simplify.removable_pieces(scene)
     _, reasons = survey.world(scene)
     engine, order = _cycles_engine(scene), roles.reflection_order(scene)
     planned = _planned(scene, described, engine, max(count, paired.ROUNDS[1]), seed)
@@ -103,7 +103,7 @@ def make(
     elif most > 0.0:
         orders = [more for more in _ORDERS if more > order >= MAX_ORDER]
         rounds = [[p for p in planned if p.index == k] for k in range(paired.ROUNDS[1])]
-        probe = paired.Probe(source, engine, rounds, described.resolution[0] / described.resolution[1])
+        probe = paired.PairedMeasurement(source, engine, rounds, described.resolution[0] / described.resolution[1])
         tell(f"rendering {len(others) + len(orders)} effects that only Cycles models, for up to {most:.0f} s")
         shares = paired.measure(probe, others, orders=orders, tolerance=tolerance, most=most, progress=tell)
         found = [Effect(name, shares[name]) for name in others]
@@ -205,7 +205,9 @@ def _planned(scene: Any, described: Any, engine: str, count: int, seed: int) -> 
     return poses.plan(described.grid, sweep, geometry.hull(scene), is_free)
 
 
-def _droppable(probe: paired.Probe, found: Sequence[Effect], tolerance: float) -> tuple[list[str], Effect]:
+def _droppable(
+    probe: paired.PairedMeasurement, found: Sequence[Effect], tolerance: float
+) -> tuple[list[str], Effect]:
     """Return which of Cycles' effects may be left out together, and the error of that."""
     dropped: list[str] = []
     together = _NOTHING
@@ -261,7 +263,7 @@ def _predicted(
             took[name] = took["seconds"]  # it is the same sweep
             continue
         tell(f"rehearsing {'the plan' if name == 'seconds' else 'the whole'}")
-        known = budget.rehearsed(source, settings, workers, force=True)
+        known = budget.measured_by_trial(source, settings, workers, force=True)
         if known.engine == "surfel":
             work = 1.0 / plan.settings["accuracy"]
         else:

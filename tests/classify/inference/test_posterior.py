@@ -171,7 +171,7 @@ def test_unknown_strengths_are_integrated_out():
     added, hiding = rng.normal(size=(2, 3, 5)) * 0.6
     code = rng.normal(size=5)
     drawn = rng.multivariate_normal(unknown_object.MEAN, unknown_object.COVARIANCE, size=400_000)
-    found = unknown_object.Strengths.of(added, hiding).logs(added @ code, hiding @ code)
+    found = unknown_object.AmplitudePrior.of(added, hiding).logs(added @ code, hiding @ code)
     for pose in range(3):
         codes = drawn @ np.stack([added[pose], hiding[pose]])
         likelihoods = np.exp(codes @ code - 0.5 * (codes**2).sum(axis=1))
@@ -184,7 +184,7 @@ def test_strengths_are_found():
     rng = np.random.default_rng(1)
     added, hiding = 100.0 * rng.normal(size=(2, 1, 8))
     code = 0.3 * added[0] + 0.9 * hiding[0]
-    found = unknown_object.Strengths.of(added, hiding).means(added @ code, hiding @ code)
+    found = unknown_object.AmplitudePrior.of(added, hiding).means(added @ code, hiding @ code)
     np.testing.assert_allclose(found[0], [0.3, 0.9], atol=1e-3)
 
 

@@ -18,7 +18,7 @@ from classify.pictures.physics import PhysicsFeatures, Setup
 from classify.pictures.sensor import Camera, Sensor
 from generator.model.errors import NlosError
 from generator.model.presets import preset
-from generator.sets.simulated import Simulated, opened
+from generator.sets.simulated import SimulatedSet, open_set
 
 SCENE = preset("room")
 SETUP = Setup.of(SCENE)
@@ -135,7 +135,7 @@ def simulated(tmp_path_factory):
 
 def test_a_simulated_set_reads_like_a_data_set_of_the_same_pictures(simulated, tmp_path):
     seen = make_seen(tmp_path / "seen", simulated, poses=4)
-    as_one = Simulated(simulated, 16)
+    as_one = SimulatedSet(simulated, 16)
     assert [(r.voxel, r.index, r.position) for r in as_one.records] == [
         (r.voxel, r.index, r.position) for r in seen.records
     ]
@@ -148,10 +148,10 @@ def test_a_simulated_set_reads_like_a_data_set_of_the_same_pictures(simulated, t
 
 def test_more_pictures_than_there_are_is_one_sentence(simulated, tmp_path, capsys):
     with pytest.raises(NlosError, match="holds 64 pictures, so 65 cannot be taken"):
-        Simulated(simulated, 65)
+        SimulatedSet(simulated, 65)
     make_dataset(tmp_path / "set", n=1)
     with pytest.raises(NlosError, match="is no simulated set"):
-        opened(tmp_path / "set", 5)
+        open_set(tmp_path / "set", 5)
     assert main(["features", str(tmp_path / "set"), "-o", str(tmp_path / "f.h5"), "--count", "5"]) == 2
     assert "is no simulated set" in capsys.readouterr().err
     assert not (tmp_path / "f.h5").exists()

@@ -45,7 +45,7 @@ def test_what_is_no_accuracy_is_one_sentence(text):
 
 
 def chosen(monkeypatch, measured, settings=None, **wanted):
-    monkeypatch.setattr(budget, "rehearsed", lambda *_, **__: measured)
+    monkeypatch.setattr(budget, "measured_by_trial", lambda *_, **__: measured)
     told = []
     return budget.choose("room.blend", settings or {}, **wanted, tell=told.append).settings, told[-1]
 

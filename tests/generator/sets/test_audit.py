@@ -462,17 +462,17 @@ def test_parts_are_read_once_and_again_after_a_change(simulated_set, tmp_path, m
     looked = []
     fault = bulk_set.Bulk._fault
     monkeypatch.setattr(bulk_set.Bulk, "_fault", lambda self, n, *more: looked.append(n) or fault(self, n, *more))
-    found = simulated.opened(path)
+    found = simulated.open_set(path)
     assert looked == list(range(bulk_set.Bulk.open(path).parts))
     looked.clear()
-    again = simulated.opened(path)
+    again = simulated.open_set(path)
     assert looked == []
     np.testing.assert_array_equal(found.picture(found.records[5]), again.picture(again.records[5]))
     for reader in (found, again):
         reader._bulk.close()
     pixel(path)
     with pytest.raises(NlosError, match="contents differ from their hash"):
-        simulated.opened(path)
+        simulated.open_set(path)
 
 
 def test_simulated_pictures_of_nothing_are_a_fault(tmp_path):

@@ -15,7 +15,7 @@ from generator.model.poses import Sampler
 from generator.model.presets import preset
 from generator.model.settings import Sweep
 from generator.sets.bulk_set import Bulk
-from generator.sets.unknown_objects import DARKEST, FLAT, stranger
+from generator.sets.unknown_objects import DARKEST, FLAT, unknown_object
 from generator.transport import Transport
 from generator.transport.elements import cells, is_convex_solid
 
@@ -26,7 +26,7 @@ TURNED = Sweep(rotation=(15.0, 15.0, 90.0))
 def test_they_are_convex_and_fit_into_a_voxel():
     flat = 0
     for index in range(200):
-        mesh = stranger(GRID, TURNED, index)
+        mesh = unknown_object(GRID, TURNED, index)
         corners = mesh.triangles.reshape(-1, 3)
         assert (np.ptp(corners, axis=0) < GRID.size).all()
         Sampler(GRID, replace(TURNED, rotation=(0.0, 0.0, 0.0)), corners).draw(0, index)
@@ -40,15 +40,15 @@ def test_they_are_convex_and_fit_into_a_voxel():
 
 
 def test_each_follows_from_its_seed_and_index_alone():
-    one = stranger(GRID, TURNED, 7)
-    assert (stranger(GRID, TURNED, 7).triangles == one.triangles).all()
-    others = [stranger(GRID, TURNED, 8), stranger(GRID, replace(TURNED, seed=1), 7)]
+    one = unknown_object(GRID, TURNED, 7)
+    assert (unknown_object(GRID, TURNED, 7).triangles == one.triangles).all()
+    others = [unknown_object(GRID, TURNED, 8), unknown_object(GRID, replace(TURNED, seed=1), 7)]
     assert all(len(o.triangles) != len(one.triangles) or (o.triangles != one.triangles).any() for o in others)
 
 
 def test_what_does_not_turn_stands_straight():
     for index in range(20):
-        edges = np.diff(stranger(GRID, Sweep(), index).triangles, axis=1).reshape(-1, 3)
+        edges = np.diff(unknown_object(GRID, Sweep(), index).triangles, axis=1).reshape(-1, 3)
         off_axis = np.sort(np.abs(edges), axis=1)[:, :-1]
         # Edges of a box run along one axis, diagonals of its faces along two.
         assert (off_axis[:, 0] < 1e-12).all()
@@ -56,14 +56,16 @@ def test_what_does_not_turn_stands_straight():
 
 def test_only_centres_inside_leaves_no_size_out():
     centre = replace(TURNED, inside="centre")
-    widest = max(np.ptp(stranger(GRID, centre, i).triangles.reshape(-1, 3), axis=0)[:2].max() for i in range(200))
+    widest = max(
+        np.ptp(unknown_object(GRID, centre, i).triangles.reshape(-1, 3), axis=0)[:2].max() for i in range(200)
+    )
     assert widest > min(GRID.size[:2])
 
 
 def test_a_grid_that_holds_none_is_one_sentence():
     narrow = VoxelGrid(lo=(0.0, 0.0, 0.0), hi=(1.0, 1.0, 0.05), shape=(1, 1, 1))
     with pytest.raises(NlosError, match="hold none of the unknown objects; keep only their centres inside"):
-        stranger(narrow, TURNED, 0)
+        unknown_object(narrow, TURNED, 0)
 
 
 @pytest.fixture(scope="module")
@@ -80,7 +82,7 @@ def test_a_set_of_unknown_objects(unknown, scene_file, command):
     found = Bulk.open(unknown)
     assert (found.target_kind, found.rotations.any()) == ("box", False)
     for number in (3, 13, 21):  # of the first, second and third index
-        mesh = stranger(found.grid, found.plan.sweep, number // 9)
+        mesh = unknown_object(found.grid, found.plan.sweep, number // 9)
         one = Transport(replace(found.world(), target=(mesh,)), accuracy=0.01)
         alone = one.pictures([found.positions[number]], [found.rotations[number]])[0, :, :, 0]
         np.testing.assert_array_equal(found.pictures[number], alone)

@@ -204,7 +204,7 @@ def test_from_the_shell(tmp_path, command):
     assert "is under ambient light, where the engine knows no derivatives" in mapped.stderr
     swept = command("generator", "sweep", scene, "-o", tmp_path / "swept", "--engine", "surfel", "--poses", "1")
     assert swept.returncode == 0, swept.stderr
-    one, other = Dataset.open(tmp_path / "swept"), simulations.opened(simulated)
+    one, other = Dataset.open(tmp_path / "swept"), simulations.open_set(simulated)
     assert worlds.error(one.background(), other.background()) < 0.01
     assert worlds.error(one.ambient_background(), other.ambient_background()) < 0.02
 

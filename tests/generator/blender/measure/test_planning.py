@@ -59,7 +59,7 @@ def lamp(name):
 
 
 def test_a_plain_scene_holds_nothing_that_surfel_does_not_model():
-    assert simplify.found(built()) == []
+    assert simplify.removable_pieces(built()) == []
 
 
 @pytest.mark.parametrize(
@@ -76,16 +76,16 @@ def test_every_piece_is_found_and_can_be_left_out(edit, piece):
     edit()
     bpy.context.view_layer.update()
     assert survey.world(scene)[0] is None
-    assert piece in simplify.found(scene)
+    assert piece in simplify.removable_pieces(scene)
     simplify.apply(scene, [piece])
     bpy.context.view_layer.update()
     assert survey.world(scene)[1] == []
-    assert piece not in simplify.found(scene)
+    assert piece not in simplify.removable_pieces(scene)
 
 
 def test_light_and_reflections_are_pieces():
     scene = built(order=5, ambient=2.0)
-    assert simplify.found(scene) == [simplify.BEYOND, simplify.AMBIENT]
+    assert simplify.removable_pieces(scene) == [simplify.BEYOND, simplify.AMBIENT]
     assert simplify.lights(scene) == [simplify.AMBIENT]
     simplify.apply(scene, [simplify.BEYOND, simplify.AMBIENT])
     assert roles.reflection_order(scene) == 3
@@ -105,7 +105,7 @@ def test_what_is_fine_is_made_coarse():
     bpy.ops.object.modifier_add(type="SUBSURF")
     ball.modifiers[0].levels = ball.modifiers[0].render_levels = 2
     bpy.context.view_layer.update()
-    assert f"{simplify.FINE}'Ball'" in simplify.found(scene)
+    assert f"{simplify.FINE}'Ball'" in simplify.removable_pieces(scene)
     simplify.apply(scene, [f"{simplify.FINE}'Ball'"])
     bpy.context.view_layer.update()
     evaluated = ball.evaluated_get(bpy.context.evaluated_depsgraph_get())
@@ -219,7 +219,7 @@ def test_the_denoiser_is_wrong_in_the_mean_and_its_noise_is_not_counted(tmp_path
     described = read_scene(scene)
     planned = planning._planned(scene, described, "patch", paired.ROUNDS[0], 0)
     rounds = [[p for p in planned if p.index == k] for k in range(paired.ROUNDS[0])]
-    probe = paired.Probe(path, "patch", rounds)
+    probe = paired.PairedMeasurement(path, "patch", rounds)
     value, low, high = paired.denoiser_bias(probe, (24, 24), most=1.0)
     error, plain = probe.denoised((24, 24), 0)
     signal = (plain[0] * plain[1]).mean()
