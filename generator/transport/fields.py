@@ -181,7 +181,7 @@ class Fields:
         here, there, nothing = np.eye(3)[None], np.zeros((1, 3)), np.zeros(1, dtype=np.int64)
         cells, tint = setting.room_cells, setting.room.tint
         lost = np.ones(1, dtype=bool)
-        if self.few and len(self._setting.room.origin) <= _CUT_ROOM:
+        if compiled.COMPILED and len(setting.room.origin) <= _CUT_ROOM:  # whatever the target, which is not there
             orders = np.array([self._light.order(setting.room.samples())], dtype=np.int64)
             pixels, _, lost = self._received(cells, tint, here, there, nothing, orders)
             pixels = pixels[:, :, 0]

@@ -18,7 +18,7 @@ import bmesh  # exists only once bpy is imported
 import mathutils
 import numpy as np
 
-from generator.blender.scene.blend_file import literal
+from generator.blender.scene.blend_file import literal, new_file
 from generator.blender.scene.roles import (
     BUILT,
     COLLECTION,
@@ -35,6 +35,36 @@ from generator.files import meshes
 from generator.model.arrays import Range, Vector
 from generator.model.errors import NlosError
 from generator.model.scene import FACES, Partition, Scene, Spot, Target
+
+
+def new_scene(wanted: Scene) -> bpy.types.Scene:
+    """Build a scene in a file of its own, in place of the one that is open.
+
+    Parameters
+    ----------
+    wanted : Scene
+        As of `generator.preset`, or with figures changed.
+
+    Returns
+    -------
+    bpy.types.Scene
+        Ready to be rendered, swept or saved.
+
+    Raises
+    ------
+    NlosError
+        As `build`.
+
+    Examples
+    --------
+    >>> import generator
+    >>> scene = generator.new_scene(generator.preset("room", "sheet"))
+    >>> sorted(obj["nlos_role"] for obj in scene.objects if obj["nlos_role"] != "room")
+    ['camera', 'partition', 'relay_wall', 'spot', 'target']
+    """
+    scene = new_file()
+    build(scene, wanted)
+    return scene
 
 
 def build(scene: bpy.types.Scene, wanted: Scene) -> None:
