@@ -1,1 +1,113 @@
-"""Learn from pictures of the relay wall: features, classifiers, reports. Reads data sets, never Blender."""
+"""Learn from pictures of the relay wall: features, classifiers, and answers with their uncertainty.
+
+The public face: arrays in, arrays out, nothing printed. Reads data sets; needs no Blender.
+
+Examples
+--------
+A small set of simulated pictures, an atlas of it, and where the object of one more picture is:
+
+>>> import classify, generator
+>>> from pathlib import Path
+>>> from tempfile import mkdtemp
+>>> folder = Path(mkdtemp())
+>>> scene = generator.new_scene(generator.preset("room", "sphere"))
+>>> generator.save_scene(folder / "room.blend")
+>>> settings = {"pictures": 90, "resolution": "8", "accuracy": 0.01}
+>>> made = generator.bulk(folder / "room.blend", folder / "set", settings, probe=False, workers=1)
+>>> made.bulk.pictures.shape
+(90, 8, 8)
+>>> sensor = classify.Sensor()
+>>> atlas = classify.build_atlas(made.bulk, sensor)
+>>> pictures = generator.open_set(folder / "set")
+>>> seen = atlas.code(pictures.picture(pictures.records[4]), pictures.background())
+>>> place = classify.locate(atlas, seen)
+>>> atlas.grid.labels[int(place.voxels.argmax())] == pictures.records[4].label
+True
+
+Features of the same pictures, and a classifier:
+
+>>> features = classify.extract(pictures, classify.FeatureSettings(set="global"), sensor=sensor)
+>>> model = classify.train(features, "KNN", "paper")
+>>> sum(model.probabilities(pictures.picture(pictures.records[4])).values())
+1.0
+"""
+
+from __future__ import annotations
+
+import importlib
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from classify.classifiers.evaluate import compare
+    from classify.classifiers.models import Model, train
+    from classify.classifiers.models import load as load_model
+    from classify.classifiers.models import save as save_model
+    from classify.inference.atlas import Atlas
+    from classify.inference.atlas import build as build_atlas
+    from classify.inference.atlas import load as load_atlas
+    from classify.inference.atlas import save as save_atlas
+    from classify.inference.bound import reachable as bound
+    from classify.inference.detect import Detector, evidence
+    from classify.inference.evaluation import run as evaluate
+    from classify.inference.posterior import locate
+    from classify.inference.sequence import run as track
+    from classify.pictures.feature_table import Features, extract
+    from classify.pictures.feature_table import read as read_features
+    from classify.pictures.feature_table import write as write_features
+    from classify.pictures.features import FeatureSettings
+    from classify.pictures.sensor import Sensor
+
+_EXPORTS = {
+    "Atlas": "classify.inference.atlas:Atlas",
+    "Detector": "classify.inference.detect:Detector",
+    "FeatureSettings": "classify.pictures.features:FeatureSettings",
+    "Features": "classify.pictures.feature_table:Features",
+    "Model": "classify.classifiers.models:Model",
+    "Sensor": "classify.pictures.sensor:Sensor",
+    "bound": "classify.inference.bound:reachable",
+    "build_atlas": "classify.inference.atlas:build",
+    "compare": "classify.classifiers.evaluate:compare",
+    "evaluate": "classify.inference.evaluation:run",
+    "evidence": "classify.inference.detect:evidence",
+    "extract": "classify.pictures.feature_table:extract",
+    "load_atlas": "classify.inference.atlas:load",
+    "load_model": "classify.classifiers.models:load",
+    "locate": "classify.inference.posterior:locate",
+    "read_features": "classify.pictures.feature_table:read",
+    "save_atlas": "classify.inference.atlas:save",
+    "save_model": "classify.classifiers.models:save",
+    "track": "classify.inference.sequence:run",
+    "train": "classify.classifiers.models:train",
+    "write_features": "classify.pictures.feature_table:write",
+}
+__all__ = [
+    "Atlas",
+    "Detector",
+    "FeatureSettings",
+    "Features",
+    "Model",
+    "Sensor",
+    "bound",
+    "build_atlas",
+    "compare",
+    "evaluate",
+    "evidence",
+    "extract",
+    "load_atlas",
+    "load_model",
+    "locate",
+    "read_features",
+    "save_atlas",
+    "save_model",
+    "track",
+    "train",
+    "write_features",
+]
+
+
+def __getattr__(name: str) -> Any:
+    # scikit-learn and the compiler take seconds to load.
+    if name in _EXPORTS:
+        module, _, own = _EXPORTS[name].partition(":")
+        return getattr(importlib.import_module(module), own)
+    raise AttributeError(f"module {__name__!r} has no attribute {name!r}")

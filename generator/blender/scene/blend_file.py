@@ -7,7 +7,6 @@ from pathlib import Path
 
 import bpy
 
-# isort: split
 from generator.blender.scene import references
 from generator.blender.scene.quiet import quiet
 from generator.model.errors import NlosError

@@ -6,8 +6,6 @@ import math
 from typing import Any
 
 import bpy
-
-# isort: split
 import numpy as np
 from mathutils import Matrix
 

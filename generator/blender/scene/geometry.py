@@ -9,8 +9,6 @@ from dataclasses import dataclass, field
 from typing import Any, TypeVar
 
 import bpy
-
-# isort: split
 import mathutils
 import numpy as np
 from mathutils import Matrix

@@ -6,7 +6,6 @@ from typing import Any
 
 import bpy
 
-# isort: split
 from generator.blender.scene import nodes
 from generator.blender.scene.words import short
 

@@ -7,8 +7,6 @@ import math
 from collections.abc import Iterator
 
 import bpy
-
-# isort: split
 import mathutils
 import numpy as np
 from mathutils import Euler, Matrix, Quaternion

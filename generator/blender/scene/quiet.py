@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import functools
+import io
 import os
 import sys
 from collections.abc import Callable, Iterator
@@ -11,14 +12,13 @@ from typing import Any
 
 import bpy
 
-# isort: split
 from generator.blender.scene.words import file_name
 from generator.model.errors import NlosError
 
 
 @contextlib.contextmanager
 def quiet() -> Iterator[None]:
-    """Silence what Blender prints about its own doings (file descriptor 1, since C prints it)."""
+    """Silence what Blender prints about its own doings: by C, to file descriptor 1, and by Python's standard output."""
     if sys.stdout is not None:
         sys.stdout.flush()
     try:
@@ -29,7 +29,8 @@ def quiet() -> Iterator[None]:
     nowhere = os.open(os.devnull, os.O_WRONLY)
     try:
         os.dup2(nowhere, 1)
-        yield
+        with contextlib.redirect_stdout(io.StringIO()):
+            yield
     finally:
         os.dup2(saved, 1)
         os.close(saved)

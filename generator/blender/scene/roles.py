@@ -7,11 +7,9 @@ from typing import Any
 import bpy
 
 from generator.blender.scene import roles
-from generator.model.errors import NlosError
-
-# isort: split
 from generator.blender.scene.words import file_name, short
 from generator.files.toml import from_dict
+from generator.model.errors import NlosError
 from generator.model.grid import VoxelGrid
 
 

@@ -5,8 +5,6 @@ from __future__ import annotations
 from typing import Any
 
 import bpy
-
-# isort: split
 import numpy as np
 
 from generator.model.arrays import Array, Range, Vector
