@@ -18,7 +18,7 @@ from generator.model.errors import NlosError
 
 @contextlib.contextmanager
 def quiet() -> Iterator[None]:
-    """Silence what Blender prints about its own doings: by C, to file descriptor 1, and by Python's standard output."""
+    """Silence what Blender prints about its own doings: by C, to file descriptor 1, and by Python's sys.stdout."""
     if sys.stdout is not None:
         sys.stdout.flush()
     try:
