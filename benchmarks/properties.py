@@ -975,7 +975,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     )
     parser.add_argument("--patience", type=float, default=PATIENCE, help="seconds for an edit (default: %(default)g)")
     parser.add_argument("--shard", default="0/1", help="i/n: every n-th edit, from the i-th on")
-    parser.add_argument("--merge", type=Path, nargs="+", help="make the table from these files of earlier runs alone")
+    parser.add_argument("--merge", type=Path, nargs="+", help="make the table from these files of earlier runs; later ones count")
     parser.add_argument("--blender", default="", help="the Blender of those, for the heading")
     parser.add_argument("--serve", action="store_true", help=argparse.SUPPRESS)
     options = parser.parse_args(argv)
@@ -983,7 +983,8 @@ def main(argv: Sequence[str] | None = None) -> int:
         serve()
         return 0
     if options.merge:
-        print(table([row for path in options.merge for row in stored(path)], options.blender))
+        rows = {row.label: row for path in options.merge for row in stored(path)}
+        print(table(list(rows.values()), options.blender))
         return 0
     import bpy
 
