@@ -1,6 +1,6 @@
 """Picture -> what the light transport says of it: level, shape without level, and the fit of an unknown target.
 
-An object whose form nobody knows is taken for one small surface element: where it is, which way it faces, how much
+An object of unknown shape is taken for one small surface element: where it is, which way it faces, how much
 light it sends. The picture of such an element before a bare wall is one term of the paper's sum over surfels (section
 3.1), so many of them are drawn beforehand, and a picture is weighed against all. What comes out are means over what
 explains the picture, which change smoothly with it and need no start.

@@ -41,7 +41,7 @@ def add_parsers(commands: Commands) -> None:
     parser.add_argument(
         "--unknown",
         action=argparse.BooleanOptionalAction,
-        help="at every pose another box or sheet in place of the target, for an object that nobody knows",
+        help="at every pose another box or sheet in place of the target, for an unknown object",
     )
     parser.add_argument("--part", type=int, metavar="N", help="pictures per file (default: about 64 MiB)")
     parser.add_argument("--shard", default="0/1", metavar="i/n", help="make the i-th of n shares only (from 0)")

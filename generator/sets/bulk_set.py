@@ -118,7 +118,7 @@ class Settings:
         Smaller files (gzip, which every HDF5 reader knows), slower to write and to read.
     unknown : bool
         Whether another object stands in for the scene's target at every pose index
-        (`generator.sets.unknown_objects`), so that the set shows what an object that nobody knows may look like.
+        (`generator.sets.unknown_objects`), so that the set shows what an unknown object may look like.
     """
 
     pictures: int

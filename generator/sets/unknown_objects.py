@@ -1,4 +1,4 @@
-"""Objects that stand in for one nobody knows: boxes and sheets of random edges, turn and albedo.
+"""Objects that stand in for an unknown one: boxes and sheets of random edges, turn and albedo.
 
 Three diffuse reflections leave no edge or curve of an object to see, but how large it is, how flat, which way it
 faces and how bright it is. Boxes have all of these; and they are convex and of few faces, so the engine is fast.

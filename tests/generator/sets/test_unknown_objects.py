@@ -1,4 +1,4 @@
-"""Objects that stand in for one nobody knows, and sets of them."""
+"""Objects that stand in for an unknown one, and sets of them."""
 
 from __future__ import annotations
 
