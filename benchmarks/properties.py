@@ -221,8 +221,9 @@ def owners() -> dict[str, Callable[[Any], Any]]:
 
 MODIFIERS = (
     "ARRAY", "BEVEL", "BUILD", "CAST", "DECIMATE", "DISPLACE", "EDGE_SPLIT", "MIRROR", "NORMAL_EDIT", "SCREW",
-    "SIMPLE_DEFORM", "SMOOTH", "SOLIDIFY", "SUBSURF", "TRIANGULATE", "WAVE", "WEIGHTED_NORMAL", "WELD", "WIREFRAME",
+    "SIMPLE_DEFORM", "SMOOTH", "SOLIDIFY", "SUBSURF", "TRIANGULATE", "WAVE", "WEIGHTED_NORMAL", "WELD",
 )  # fmt: skip
+"""Not WIREFRAME: a frame of some hundred faces takes `surfel` minutes an edit."""
 CONSTRAINTS = ("LIMIT_LOCATION", "LIMIT_ROTATION")
 
 
@@ -975,7 +976,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     )
     parser.add_argument("--patience", type=float, default=PATIENCE, help="seconds for an edit (default: %(default)g)")
     parser.add_argument("--shard", default="0/1", help="i/n: every n-th edit, from the i-th on")
-    parser.add_argument("--merge", type=Path, nargs="+", help="make the table from these files of earlier runs; later ones count")
+    parser.add_argument("--merge", type=Path, nargs="+", help="make the table from these files; of two, the later")
     parser.add_argument("--blender", default="", help="the Blender of those, for the heading")
     parser.add_argument("--serve", action="store_true", help=argparse.SUPPRESS)
     options = parser.parse_args(argv)
