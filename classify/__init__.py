@@ -13,7 +13,8 @@ A small set of simulated pictures, an atlas of it, and where the object of one m
 >>> scene = generator.new_scene(generator.preset("room", "sphere"))
 >>> generator.save_scene(folder / "room.blend")
 >>> settings = {"pictures": 90, "resolution": "8", "accuracy": 0.01}
->>> made = generator.bulk(folder / "room.blend", folder / "set", settings, probe=False, workers=1)
+>>> request = generator.BulkRequest(scene=folder / "room.blend", path=folder / "set", chosen=settings, probe=False)
+>>> made = generator.bulk(request)
 >>> made.bulk.pictures.shape
 (90, 8, 8)
 >>> sensor = classify.Sensor()

@@ -27,7 +27,7 @@ if TYPE_CHECKING:
     from generator.blender.scene.blend_file import save_file as save_scene
     from generator.blender.scene.build import new_scene
     from generator.jobs.bulk import run as bulk
-    from generator.jobs.request import SweepRequest
+    from generator.jobs.request import BulkRequest, SweepRequest
     from generator.jobs.sweep import run as sweep
     from generator.model.errors import NlosError
     from generator.model.presets import preset
@@ -35,6 +35,7 @@ if TYPE_CHECKING:
     from generator.sets.simulated import open_set
 
 _EXPORTS = {
+    "BulkRequest": "generator.jobs.request:BulkRequest",
     "Finding": "generator.blender.check:Finding",
     "NlosError": "generator.model.errors:NlosError",
     "Scene": "generator.model.scene:Scene",
@@ -50,6 +51,7 @@ _EXPORTS = {
     "sweep": "generator.jobs.sweep:run",
 }
 __all__ = [
+    "BulkRequest",
     "Finding",
     "NlosError",
     "Scene",

@@ -20,7 +20,6 @@ from generator.blender import sweep_worker
 from generator.files.pictures import write_picture
 from generator.model.errors import NlosError
 
-from .. import __package__ as extension
 from ..session import background, state
 from ..view import overlay
 
@@ -30,10 +29,14 @@ _PATIENCE = 120.0
 _TEST = "import classify.classifiers.models, sys; print('.'.join(map(str, sys.version_info[:3])))"
 
 
+_EXTENSION = (__package__ or "nlos_lab.operators").rpartition(".")[0]
+"""Preferences bear the name of the extension itself."""
+
+
 class NlosPreferences(bpy.types.AddonPreferences):
     """What depends on the machine, not on the scene."""
 
-    bl_idname = extension or "nlos_lab"
+    bl_idname = _EXTENSION
 
     python: StringProperty(
         name="Python",
@@ -56,7 +59,7 @@ class NlosPreferences(bpy.types.AddonPreferences):
 
 def named() -> str:
     """Return what the preferences name; empty if nothing."""
-    addon = bpy.context.preferences.addons.get(extension)
+    addon = bpy.context.preferences.addons.get(_EXTENSION)
     return str(bpy.path.abspath(addon.preferences.python)) if addon else ""
 
 

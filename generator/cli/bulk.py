@@ -15,6 +15,7 @@ from generator.cli.options import (
     farm_of,
 )
 from generator.cli.terminal import progress_bar, report
+from generator.jobs.request import BulkRequest
 
 
 def add_parsers(commands: Commands) -> None:
@@ -57,14 +58,15 @@ def run_bulk(options: argparse.Namespace) -> int:
     from generator.jobs import bulk
     from generator.sets import bulk_set
 
-    chosen = chosen_settings(options, bulk_set.Settings, pictures=1)
+    request = BulkRequest(
+        scene=options.scene,
+        path=options.output,
+        chosen=chosen_settings(options, bulk_set.Settings, pictures=1),
+        force=options.force,
+        probe=options.probe,
+        trust_links=options.trust_links,
+        **farm_of(options),
+    )
     with progress_bar() as progress:
-        outcome = bulk.run(
-            *(options.scene, options.output, chosen),
-            progress=progress,
-            tell=print,
-            force=options.force,
-            probe=options.probe,
-            **farm_of(options),
-        )
+        outcome = bulk.run(request, progress=progress, tell=print)
     return report(outcome.bulk, outcome.rendered, outcome.remaining, outcome.failed)

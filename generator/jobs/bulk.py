@@ -2,17 +2,16 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 from functools import partial
-from pathlib import Path
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from generator.jobs.local import start_words
 from generator.jobs.protocol import PlanBulk, RenderBulk
+from generator.jobs.request import BulkRequest
 from generator.jobs.workers import WorkerPool, planned_notes
 from generator.model.arrays import Array
 from generator.model.errors import NlosError
@@ -46,41 +45,27 @@ class Outcome:
 
 
 def run(
-    scene: Path,
-    path: Path,
-    chosen: Mapping[str, Any],
+    request: BulkRequest,
     *,
-    workers: int = 0,
-    shard: tuple[int, int] = (0, 1),
     progress: Progress = lambda done, total: None,
     tell: Callable[[str], None] = lambda words: None,
-    force: bool = False,
-    probe: bool = True,
 ) -> Outcome:
     """Make a bulk set, or what is missing of it.
 
     Parameters
     ----------
-    scene : Path
-        The ``.blend``.
-    path : Path
-        Of the set; a folder that is new, empty, or holds the same set.
-    chosen : mapping
-        Fields of `Settings` that the user chose; ``resolution`` may be text. What is left out follows from the set
-        if there is one, else from the scene and the defaults.
-    workers : int
-        Processes; 0 is one per core.
-    shard : (int, int)
-        ``(i, n)``: make the i-th of n shares of the parts only, i from 0.
+    request : BulkRequest
+        What is asked for.
     progress : callable
-        Is told how many pictures of this run are done, and how many there are to do.
+        Called with (done, total) pictures of this run.
     tell : callable
-        Is told that the engine is being compiled, what the check says of a new set's scene, and what the check at its
-        start found.
-    force : bool
-        Begin a new set in spite of errors that the check finds in the scene.
-    probe : bool
-        Whether a new set begins with the check of the engine against plain Cycles (`generator.blender.start_check`).
+        Called with what is to be said: that the engine is being compiled, what the check says of a new set's scene,
+        and what the check at its start found.
+
+    Returns
+    -------
+    Outcome
+        The set, and what this run did.
 
     Raises
     ------
@@ -88,17 +73,22 @@ def run(
         The input is bad, the check finds an error, the engine cannot honour the scene, or the set at that path was
         made with other settings.
     """
+    with links.trusting(request.trust_links):
+        return _run(request, progress, tell)
+
+
+def _run(request: BulkRequest, progress: Progress, tell: Callable[[str], None]) -> Outcome:
+    path, (index, count) = request.path, request.shard
     if words := compiling_words("surfel"):
         tell(words)
     new = not Bulk.exists(path)
     if new:
-        for words in _plan(scene, path, chosen, force=force, probe=probe):
+        for words in _plan(request):
             tell(words)
     bulk = Bulk.open(path)
     if new and (words := start_words(bulk)):
         tell(words)
-    check_same(bulk, scene, chosen)
-    index, count = shard
+    check_same(bulk, request.scene, request.chosen)
     if not 0 <= index < count:
         raise NlosError(f"--shard {index}/{count}: must be i/n with i from 0 to n - 1")
     pending = [number for number in bulk.missing() if number % count == index]
@@ -111,7 +101,7 @@ def run(
             progress,
             size=lambda number: len(bulk.part_range(number)),
         )
-        crew.work(pending, workers)
+        crew.work(pending, request.workers)
         outcome.failed = crew.failed
     missing = set(bulk.missing())
     outcome.rendered = sum(len(bulk.part_range(number)) for number in pending if number not in missing)
@@ -121,16 +111,22 @@ def run(
     return outcome
 
 
-def _plan(scene: Path, path: Path, chosen: Mapping[str, Any], *, force: bool, probe: bool) -> list[str]:
-    if not scene.is_file():
-        raise NlosError(f"{scene}: no such scene file")
-    if "pictures" not in chosen:
-        raise NlosError(f"{path}: is a new set, so say how many pictures it shall hold with --pictures N")
-    check_free(path)
-    request = PlanBulk(
-        scene=scene, path=path, chosen=dict(chosen), force=force, probe=probe, trust_links=links.trusted()
+def _plan(request: BulkRequest) -> list[str]:
+    if not request.scene.is_file():
+        raise NlosError(f"{request.scene}: no such scene file")
+    if "pictures" not in request.chosen:
+        raise NlosError(f"{request.path}: is a new set, so say how many pictures it shall hold with --pictures N")
+    check_free(request.path)
+    return planned_notes(
+        PlanBulk(
+            scene=request.scene,
+            path=request.path,
+            chosen=dict(request.chosen),
+            force=request.force,
+            probe=request.probe,
+            trust_links=links.trusted(),
+        )
     )
-    return planned_notes(request)
 
 
 class Engine:

@@ -1,4 +1,4 @@
-"""What a sweep is asked for, whoever asks: command line, batch script, extension or a Python program."""
+"""What a sweep or a bulk set is asked for, whoever asks: command line, batch script, extension, a Python program."""
 
 from __future__ import annotations
 
@@ -70,6 +70,41 @@ class SweepRequest:
     workers: int = 0
     shard: tuple[int, int] = (0, 1)
     cluster: ClusterJobs | None = None
+    force: bool = False
+    probe: bool = True
+    trust_links: bool = False
+
+
+@dataclass(frozen=True, kw_only=True)
+class BulkRequest:
+    """A bulk set to be made, or gone on with.
+
+    Attributes
+    ----------
+    scene : Path
+        The ``.blend``.
+    path : Path
+        Folder of the set: new, empty, or holding the same set.
+    chosen : mapping
+        Fields of `generator.sets.bulk_set.Settings` that the user chose; ``resolution`` may be text. What is left out
+        follows from the set if there is one, else from the scene and the defaults.
+    workers : int
+        Processes; 0 is one per core.
+    shard : (int, int)
+        ``(i, n)``: make the i-th of n shares of the parts only, i from 0.
+    force : bool
+        Begin a new set in spite of errors that the check finds in the scene.
+    probe : bool
+        Whether a new set begins with the check of the engine against plain Cycles (`generator.blender.start_check`).
+    trust_links : bool
+        Whether what the scene refers to may lie outside its own folder.
+    """
+
+    scene: Path
+    path: Path
+    chosen: Mapping[str, Any] = field(default_factory=dict)
+    workers: int = 0
+    shard: tuple[int, int] = (0, 1)
     force: bool = False
     probe: bool = True
     trust_links: bool = False
