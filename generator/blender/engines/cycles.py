@@ -153,19 +153,12 @@ def linear_output(scene: bpy.types.Scene, overrides: Overrides) -> None:
     """Let the renderer's own float32 radiance be what is written."""
     # Another format has other depths, codecs and colour spaces: assigning it changes them.
     overrides.keep(scene.render.image_settings, "media_type", "file_format", "color_mode", "color_depth")
-    replace_settings(scene, overrides, replaced.OUTPUT)
+    replaced.replace(scene, overrides, replaced.OUTPUT)
 
 
 def plain_cycles(scene: bpy.types.Scene, overrides: Overrides) -> None:
     """Let Cycles be unbiased, and its noise follow from seed and samples alone."""
-    replace_settings(scene, overrides, replaced.SAMPLING)
-
-
-def replace_settings(scene: bpy.types.Scene, overrides: Overrides, settings: Sequence[replaced.Setting]) -> None:
-    """Give the scene the values that a sweep renders with, in place of the file's."""
-    for setting in settings:
-        for owner, name in replaced.places(scene, setting):
-            overrides.set(owner, name, setting.value)
+    replaced.replace(scene, overrides, replaced.SAMPLING)
 
 
 def _put_out_the_sky(scene: bpy.types.Scene, overrides: Overrides) -> list[bpy.types.World]:

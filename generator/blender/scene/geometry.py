@@ -13,7 +13,7 @@ import mathutils
 import numpy as np
 from mathutils import Matrix
 
-from generator.blender.scene import nodes
+from generator.blender.scene import nodes, replaced
 from generator.blender.scene.quiet import Overrides, quiet
 from generator.blender.scene.roles import SINGLE_ROLES, find, players, target_parts, unseen
 from generator.blender.scene.words import file_name, numbers
@@ -61,6 +61,7 @@ def as_rendered(scene: bpy.types.Scene, look: Callable[[Any], Result]) -> Result
     try:
         with Overrides() as overrides, quiet(), _in_a_slot():
             hold_camera(scene, overrides)
+            replaced.replace(scene, overrides, replaced.IMAGES)
             for name, value in (
                 ("engine", Look.bl_idname),
                 ("use_compositing", False),

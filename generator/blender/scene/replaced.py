@@ -7,11 +7,11 @@ What is not in it is the file's own business, and is rendered as plain Cycles re
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass
 from typing import Any
 
-from generator.blender.scene.quiet import animating
+from generator.blender.scene.quiet import Overrides, animating
 
 
 @dataclass(frozen=True)
@@ -75,6 +75,8 @@ OUTPUT = (
     Setting("render.use_persistent_data", True),
 )
 """Float32 radiance straight from the renderer: of the whole view, at one instant, with nothing drawn over it."""
+IMAGES = tuple(setting for setting in OUTPUT if setting.path.startswith("render.image_settings."))
+"""Of those, the format: Blender renders no small picture of a file that is set to video."""
 
 SAMPLING = (
     Setting("cycles.device", "CPU"),  # --device says otherwise
@@ -114,6 +116,13 @@ def places(scene: Any, setting: Setting) -> Iterator[tuple[Any, str]]:
             owner = getattr(owner, part)
         if hasattr(owner, name):
             yield owner, name
+
+
+def replace(scene: Any, overrides: Overrides, settings: Iterable[Setting]) -> None:
+    """Give the scene the values that a sweep renders with, in place of the file's."""
+    for setting in settings:
+        for owner, name in places(scene, setting):
+            overrides.set(owner, name, setting.value)
 
 
 def replaced(scene: Any) -> list[Setting]:

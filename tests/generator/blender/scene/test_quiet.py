@@ -8,6 +8,7 @@ import pytest
 
 from generator.blender.engines import renderers
 from generator.blender.scene import blend_file, build
+from generator.blender.scene.description import read_scene
 from generator.model.presets import preset
 
 FORMATS = {
@@ -104,4 +105,13 @@ def test_what_an_error_interrupts_is_set_back_too():
     before = every_setting(scene)
     with pytest.raises(ZeroDivisionError), renderers.opened(scene, "patch", resolution=(8, 8)):
         raise ZeroDivisionError
+    assert every_setting(scene) == before
+
+
+def test_a_small_file_that_is_set_to_video_is_read():
+    """Blender itself renders no picture of one: "Image too small"."""
+    scene = opened_with("film")
+    scene.render.resolution_x = scene.render.resolution_y = 8
+    before = every_setting(scene)
+    assert read_scene(scene).resolution == (8, 8)
     assert every_setting(scene) == before
