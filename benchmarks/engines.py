@@ -33,10 +33,10 @@ import numpy as np
 import scenes
 from scipy.stats import t as student
 
-from generator.model.arrays import rotation_matrix
+from generator.model.arrays import Vector, rotation_matrix
 from generator.model.errors import NlosError
 from generator.model.presets import preset
-from generator.model.scene import Target
+from generator.model.scene import Scene, Target
 from generator.transport.compiled import COMPILED
 from generator.transport.world import Body, Sphere, World
 
@@ -74,7 +74,7 @@ class Case:
         return f"{self.target}, {self.gap:g} m, {'room' if self.room else 'bare wall'}"
 
     @property
-    def spec(self) -> spec.Scene:
+    def spec(self) -> Scene:
         """The scene, its target a sheet where the spec knows none such."""
         kind = self.target if self.target in ("sphere", "sheet") else "sheet"
         scene = replace(preset("room", kind), resolution=(self.resolution, self.resolution))
@@ -92,7 +92,7 @@ class Case:
         return scenes.bodies(self.spec.target)
 
     @property
-    def position(self) -> spec.Vector:
+    def position(self) -> Vector:
         """Right of the lamp's cone and out of the camera's view, so far from the wall that the gap is right."""
         turn = rotation_matrix(ROTATION)
         spheres = [float((turn @ b.centre)[1]) - b.radius for b in self.bodies if isinstance(b, Sphere)]

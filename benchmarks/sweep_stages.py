@@ -199,7 +199,7 @@ def as_coordinator(arguments: list[str]) -> int:
     clock.watch()
 
     def started(command: list[str], **options: Any) -> Any:
-        own = [command[0], __file__, "--as-worker", *command[3:]]  # python -m generator.worker ...
+        own = [command[0], __file__, "--as-worker", *command[3:]]  # python -m generator.blender.worker ...
         options["env"] = {**options["env"], STARTED: repr(time.time())}
         return start(own, **options)
 
