@@ -112,7 +112,7 @@ def fill(settings: Any, scene: Scene, *, target: bool = True) -> None:
     Parameters
     ----------
     settings : NlosSettings
-    scene : spec.Scene
+    scene : Scene
         A preset of no known name and albedos of None leave the draft's own.
     target : bool
         The target's figures too.

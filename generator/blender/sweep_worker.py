@@ -69,7 +69,7 @@ def plan(
     tell : callable
         Is told what the check finds short of that.
     probe : bool
-        Whether the engine is held against plain Cycles first (`startcheck`).
+        Whether the engine is held against plain Cycles first (`generator.blender.start_check`).
     reference : Path, optional
         The file that plain Cycles renders; if there is none, or the sweep leaves something out, the set's own scene.
 

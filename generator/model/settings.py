@@ -44,7 +44,7 @@ class Sweep:
     pace : float
         Of a trajectory, metres from frame to frame.
     leave_out : tuple of str
-        Pieces of the scene (`generator.blender.engines.simplify`) and parts of `surfel` (`transport.partial`) that
+        Pieces of the scene (`generator.blender.engines.simplify`) and parts of `surfel` (`transport.left_out`) that
         are not modelled.
     """
 

@@ -57,7 +57,7 @@ def opened(
     device : {"cpu", "gpu"}
         That Cycles renders on.
     leave_out : sequence of str
-        Of `partial.PARTS`, what `surfel` does not model.
+        Of `left_out.PARTS`, what `surfel` does not model.
 
     Raises
     ------
@@ -103,7 +103,7 @@ def choose(scene: bpy.types.Scene, found: survey.Survey | None = None) -> tuple[
     Parameters
     ----------
     scene : bpy.types.Scene
-    found : extract.Survey, optional
+    found : Survey, optional
         Of the scene; it is surveyed if not given.
 
     Returns

@@ -57,7 +57,7 @@ def run(
         Files of other names in it are left alone.
     places : mapping
     settings : mapping
-        ``pixels``, ``samples`` and ``repeats`` of `experiments.run`.
+        ``pixels``, ``samples`` and ``repeats`` of `experiment.run`.
     ambient : float
         Light that the sky alone would give the wall, in units of the mean signal with the object at rest; 0 is dark.
     progress : callable

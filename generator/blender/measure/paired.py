@@ -187,7 +187,7 @@ def measure(
     ----------
     probe : Probe
     names : sequence of str
-        Of `simplify.found`.
+        Of `simplify.removable_pieces`.
     orders : sequence of int
         Reflection orders beyond the scene's, whose light is measured too.
     tolerance : float

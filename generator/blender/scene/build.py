@@ -74,7 +74,7 @@ def build(scene: bpy.types.Scene, wanted: Scene) -> None:
     ----------
     scene : bpy.types.Scene
         Objects without a role are left alone.
-    wanted : spec.Scene
+    wanted : Scene
 
     Raises
     ------

@@ -43,9 +43,9 @@ class Surroundings:
     Parameters
     ----------
     scene : bpy.types.Scene
-    described : spec.Scene
+    described : Scene
     engine : str
-    seen : stage.Snapshot, optional
+    seen : Snapshot, optional
         Of the scene; it is looked at if not given.
     """
 
