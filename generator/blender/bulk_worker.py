@@ -63,7 +63,8 @@ def plan(
     tell : callable
         Is told what the check finds short of that.
     probe : bool
-        Whether the engine is held against plain Cycles first (`generator.blender.start_check`), with the target that the scene has.
+        Whether the engine is held against plain Cycles first (`generator.blender.start_check`), with the target that
+        the scene has.
 
     Raises
     ------

@@ -47,7 +47,7 @@ def apply(scene: bpy.types.Scene, names: Iterable[str]) -> None:
         It is changed, for good.
     names : iterable of str
         Of `found`, or of objects that play no single role, which are hidden. What the engine leaves out by itself
-        (`transport.partial`) is no piece of the scene, and counts nothing.
+        (`transport.left_out`) is no piece of the scene, and counts nothing.
 
     Raises
     ------
