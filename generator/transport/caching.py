@@ -42,6 +42,13 @@ def folder() -> Path | None:
     return None
 
 
+def _compiles() -> bool:
+    try:
+        return importlib.util.find_spec("numba") is not None
+    except ImportError:
+        return False
+
+
 def _parents() -> Iterator[Path]:
     if named := os.environ.get("NUMBA_CACHE_DIR"):
         yield Path(named).absolute()
@@ -69,7 +76,7 @@ def _private() -> Path:
 
 def compiling_words(engine: str | None) -> str:
     """Return what to say before an engine's first run, which compiles it; nothing if there is nothing to wait for."""
-    if importlib.util.find_spec("numba") is None:
+    if not _compiles():
         return ""
     newest = max(source.stat().st_mtime for source in caching.sources())
     kept = caching.folder()

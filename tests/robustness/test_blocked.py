@@ -176,8 +176,8 @@ def test_check_and_sweep_from_the_shell_without_them(bare, tmp_path, lit):
             f"""
             import sys
             sys.path.insert(0, {str(ROOT)!r})
-            from generator import cli
-            code = cli.main([{command!r}, {str(lit)!r}, *{more!r}])
+            from generator.cli.main import main
+            code = main([{command!r}, {str(lit)!r}, *{more!r}])
             sys.exit(code if {command!r} == "sweep" else 0 if code in (0, 1) else code)
             """,
             cwd=tmp_path,
@@ -201,7 +201,8 @@ print("cache:", caching.folder())
 @pytest.fixture
 def unwritable(tmp_path):
     """An installation whose cache cannot be written, even by root: a file stands in the folder's place."""
-    for name in ("generator", "generator/transport"):
+    for name in ("", "/model", "/files", "/transport", "/transport/shadows"):
+        name = f"generator{name}"
         (tmp_path / name).mkdir()
         for source in (ROOT / name).glob("*.py"):
             shutil.copy(source, tmp_path / name)
