@@ -27,7 +27,7 @@ CHAIN = (
     "generate scene tabletop --ambient 0.5 --show -o tabletop.blend",
     "generate sweep room.blend -o surfel --engine surfel --poses 3 --resolution 16 --workers 1 --no-probe",
     "generate sweep room.blend -o patch --engine patch --samples 64 --poses 2 --resolution 8 --workers 2 --no-probe",
-    "generate sweep tabletop.blend -o path --engine path --samples 16 --poses 1 --resolution 8 --workers 1 --no-probe",
+    "generate sweep tabletop.blend -o path --engine path --samples 16 --poses 1 --resolution 8 --no-probe",
     "generate trajectory room.blend -o walk --engine surfel --frames 12 --resolution 16 --workers 1 --no-probe",
     "generate bulk room.blend -o bulk --pictures 900 --resolution 16 --workers 2 --no-probe",
     "generate bulk room.blend -o unknown --pictures 90 --unknown --resolution 16 --workers 1 --no-probe",
