@@ -40,7 +40,7 @@ CHAIN = (
     "classify compare physics.h5 -o report",
     "classify predict model.skops surfel/A/0000.exr --background surfel/background.exr",
     "generate bulk room.blend -o filled --pictures 450 --inside centre --resolution 16 --workers 2 --no-probe",
-    "classify atlas filled -o room.atlas",
+    "classify atlas filled -o room.atlas --frames 10",
     "classify locate room.atlas surfel --frames 1",
     "classify detect room.atlas --exposures 1 10 --count 50",
     "classify bound room.atlas unknown --frames 1 --count 50",
