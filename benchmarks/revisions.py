@@ -43,7 +43,7 @@ CHAIN = (
     "classify atlas filled -o room.atlas --frames 10",
     "classify locate room.atlas surfel --frames 1",
     "classify detect room.atlas --exposures 1 10 --count 50",
-    "classify bound room.atlas unknown --frames 1 --count 50",
+    "classify bound room.atlas filled --frames 1 --count 50",
     "classify track room.atlas walk --frames 10",
 )
 """Without the check at the start of sweeps, which takes as many samples as there is time for."""
