@@ -28,31 +28,23 @@ class ClusterJobs:
 
 
 @dataclass(frozen=True, kw_only=True)
-class SweepRequest:
-    """A data set to be rendered, or gone on with.
+class SetRequest:
+    """What a sweep and a bulk set are both asked for.
 
     Attributes
     ----------
     scene : Path
         The ``.blend``.
     path : Path
-        Folder of the data set: new, empty, or holding the same sweep.
+        Folder of the set: new, empty, or holding the same set.
     chosen : mapping
-        Fields of `Sweep` that the user chose. What is left out follows from the data set if there is one, else from
-        the scene and the defaults. The engine may be ``auto``: the data set's, or the cheapest that the scene allows.
-    accuracy : float
-        Relative error of a difference picture for which samples or the engine's accuracy are measured out; 0 if none
-        is asked for.
-    budget : float
-        Seconds, in which a new set is to end; 0 for no limit.
-    plan : Path, optional
-        Plan that the sweep follows (`generator.sets.plan_file`).
+        Settings that the user chose, `Sweep`'s or `generator.sets.bulk_set.Settings`'. What is left out follows from
+        the set if there is one, else from the scene and the defaults. The engine of a sweep may be ``auto``: the
+        set's, or the cheapest that the scene allows. ``resolution`` may be text.
     workers : int
         Processes; 0 is one per core, or four that share a GPU.
     shard : (int, int)
-        ``(i, n)``: render the i-th of n parts only, i from 0.
-    cluster : ClusterJobs, optional
-        Render as jobs of a cluster, in place of processes of this machine.
+        ``(i, n)``: the i-th of n parts only, i from 0.
     force : bool
         Begin a new set in spite of errors that the check finds in the scene.
     probe : bool
@@ -64,47 +56,36 @@ class SweepRequest:
     scene: Path
     path: Path
     chosen: Mapping[str, Any] = field(default_factory=dict)
-    accuracy: float = 0.0
-    budget: float = 0.0
-    plan: Path | None = None
     workers: int = 0
     shard: tuple[int, int] = (0, 1)
-    cluster: ClusterJobs | None = None
     force: bool = False
     probe: bool = True
     trust_links: bool = False
 
 
 @dataclass(frozen=True, kw_only=True)
-class BulkRequest:
-    """A bulk set to be made, or gone on with.
+class SweepRequest(SetRequest):
+    """A data set to be rendered, or gone on with; further attributes as of `SetRequest`.
 
     Attributes
     ----------
-    scene : Path
-        The ``.blend``.
-    path : Path
-        Folder of the set: new, empty, or holding the same set.
-    chosen : mapping
-        Fields of `generator.sets.bulk_set.Settings` that the user chose; ``resolution`` may be text. What is left out
-        follows from the set if there is one, else from the scene and the defaults.
-    workers : int
-        Processes; 0 is one per core.
-    shard : (int, int)
-        ``(i, n)``: make the i-th of n shares of the parts only, i from 0.
-    force : bool
-        Begin a new set in spite of errors that the check finds in the scene.
-    probe : bool
-        Whether a new set begins with the check of the engine against plain Cycles (`generator.blender.start_check`).
-    trust_links : bool
-        Whether what the scene refers to may lie outside its own folder.
+    accuracy : float
+        Relative error of a difference picture for which samples or the engine's accuracy are measured out; 0 if none
+        is asked for.
+    budget : float
+        Seconds, in which a new set is to end; 0 for no limit.
+    plan : Path, optional
+        Plan that the sweep follows (`generator.sets.plan_file`).
+    cluster : ClusterJobs, optional
+        Render as jobs of a cluster, in place of processes of this machine.
     """
 
-    scene: Path
-    path: Path
-    chosen: Mapping[str, Any] = field(default_factory=dict)
-    workers: int = 0
-    shard: tuple[int, int] = (0, 1)
-    force: bool = False
-    probe: bool = True
-    trust_links: bool = False
+    accuracy: float = 0.0
+    budget: float = 0.0
+    plan: Path | None = None
+    cluster: ClusterJobs | None = None
+
+
+@dataclass(frozen=True, kw_only=True)
+class BulkRequest(SetRequest):
+    """A bulk set to be made, or gone on with; attributes as of `SetRequest`."""
