@@ -9,14 +9,14 @@ import numpy as np
 from numpy.polynomial.legendre import leggauss
 from numpy.typing import NDArray
 
-from generator.transport import elements
-from generator.transport.compiled import in_parts, jit, jit_released
-from generator.transport.polygons import clip
+from generator.transport.compiled import in_parts, jit_in_place, jit_released
+from generator.transport.lit import Patch, radiance
+from generator.transport.polygons import clip, start_triangle
 
 Floats = NDArray[Any]
 
 
-def draw(to_wall: Floats, patch: Floats, resolution: tuple[int, int], accuracy: float) -> Floats:
+def draw(to_wall: Floats, patch: Patch, resolution: tuple[int, int], accuracy: float) -> Floats:
     """Return a picture (height, width) of the lit patch, of radiance 1 under the lamp.
 
     A pixel is the integral over what it shows of the patch: a polygon, since the patch is one of so many corners, of
@@ -26,8 +26,7 @@ def draw(to_wall: Floats, patch: Floats, resolution: tuple[int, int], accuracy: 
     ----------
     to_wall : ndarray of shape (3, 3)
         The projective map from (u, v, 1) to the wall's two axes.
-    patch : ndarray of shape (15,)
-        As `elements.clip_patch` takes it.
+    patch : lit.Patch
     resolution : (int, int)
         Width and height, pixels.
     accuracy : float
@@ -38,19 +37,19 @@ def draw(to_wall: Floats, patch: Floats, resolution: tuple[int, int], accuracy: 
     step = 2.0 * math.pi / corners
     angle = step * np.arange(corners)[:, None]
     out = math.sqrt(step / math.sin(step))
-    rim = patch[0:2] + out * (np.cos(angle) * patch[2:4] + np.sin(angle) * patch[4:6])
+    rim = patch.centre + out * (np.cos(angle) * patch.major + np.sin(angle) * patch.minor)
     from_wall = np.linalg.inv(to_wall)
     along, across = leggauss(4), leggauss(4)
-    if patch[13] > 0.0:
+    if patch.cos_width > 0.0:
         # A soft edge is smooth only piecewise: the more so, the more of it is in a pixel.
-        seen = abs(float(from_wall[2] @ [patch[0], patch[1], 1.0]))
+        seen = abs(float(from_wall[2] @ [patch.x, patch.y, 1.0]))
         pixel = abs(float(np.linalg.det(to_wall))) * seen**3 / (width * height)
-        share = min(1.0, math.sqrt(pixel / abs(patch[2] * patch[5] - patch[3] * patch[4])))
+        share = min(1.0, math.sqrt(pixel / abs(patch.major_x * patch.minor_y - patch.major_y * patch.minor_x)))
         most = 24 if accuracy > 3e-3 else 96
         along, across = leggauss(max(4, math.ceil(most * share))), leggauss(max(4, math.ceil(most / 4.0 * share)))
     rules = tuple(((nodes + 1.0) / 2.0, weights / 2.0) for nodes, weights in (along, across))
     made = np.zeros((height, width))
-    in_parts(_draw, height, made, to_wall, from_wall, patch, rim, *rules)
+    in_parts(_draw, height, made, to_wall, from_wall, patch, rim, rules)
     return made
 
 
@@ -61,10 +60,9 @@ def _draw(
     made: Floats,
     to_wall: Floats,
     from_wall: Floats,
-    patch: Floats,
+    patch: Patch,
     rim: Floats,
-    along: tuple[Floats, Floats],
-    across: tuple[Floats, Floats],
+    rules: tuple[tuple[Floats, Floats], tuple[Floats, Floats]],
 ) -> None:
     """Write rows of the picture."""
     height, width = made.shape
@@ -76,8 +74,8 @@ def _draw(
     )
     reach0, reach1 = 0.0, 0.0
     for k in range(rim.shape[0]):
-        reach0, reach1 = max(reach0, abs(rim[k, 0] - patch[0])), max(reach1, abs(rim[k, 1] - patch[1]))
-    corners = np.empty((4, 2))
+        reach0, reach1 = max(reach0, abs(rim[k, 0] - patch.x)), max(reach1, abs(rim[k, 1] - patch.y))
+    corners, triangle = np.empty((4, 2)), np.empty(6)
     polygon, spare = np.empty((rim.shape[0] + 8, 2)), np.empty((rim.shape[0] + 8, 2))
     for row in range(start, stop):
         for column in range(width):
@@ -87,10 +85,10 @@ def _draw(
                 corners[k, 0] = (to_wall[0, 0] * u + to_wall[0, 1] * v + to_wall[0, 2]) / far
                 corners[k, 1] = (to_wall[1, 0] * u + to_wall[1, 1] * v + to_wall[1, 2]) / far
             if (
-                corners[:, 0].min() > patch[0] + reach0
-                or corners[:, 0].max() < patch[0] - reach0
-                or corners[:, 1].min() > patch[1] + reach1
-                or corners[:, 1].max() < patch[1] - reach1
+                corners[:, 0].min() > patch.x + reach0
+                or corners[:, 0].max() < patch.x - reach0
+                or corners[:, 1].min() > patch.y + reach1
+                or corners[:, 1].max() < patch.y - reach1
             ):
                 continue
             n = rim.shape[0]
@@ -108,28 +106,19 @@ def _draw(
             middle0, middle1 = polygon[:n, 0].mean(), polygon[:n, 1].mean()
             total = 0.0
             for k in range(n):
-                e0, e1 = polygon[k, 0] - middle0, polygon[k, 1] - middle1
-                f0, f1 = polygon[(k + 1) % n, 0] - middle0, polygon[(k + 1) % n, 1] - middle1
-                total += abs(e0 * f1 - e1 * f0) * _triangle(
-                    middle0, middle1, e0, e1, f0, f1, from_wall, patch, along, across
-                )
+                start_triangle(polygon, n, k, middle0, middle1, triangle)
+                area = abs(triangle[2] * triangle[5] - triangle[3] * triangle[4])
+                total += area * _triangle(triangle, from_wall, patch, rules)
             made[row, column] = total * width * height / determinant
 
 
-@jit
+@jit_in_place
 def _triangle(
-    p: float,
-    q: float,
-    e0: float,
-    e1: float,
-    f0: float,
-    f1: float,
-    from_wall: Floats,
-    patch: Floats,
-    along: tuple[Floats, Floats],
-    across: tuple[Floats, Floats],
+    triangle: Floats, from_wall: Floats, patch: Patch, rules: tuple[tuple[Floats, Floats], tuple[Floats, Floats]]
 ) -> float:
-    """Integrate radiance over a triangle, a corner (p, q) and two edges, relative to twice its area (Duffy 1982)."""
+    """Integrate radiance over a triangle, a corner and two edges (6,), relative to twice its area (Duffy 1982)."""
+    p, q, e0, e1, f0, f1 = triangle[0], triangle[1], triangle[2], triangle[3], triangle[4], triangle[5]
+    along, across = rules
     total = 0.0
     for i in range(along[0].shape[0]):
         out = along[0][i]
@@ -138,5 +127,5 @@ def _triangle(
             x = p + out * ((1.0 - turn) * e0 + turn * f0)
             y = q + out * ((1.0 - turn) * e1 + turn * f1)
             far = 1.0 / (from_wall[2, 0] * x + from_wall[2, 1] * y + from_wall[2, 2])
-            total += along[1][i] * out * across[1][j] * elements.patch_radiance(x, y, patch) * abs(far) ** 3
+            total += along[1][i] * out * across[1][j] * radiance(x, y, patch) * abs(far) ** 3
     return total

@@ -14,15 +14,22 @@ import numpy as np
 from numpy.polynomial.legendre import leggauss
 from numpy.typing import NDArray
 
-from generator.transport.compiled import jit
+from generator.transport.compiled import COMPILED, jit, jit_in_place
 from generator.transport.world import Body, Mesh
 
 Floats = NDArray[Any]
 
 PARALLELOGRAM, TRIANGLE, SPHERE = 0, 1, 2
 
+KIND, SIDED, ORIGIN, FIRST, SECOND, LOW, HIGH, START, END, RADIUS = 0, 1, 2, 5, 8, 11, 12, 13, 14, 15
+"""Columns of a cell's row: its kind; whether it has one side; the corner (3) and two edges (3 + 3) of a flat one; of
+a sphere, the middle (3), the pole (3), a direction across it (3), and the part that a cell is: from the lowest to the
+highest cosine to the pole, from the first to the last angle around it."""
+
 WIDTH = 16
-"""Of a cell's row: kind, sided, origin (3), two edges (3 + 3), range on the sphere (4), radius."""
+
+POINT, NORMAL, AREA, CELL, ONE_SIDED = 0, 3, 6, 7, 8
+"""Columns of a quadrature point's row: place (3), unit normal (3), area, which cell it is of, and `SIDED`."""
 
 MAX_POINTS = 6
 """Along one side of a cell: a cell that wants more is cut."""
@@ -72,7 +79,12 @@ def cells(bodies: tuple[Body, ...]) -> tuple[Floats, Floats, Floats]:
             flat_albedo.append(albedo)
         else:
             ball = np.zeros((1, WIDTH))
-            ball[0, 0], ball[0, 1], ball[0, 2:5], ball[0, 15] = SPHERE, 1.0, body.centre, body.radius
+            ball[0, KIND], ball[0, SIDED], ball[0, ORIGIN:FIRST], ball[0, RADIUS] = (
+                SPHERE,
+                1.0,
+                body.centre,
+                body.radius,
+            )
             balls.append(ball)
             ball_albedo.append(body.albedo[None])
     return np.concatenate(flat), np.concatenate(balls), np.concatenate(flat_albedo + ball_albedo)
@@ -81,17 +93,16 @@ def cells(bodies: tuple[Body, ...]) -> tuple[Floats, Floats, Floats]:
 def _flat_cells(mesh: Mesh) -> tuple[Floats, Floats]:
     origin, first, second, kind, kept = merge_parallelograms(mesh.triangles, mesh.albedo)
     made = np.zeros((len(origin), WIDTH))
-    made[:, 0] = kind
-    made[:, 2:5], made[:, 5:8], made[:, 8:11] = origin, first, second
+    made[:, KIND] = kind
+    made[:, ORIGIN:FIRST], made[:, FIRST:SECOND], made[:, SECOND:LOW] = origin, first, second
     outward = is_convex_solid(mesh.triangles)
     if outward:
-        made[:, 1] = 1.0
+        made[:, SIDED] = 1.0
         centre = mesh.triangles.reshape(-1, 3).mean(axis=0)
         normal = np.cross(first, second)
         inward = ((origin - centre) * normal).sum(axis=1) < 0.0
         # Swapping the edges turns a normal round: a mesh's own orientation may be inside out.
-        swapped = made[inward][:, [*range(5), 8, 9, 10, 5, 6, 7, *range(11, WIDTH)]]
-        made[inward] = swapped
+        made[inward, FIRST:SECOND], made[inward, SECOND:LOW] = second[inward], first[inward]
     return made, mesh.albedo[kept]
 
 
@@ -186,7 +197,21 @@ def is_convex_solid(triangles: Floats) -> bool:
     return len({root(i) for i in used}) == 1
 
 
-@jit
+def _copy_loops(row: Floats, into: Floats) -> None:
+    """Copy a row."""
+    for k in range(row.shape[0]):
+        into[k] = row[k]
+
+
+def _copy_arrays(row: Floats, into: Floats) -> None:
+    """NumPy form of `_copy_loops`."""
+    into[:] = row
+
+
+copy_row = jit_in_place(_copy_loops) if COMPILED else _copy_arrays
+
+
+@jit_in_place
 def beside(axis: Floats, side: Floats) -> None:
     """Write some unit vector at right angles to a unit vector."""
     least = 0
@@ -201,7 +226,7 @@ def beside(axis: Floats, side: Floats) -> None:
         side[r] /= math.sqrt(squared)
 
 
-@jit
+@jit_in_place
 def cap_cell(ball: Floats, rim: float, ring: int, step: int, rings: int) -> None:
     """Make a sphere's row one of the 4 rings^2 cells of the cap around its pole.
 
@@ -210,51 +235,51 @@ def cap_cell(ball: Floats, rim: float, ring: int, step: int, rings: int) -> None
     rim : float
         The cap's angle, radians. Cells are equal steps of it: equal steps of the cosine would be coarse at the rim.
     """
-    ball[11], ball[12] = math.cos(rim * (ring + 1) / rings), math.cos(rim * ring / rings)
-    ball[13], ball[14] = 0.5 * math.pi * step / rings, 0.5 * math.pi * (step + 1) / rings
+    ball[LOW], ball[HIGH] = math.cos(rim * (ring + 1) / rings), math.cos(rim * ring / rings)
+    ball[START], ball[END] = 0.5 * math.pi * step / rings, 0.5 * math.pi * (step + 1) / rings
 
 
-@jit
+@jit_in_place
 def place(cell: Floats, turn: Floats, at: Floats, placed: Floats) -> None:
     """Write a cell turned by a matrix (3, 3) and moved."""
-    placed[:] = cell
+    copy_row(cell, placed)
     for r in range(3):
         o, f, s = at[r], 0.0, 0.0
         for c in range(3):
-            o += turn[r, c] * cell[2 + c]
-            f += turn[r, c] * cell[5 + c]
-            s += turn[r, c] * cell[8 + c]
-        placed[2 + r], placed[5 + r], placed[8 + r] = o, f, s
+            o += turn[r, c] * cell[ORIGIN + c]
+            f += turn[r, c] * cell[FIRST + c]
+            s += turn[r, c] * cell[SECOND + c]
+        placed[ORIGIN + r], placed[FIRST + r], placed[SECOND + r] = o, f, s
 
 
-@jit
+@jit_in_place
 def turn_to(ball: Floats, pole: Floats, spread: float) -> float:
     """Turn a sphere's row to a point; return the angle of the cap that is seen from within ``spread`` of it."""
     far = 0.0
     for r in range(3):
-        ball[5 + r] = pole[r] - ball[2 + r]
-        far += ball[5 + r] ** 2
+        ball[FIRST + r] = pole[r] - ball[ORIGIN + r]
+        far += ball[FIRST + r] ** 2
     far = math.sqrt(far)
     for r in range(3):
-        ball[5 + r] /= far
-    beside(ball[5:8], ball[8:11])
-    return min(math.pi, math.acos(min(1.0, ball[15] / far)) + math.asin(min(1.0, spread / far)))
+        ball[FIRST + r] /= far
+    beside(ball[FIRST:SECOND], ball[SECOND:LOW])
+    return min(math.pi, math.acos(min(1.0, ball[RADIUS] / far)) + math.asin(min(1.0, spread / far)))
 
 
-@jit
+@jit_in_place
 def corner_of(cell: Floats, corner: int, point: Floats) -> None:
     """Write one of a cell's corners: four, or a triangle's three."""
-    if cell[0] == 2.0:
-        _on_sphere(cell, cell[11 + corner % 2], cell[13 + corner // 2], point)
+    if cell[KIND] == SPHERE:
+        _on_sphere(cell, cell[LOW + corner % 2], cell[START + corner // 2], point)
         for r in range(3):
-            point[r] = cell[2 + r] + cell[15] * point[r]
+            point[r] = cell[ORIGIN + r] + cell[RADIUS] * point[r]
         return
     first, second = corner == 1 or corner == 3, corner == 2 or corner == 3
     for r in range(3):
-        point[r] = cell[2 + r] + (cell[5 + r] if first else 0.0) + (cell[8 + r] if second else 0.0)
+        point[r] = cell[ORIGIN + r] + (cell[FIRST + r] if first else 0.0) + (cell[SECOND + r] if second else 0.0)
 
 
-@jit
+@jit_in_place
 def points_wanted(width: float, distance: float, digits: float) -> int:
     """Gauss points along a side of half-width ``width`` for an error of exp(-digits).
 
@@ -272,172 +297,134 @@ def points_wanted(width: float, distance: float, digits: float) -> int:
     return MAX_POINTS + 1
 
 
-@jit
+@jit_in_place
 def middle_of(cell: Floats, middle: Floats) -> tuple[float, float]:
     """Write a cell's middle; return half of its widths along its two directions."""
-    if cell[0] == 2.0:
-        radius = cell[15]
-        low, high = math.acos(min(1.0, cell[12])), math.acos(max(-1.0, cell[11]))
-        polar, turn = (low + high) / 2.0, (cell[13] + cell[14]) / 2.0
+    if cell[KIND] == SPHERE:
+        radius = cell[RADIUS]
+        low, high = math.acos(min(1.0, cell[HIGH])), math.acos(max(-1.0, cell[LOW]))
+        polar, turn = (low + high) / 2.0, (cell[START] + cell[END]) / 2.0
         _on_sphere(cell, math.cos(polar), turn, middle)
         for r in range(3):
-            middle[r] = cell[2 + r] + radius * middle[r]
+            middle[r] = cell[ORIGIN + r] + radius * middle[r]
         widest = math.sin(min(high, math.pi / 2.0)) if low < math.pi / 2.0 else math.sin(low)
-        return radius * (high - low) / 2.0, radius * widest * (cell[14] - cell[13]) / 2.0
+        return radius * (high - low) / 2.0, radius * widest * (cell[END] - cell[START]) / 2.0
     first, second, across = 0.0, 0.0, 0.0
-    share = 0.5 if cell[0] == 0.0 else 1.0 / 3.0
+    share = 0.5 if cell[KIND] == PARALLELOGRAM else 1.0 / 3.0
     for r in range(3):
-        middle[r] = cell[2 + r] + share * (cell[5 + r] + cell[8 + r])
-        first += cell[5 + r] ** 2
-        second += cell[8 + r] ** 2
-        across += (cell[8 + r] - cell[5 + r]) ** 2
-    if cell[0] == 0.0:
+        middle[r] = cell[ORIGIN + r] + share * (cell[FIRST + r] + cell[SECOND + r])
+        first += cell[FIRST + r] ** 2
+        second += cell[SECOND + r] ** 2
+        across += (cell[SECOND + r] - cell[FIRST + r]) ** 2
+    if cell[KIND] == PARALLELOGRAM:
         return math.sqrt(first) / 2.0, math.sqrt(second) / 2.0
     return math.sqrt(max(first, second)) / 2.0, math.sqrt(across) / 2.0
 
 
-@jit
+@jit_in_place
 def _on_sphere(cell: Floats, cosine: float, turn: float, normal: Floats) -> None:
     """Write the unit normal at a polar cosine and an angle around the pole."""
     sine = math.sqrt(max(0.0, 1.0 - cosine * cosine))
     c, s = sine * math.cos(turn), sine * math.sin(turn)
-    p0, p1, p2, q0, q1, q2 = cell[5], cell[6], cell[7], cell[8], cell[9], cell[10]
+    p0, p1, p2 = cell[FIRST], cell[FIRST + 1], cell[FIRST + 2]
+    q0, q1, q2 = cell[SECOND], cell[SECOND + 1], cell[SECOND + 2]
     normal[0] = cosine * p0 + c * q0 + s * (p1 * q2 - p2 * q1)
     normal[1] = cosine * p1 + c * q1 + s * (p2 * q0 - p0 * q2)
     normal[2] = cosine * p2 + c * q2 + s * (p0 * q1 - p1 * q0)
 
 
-@jit
+@jit_in_place
 def cut(cell: Floats, stack: Floats, top: int, along_first: bool, along_second: bool) -> int:
     """Push a cell's halves, quarters or (of a triangle) its four triangles; return the new top of the stack."""
-    if cell[0] == 1.0:
+    if cell[KIND] == TRIANGLE:
         for part in range(4):
             row = stack[top + part]
-            row[:] = cell
+            copy_row(cell, row)
             for r in range(3):
-                e, f = cell[5 + r] / 2.0, cell[8 + r] / 2.0
-                row[5 + r], row[8 + r] = e, f
+                e, f = cell[FIRST + r] / 2.0, cell[SECOND + r] / 2.0
+                row[FIRST + r], row[SECOND + r] = e, f
                 if part == 1:
-                    row[2 + r] = cell[2 + r] + e
+                    row[ORIGIN + r] = cell[ORIGIN + r] + e
                 elif part == 2:
-                    row[2 + r] = cell[2 + r] + f
+                    row[ORIGIN + r] = cell[ORIGIN + r] + f
                 elif part == 3:  # the middle one stands on its head
-                    row[2 + r], row[5 + r], row[8 + r] = cell[2 + r] + e + f, -e, -f
+                    row[ORIGIN + r], row[FIRST + r], row[SECOND + r] = cell[ORIGIN + r] + e + f, -e, -f
         return top + 4
     parts = 0
     for i in range(2 if along_first else 1):
         for j in range(2 if along_second else 1):
             row = stack[top + parts]
-            row[:] = cell
+            copy_row(cell, row)
             parts += 1
-            if cell[0] == 2.0:
+            if cell[KIND] == SPHERE:
                 if along_first:
-                    low, high = math.acos(min(1.0, cell[12])), math.acos(max(-1.0, cell[11]))
+                    low, high = math.acos(min(1.0, cell[HIGH])), math.acos(max(-1.0, cell[LOW]))
                     between = math.cos((low + high) / 2.0)
-                    row[12 if i else 11] = between
+                    row[HIGH if i else LOW] = between
                 if along_second:
-                    row[14 - j] = (cell[13] + cell[14]) / 2.0
+                    row[END - j] = (cell[START] + cell[END]) / 2.0
                 continue
             for r in range(3):
                 if along_first:
-                    row[5 + r] = cell[5 + r] / 2.0
+                    row[FIRST + r] = cell[FIRST + r] / 2.0
                 if along_second:
-                    row[8 + r] = cell[8 + r] / 2.0
-                row[2 + r] = cell[2 + r] + i * row[5 + r] + j * row[8 + r]
+                    row[SECOND + r] = cell[SECOND + r] / 2.0
+                row[ORIGIN + r] = cell[ORIGIN + r] + i * row[FIRST + r] + j * row[SECOND + r]
     return top + parts
 
 
-@jit
+@jit_in_place
 def cell_point(cell: Floats, i: int, j: int, ku: int, kv: int, gauss: Floats, point: Floats, normal: Floats) -> float:
     """Write quadrature point (i, j) of a cell and its unit normal; return its weight, an area."""
     nodes, weights, corner, corner_weights = gauss[0], gauss[1], gauss[2], gauss[3]
-    if cell[0] == 2.0:
-        u = cell[11] + nodes[ku, i] * (cell[12] - cell[11])
-        _on_sphere(cell, u, cell[13] + nodes[kv, j] * (cell[14] - cell[13]), normal)
+    if cell[KIND] == SPHERE:
+        u = cell[LOW] + nodes[ku, i] * (cell[HIGH] - cell[LOW])
+        _on_sphere(cell, u, cell[START] + nodes[kv, j] * (cell[END] - cell[START]), normal)
         for r in range(3):
-            point[r] = cell[2 + r] + cell[15] * normal[r]
-        area = cell[15] ** 2 * (cell[12] - cell[11]) * (cell[14] - cell[13])
+            point[r] = cell[ORIGIN + r] + cell[RADIUS] * normal[r]
+        area = cell[RADIUS] ** 2 * (cell[HIGH] - cell[LOW]) * (cell[END] - cell[START])
         return weights[ku, i] * weights[kv, j] * area
-    normal[0] = cell[6] * cell[10] - cell[7] * cell[9]
-    normal[1] = cell[7] * cell[8] - cell[5] * cell[10]
-    normal[2] = cell[5] * cell[9] - cell[6] * cell[8]
+    normal[0] = cell[FIRST + 1] * cell[SECOND + 2] - cell[FIRST + 2] * cell[SECOND + 1]
+    normal[1] = cell[FIRST + 2] * cell[SECOND] - cell[FIRST] * cell[SECOND + 2]
+    normal[2] = cell[FIRST] * cell[SECOND + 1] - cell[FIRST + 1] * cell[SECOND]
     area = math.sqrt(normal[0] ** 2 + normal[1] ** 2 + normal[2] ** 2)
     for r in range(3):
         normal[r] /= area
-    if cell[0] == 0.0:
+    if cell[KIND] == PARALLELOGRAM:
         for r in range(3):
-            point[r] = cell[2 + r] + nodes[ku, i] * cell[5 + r] + nodes[kv, j] * cell[8 + r]
+            point[r] = cell[ORIGIN + r] + nodes[ku, i] * cell[FIRST + r] + nodes[kv, j] * cell[SECOND + r]
         return weights[ku, i] * weights[kv, j] * area
     # Duffy 1982: the triangle as a square whose one side is shrunk to a corner.
     for r in range(3):
-        point[r] = cell[2 + r] + corner[ku, i] * ((1.0 - nodes[kv, j]) * cell[5 + r] + nodes[kv, j] * cell[8 + r])
+        across = (1.0 - nodes[kv, j]) * cell[FIRST + r] + nodes[kv, j] * cell[SECOND + r]
+        point[r] = cell[ORIGIN + r] + corner[ku, i] * across
     return corner_weights[ku, i] * weights[kv, j] * area / 2.0
 
 
 @jit
-def distance_to_disc(x: Floats, c0: float, c1: float, radius: float) -> float:
-    """From a point to a disc on the wall."""
-    beside = max(0.0, math.sqrt((x[0] - c0) ** 2 + (x[1] - c1) ** 2) - radius)
-    return math.sqrt(beside * beside + x[2] * x[2])
+def with_room_for(rows: Floats, filled: int, more: int) -> Floats:
+    """Return an array that holds the ``filled`` rows of another, or that itself, with room for some more."""
+    if filled + more <= rows.shape[0]:
+        return rows
+    grown = np.empty((2 * rows.shape[0] + more, rows.shape[1]))
+    grown[:filled] = rows[:filled]
+    return grown
 
 
-@jit
-def clip_patch(x: Floats, n: Floats, patch: Floats, rule: Floats, order: int, nodes: Floats) -> int:
-    """Write quadrature points of the part of the lit patch that a surface point can see; return how many.
-
-    The surface's horizon cuts the ellipse along a chord. In the unit disc, with s across the chord and t along it,
-    s = cos(alpha) turns the disc's edge into a smooth integrand over alpha, so Gauss's rule converges however small
-    the part.
-
-    Parameters
-    ----------
-    x, n : ndarray of shape (3,)
-    patch : ndarray of shape (15,)
-        Centre (2), major (2) and minor (2) semi-axis, lamp (3), height, axis (3), cos_outer, cos_width.
-    rule : ndarray of shape (2, order)
-        Gauss points and weights on [0, 1].
-    order : int
-    nodes : ndarray of shape (3, capacity), written
-        As `kernel.irradiance` takes them.
-    """
-    c0, c1, j0, j1, m0, m1 = patch[0], patch[1], patch[2], patch[3], patch[4], patch[5]
-    level = n[0] * (c0 - x[0]) + n[1] * (c1 - x[1]) - n[2] * x[2]
-    g0, g1 = n[0] * j0 + n[1] * j1, n[0] * m0 + n[1] * m1
-    steep = math.sqrt(g0 * g0 + g1 * g1)
-    if level <= -steep:
-        return 0
-    start = math.pi
-    if level < steep:
-        start = math.acos(max(-1.0, -level / steep))
-    if steep > 0.0:
-        g0, g1 = g0 / steep, g1 / steep
-    else:
-        g0, g1 = 1.0, 0.0
-    area = abs(j0 * m1 - j1 * m0)
-    count = 0
-    for i in range(order):
-        alpha = start * rule[0, i]
-        s, reach = math.cos(alpha), math.sin(alpha)
-        for j in range(order):
-            t = reach * (2.0 * rule[0, j] - 1.0)
-            e, f = s * g0 - t * g1, s * g1 + t * g0
-            p, q = c0 + e * j0 + f * m0, c1 + e * j1 + f * m1
-            nodes[0, count], nodes[1, count] = p, q
-            weight = reach * reach * start * rule[1, i] * 2.0 * rule[1, j] * area
-            nodes[2, count] = weight * patch_radiance(p, q, patch)
+@jit_in_place
+def add_points(cell: Floats, owner: int, ku: int, kv: int, gauss: Floats, found: Floats, count: int) -> int:
+    """Append a cell's quadrature points, ku along its first side, kv along its second; return how many there are."""
+    for i in range(ku):
+        for j in range(kv):
+            row = found[count]
+            row[AREA] = cell_point(cell, i, j, ku, kv, gauss, row[POINT:NORMAL], row[NORMAL:AREA])
+            row[CELL], row[ONE_SIDED] = owner, cell[SIDED]
             count += 1
     return count
 
 
-@jit
-def patch_radiance(p: float, q: float, patch: Floats) -> float:
-    """Radiance of the lit patch at a wall point, in units of albedo / pi * intensity / height^2."""
-    u, v, w = p - patch[6], q - patch[7], -patch[8]
-    far = math.sqrt(u * u + v * v + w * w)
-    ratio = patch[8] / far
-    value = ratio * ratio * ratio
-    if patch[13] > 0.0:
-        cosine = (u * patch[9] + v * patch[10] + w * patch[11]) / far
-        step = min(1.0, max(0.0, (cosine - patch[12]) / patch[13]))
-        value *= step * step * (3.0 - 2.0 * step)
-    return value
+@jit_in_place
+def distance_to_disc(x: Floats, c0: float, c1: float, radius: float) -> float:
+    """From a point to a disc on the wall."""
+    beside = max(0.0, math.sqrt((x[0] - c0) ** 2 + (x[1] - c1) ** 2) - radius)
+    return math.sqrt(beside * beside + x[2] * x[2])

@@ -7,7 +7,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from generator.transport.elements import FIRST, LOW, ORIGIN, SECOND, SIDED
 from generator.transport.integral import BACK, FRONT, ON
+from generator.transport.lit import Patch
 from generator.transport.picture import Parts
 
 Floats = NDArray[Any]
@@ -28,7 +30,7 @@ class Faces:
     balls : int
         Spheres; with any, and with too many planes, everything is one face that is never drawn apart.
     to_wall : ndarray of shape (3, 3)
-    patch : ndarray of shape (14,)
+    patch : lit.Patch
 
     Attributes
     ----------
@@ -36,7 +38,7 @@ class Faces:
         Which face each cell is in.
     """
 
-    def __init__(self, flat: Floats, balls: int, to_wall: Floats, patch: Floats) -> None:
+    def __init__(self, flat: Floats, balls: int, to_wall: Floats, patch: Patch) -> None:
         self._to_wall = to_wall * np.sign(to_wall[2] @ [0.5, 0.5, 1.0])
         self._patch = patch
         self.of = np.zeros(len(flat) + balls, dtype=np.int64)
@@ -58,12 +60,12 @@ class Faces:
         -------
         parts : Parts
         wanted : ndarray of shape (parts, faces), int
-            As `integral.panels` takes it.
+            As `records.Parts` has it.
         """
         faces = max(1, len(self._levels))
         rest = np.full((len(places), faces), FRONT | BACK)
         made = [(k, np.array([0.0, 0.0, 1.0]), rest[k]) for k in range(len(places))]
-        centre, major, minor = self._patch[0:2], self._patch[2:4], self._patch[4:6]
+        centre, major, minor = self._patch.centre, self._patch.major, self._patch.minor
         for f in range(len(self._levels)):
             normal = turns @ self._normals[f]
             level = self._levels[f] + (normal * places).sum(axis=1)
@@ -86,10 +88,11 @@ class Faces:
 
 def _planes(flat: Floats, of: Floats) -> list[Floats]:
     """Return planes (normal (3), level, one-sided), and write into ``of`` which one each cell is in; none if many."""
-    normal = np.cross(flat[:, 5:8], flat[:, 8:11])
+    origin, first, second = flat[:, ORIGIN:FIRST], flat[:, FIRST:SECOND], flat[:, SECOND:LOW]
+    normal = np.cross(first, second)
     normal /= np.linalg.norm(normal, axis=1, keepdims=True)
-    rows = np.column_stack([normal, (normal * flat[:, 2:5]).sum(axis=1), flat[:, 1]])
-    size = np.abs(flat[:, 2:11]).max()
+    rows = np.column_stack([normal, (normal * origin).sum(axis=1), flat[:, SIDED]])
+    size = np.abs(flat[:, ORIGIN:LOW]).max()
     slack = _COPLANAR * np.array([1.0, 1.0, 1.0, size, 1.0])
     planes: list[Floats] = []
     for k, row in enumerate(rows):

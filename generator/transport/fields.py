@@ -16,8 +16,10 @@ from numpy.typing import NDArray
 
 from generator.model.errors import NlosError
 from generator.transport import compiled, elements, integral, picture, shaded, traced
+from generator.transport.lit import Rules
 from generator.transport.prepared import Setting
 from generator.transport.rays import Placed
+from generator.transport.records import Boxes, Disc, Panels, Parts, Poses, Target
 from generator.transport.shadows import shadowed
 from generator.transport.shadows.cones import facets, ring
 
@@ -83,10 +85,12 @@ class Fields:
         self._free_rule = picture.Rule(8 if accuracy > 3e-3 else 10 if accuracy > 3e-5 else 12)
         self._light = shaded.Light(setting.patch, setting.whole, self._digits)
         self.few = compiled.COMPILED and max(len(setting.room.origin), len(setting.target.origin)) <= CUT
-        first = np.argsort(~setting.obstacles.is_blocker, kind="stable")
-        self._room, self._room_tint = facets(setting.room)[first], setting.room.tint[first]
+        self._first = np.argsort(~setting.obstacles.is_blocker, kind="stable")
         # A sphere's outline is a polygon of its area, which errs with the fourth power of the angle.
-        self._ring = ring(12 if accuracy > 3e-3 else 24 if accuracy > 3e-4 else 48)
+        sides = ring(12 if accuracy > 3e-3 else 24 if accuracy > 3e-4 else 48)
+        self._room = shadowed.Room(
+            facets(setting.room)[self._first], setting.room.tint[self._first], sides, setting.convex
+        )
         # Widest cell where rays are tested, as a share of the target: an edge must not slip between its corners.
         self._widest = min(0.2, 0.25 * (100.0 * accuracy) ** (1.0 / 3.0))
         # A quadrature point is a ray into the room there, whose light varies more slowly than the near field's.
@@ -112,23 +116,18 @@ class Fields:
         n, groups, channels = len(places), setting.tint.shape[1], 7 if moving else 1
         most = np.zeros((n, 2))
         parts, wanted = setting.faces.parts(turns, places)
+        arguments = (self._target(moving), Parts(turns, places, parts.picture, wanted), self._rules(_SPARE))
 
         def evaluate(owner: Floats, boxes: Floats) -> tuple[Floats, Floats]:
             values = np.empty((len(owner), groups, channels, len(rule.places)))
             reports = np.empty((len(owner), 4))
-            where = (owner, boxes, setting.to_wall, rule.places)
-            shape = (setting.flat, setting.balls, setting.tint, setting.faces.of)
-            target = (*shape, parts.picture, wanted, turns, places, self._rings[moving])
-            lit = (setting.patch, setting.whole, setting.chords, elements.GAUSS)
-            arguments: tuple[Any, ...] = (*where, *target, *lit, self._digits + _SPARE, moving, like, values, reports)
-            compiled.in_parts(integral.panels, len(owner), *arguments)
+            where = Boxes(owner, boxes, rule.places, setting.to_wall, like)
+            compiled.in_parts(integral.panels, len(owner), where, *arguments, values, reports)
             np.maximum.at(most, parts.picture[owner], reports[:, :2])
             return values.reshape(len(owner), groups * channels, -1), reports[:, 3] / reports[:, 2]
 
-        resolution, kin = setting.resolution, self._kin(groups, channels)
-        pixels, panels = picture.draw(
-            evaluate, rule, parts, n, groups * channels, resolution, self._accuracy / 2.0, kin=kin
-        )
+        shape, kin = self._shape(n, groups * channels), self._kin(groups, channels)
+        pixels, panels = picture.draw(evaluate, rule, parts, shape, self._accuracy / 2.0, kin=kin)
         reports = [
             _report(panels, k)
             | {"elements": int(most[k, 0]), "patch_points": int(most[k, 1])}
@@ -150,10 +149,10 @@ class Fields:
         reports : list of dict
         """
         setting, n = self._setting, len(places)
-        orders, hiders = self._orders(places), self._hiders(turns, places)
+        poses = self._shaded_poses(turns, places)
         cut = self.few and not len(setting.balls)
         if cut:
-            pixels, panels, lost = self._received(setting.flat, setting.tint, turns, places, hiders, orders)
+            pixels, panels, lost = self._received(self._target(), poses)
             pixels = pixels[:, :, 0]
             reports = [_report(panels, k) for k in range(n)]
         else:
@@ -161,15 +160,14 @@ class Fields:
             reports = [{} for _ in range(n)]
         again = np.flatnonzero(lost)
         if len(again):
-            shape = (setting.flat, setting.balls, setting.tint)
             evaluate = self._reflected_loops if self.few else self._reflected_arrays
-            some = evaluate(shape, turns[again], places[again], hiders[again])
+            some = evaluate(self._target(), Poses(*(field[again] for field in poses)))
             pixels[again], panels, most = self._refined(
                 some, len(again), setting.tint.shape[1], setting.target.extent
             )
             for k, pose in enumerate(again):
                 reports[pose] = _report(panels, k) | {"elements": int(most[k])}
-        for report, order, traced_by_rays in zip(reports, orders, lost, strict=True):
+        for report, order, traced_by_rays in zip(reports, poses.orders, lost, strict=True):
             report["patch_points"] = int(order) ** 2
             report["precision"] = "float64"
             report["visibility"] = "rays" if traced_by_rays else "polygons"
@@ -178,16 +176,18 @@ class Fields:
     def room(self) -> Floats:
         """What the room's own surfaces send to the watched patch, (groups, height, width)."""
         setting = self._setting
-        here, there, nothing = np.eye(3)[None], np.zeros((1, 3)), np.zeros(1, dtype=np.int64)
-        cells, tint = setting.room_cells, setting.room.tint
+        poses = _poses(np.eye(3)[None], np.zeros((1, 3)))
+        cells = self._target()._replace(
+            flat=setting.room_cells, balls=np.zeros((0, elements.WIDTH)), albedo=setting.room.tint
+        )
         lost = np.ones(1, dtype=bool)
         if compiled.COMPILED and len(setting.room.origin) <= _CUT_ROOM:  # whatever the target, which is not there
-            orders = np.array([self._light.order(setting.room.samples())], dtype=np.int64)
-            pixels, _, lost = self._received(cells, tint, here, there, nothing, orders)
+            poses.orders[:] = self._light.order(setting.room.samples())
+            pixels, _, lost = self._received(cells, poses)
             pixels = pixels[:, :, 0]
         if lost.any():
-            evaluate = self._reflected_arrays((cells, np.zeros((0, elements.WIDTH)), tint), here, there, nothing)
-            pixels, _, _ = self._refined(evaluate, 1, tint.shape[1], setting.room.extent, care=0.05)
+            evaluate = self._reflected_arrays(cells, poses)
+            pixels, _, _ = self._refined(evaluate, 1, cells.albedo.shape[1], setting.room.extent, care=0.05)
         only: Floats = pixels[0]
         return only
 
@@ -217,13 +217,10 @@ class Fields:
         pixels, panels = np.empty((n, groups, channels, *setting.resolution[::-1])), np.zeros(n, dtype=np.int64)
         lost = np.ones(n, dtype=bool)
         if self.few:
-            hiders, orders = self._hiders(turns, places), self._orders(places)
-            target = (setting.flat, setting.balls, turns, places, setting.convex, self._ring)
-            room = (self._room, self._room_tint, hiders, orders, setting.whole, setting.patch)
+            arguments = (self._target(), self._shaded_poses(turns, places), self._room, self._rules(1.0))
 
-            def cut(owner: Floats, walls: Floats, values: Floats) -> None:
-                every = (owner, walls, *target, *room, elements.GAUSS, self._digits + 1.0, values)
-                compiled.in_parts(shadowed.hidden_panels, len(owner), *every)
+            def cut(panels: Panels, values: Floats) -> None:
+                compiled.in_parts(shadowed.hidden_panels, len(panels.owner), panels, *arguments, values)
 
             level = level.copy()
             level[:, :, 1:] *= max(_SLOPES[0], _SLOPES[1] / self._accuracy) ** 2
@@ -239,23 +236,19 @@ class Fields:
             panels[again] = drawn.count
         return pixels, panels
 
-    def _received(
-        self, flat: Floats, tint: Floats, turns: Floats, places: Floats, hiders: Floats, orders: Floats
-    ) -> tuple[Floats, picture.Panels, Floats]:
+    def _received(self, cells: Target, poses: Poses) -> tuple[Floats, picture.Panels, Floats]:
         """What flat cells send that may hide each other; as `_cut_out` returns it."""
-        setting = self._setting
+        rules = self._rules(1.0)
 
-        def cut(owner: Floats, walls: Floats, values: Floats) -> None:
-            compiled.in_parts(
-                *(shadowed.received_panels, len(owner), owner, walls, flat, turns, places, self._room, tint),
-                *(hiders, orders, setting.whole, setting.patch, elements.GAUSS, self._digits + 1.0, values),
-            )
+        def cut(panels: Panels, values: Floats) -> None:
+            owned = len(panels.owner)
+            compiled.in_parts(shadowed.received_panels, owned, panels, cells, poses, self._room, rules, values)
 
-        return self._cut_out(cut, len(places), tint.shape[1])
+        return self._cut_out(cut, len(poses.places), cells.albedo.shape[1])
 
     def _cut_out(
         self,
-        cut: Callable[[Floats, Floats, Floats], None],
+        cut: Callable[[Panels, Floats], None],
         n: int,
         groups: int,
         channels: int = 1,
@@ -275,19 +268,15 @@ class Fields:
         def on_panels(owner: Floats, boxes: Floats) -> tuple[Floats, Floats]:
             walls = self._walls(boxes, self._rule.places).reshape(len(owner), -1, 3)
             values = np.empty((len(owner), groups, channels, walls.shape[1]))
-            cut(owner, walls, values)
+            cut(Panels(owner, walls), values)
             broken = np.isnan(values).any(axis=(1, 2, 3))
             lost[owner[broken]] = True
             values[broken] = 0.0
             return values.reshape(len(owner), groups * channels, -1), np.zeros(len(owner))
 
-        accuracy, resolution = self._accuracy / 2.0, self._setting.resolution
-        kin = self._kin(groups, channels)
-        pixels, panels = picture.draw(
-            *(on_panels, self._rule, picture.Parts.whole(n), n, groups * channels, resolution, accuracy),
-            level=level,
-            kin=kin,
-        )
+        shape, kin = self._shape(n, groups * channels), self._kin(groups, channels)
+        parts, accuracy = picture.Parts.whole(n), self._accuracy / 2.0
+        pixels, panels = picture.draw(on_panels, self._rule, parts, shape, accuracy, level=level, kin=kin)
         return pixels.reshape(n, groups, channels, *pixels.shape[2:]), panels, lost
 
     def _kin(self, groups: int, channels: int) -> Callable[[Floats], Floats] | None:
@@ -309,12 +298,28 @@ class Fields:
 
         return largest
 
+    def _shape(self, n: int, channels: int) -> tuple[int, int, int, int]:
+        width, height = self._setting.resolution
+        return n, channels, height, width
+
+    def _rules(self, spare: float = 0.0) -> Rules:
+        """Return the quadrature's rules, so many natural logarithms finer than the accuracy."""
+        setting = self._setting
+        return Rules(setting.patch, setting.whole, setting.chords, elements.GAUSS, self._digits + spare)
+
+    def _target(self, moving: bool = False) -> Target:
+        setting = self._setting
+        return Target(setting.flat, setting.balls, setting.tint, setting.faces.of, self._rings[moving])
+
+    def _shaded_poses(self, turns: Floats, places: Floats) -> Poses:
+        return Poses(turns, places, self._hiders(turns, places), self._orders(places))
+
     def _hiders(self, turns: Floats, places: Floats) -> Floats:
         """How many of the room's surfaces can stand in the way, pose by pose: those that can, or all."""
         obstacles = self._setting.obstacles
         each = [len(obstacles.blockers(p, t).origin) for p, t in zip(places, turns, strict=True)]
         few = int(obstacles.is_blocker.sum())
-        return np.array([few if n == few else len(self._room) for n in each], dtype=np.int64)
+        return np.array([few if n == few else len(self._first) for n in each], dtype=np.int64)
 
     def _orders(self, places: Floats) -> Floats:
         """Which of the patch's rules stands for it where each of its points throws shadows of its own."""
@@ -322,73 +327,49 @@ class Fields:
         room = self._light.order(self._setting.room.samples())
         return np.array([max(room, self._light.order(p[None], reach)) for p in places], dtype=np.int64)
 
-    def _reflected_loops(
-        self, shape: tuple[Floats, Floats, Floats], turns: Floats, places: Floats, hiders: Floats
-    ) -> Traced:
+    def _reflected_loops(self, shape: Target, poses: Poses) -> Traced:
         setting = self._setting
-        rows = np.argsort(~setting.obstacles.is_blocker, kind="stable")
-        room, target = traced.rows(setting.room)[rows], traced.rows(setting.target)
+        room, target = traced.rows(setting.room)[self._first], traced.rows(setting.target)
+        obstacles = traced.Obstacles(room, target, setting.target.spheres, setting.convex)
         widest = self._widest * setting.target.extent
 
         def evaluate(owner: Floats, walls: Floats, finest: Floats) -> tuple[Floats, Floats]:
-            values, used = np.empty((len(owner), shape[2].shape[1])), np.empty(len(owner))
-            compiled.in_parts(
-                *(
-                    traced.reflected_points,
-                    len(owner),
-                    owner,
-                    walls,
-                    *shape,
-                    turns,
-                    places,
-                    hiders,
-                    setting.convex,
-                    self._rings[False],
-                    room,
-                ),
-                *(target, setting.target.spheres, setting.whole, setting.patch, elements.GAUSS),
-                *(self._digits, finest, widest, values, used),
-            )
-            return values, used
+            values = np.empty((len(owner), shape.albedo.shape[1] + 1))
+            arguments = (traced.Points(owner, walls, finest, widest), shape, poses, obstacles, self._rules())
+            compiled.in_parts(traced.reflected_points, len(owner), *arguments, values)
+            return values[:, :-1], values[:, -1]
 
         return evaluate
 
-    def _reflected_arrays(
-        self, shape: tuple[Floats, Floats, Floats], turns: Floats, places: Floats, _: Floats
-    ) -> Traced:
-        flat, balls, tint = shape
-        setting = self._setting
-        itself = shape[0] is setting.room_cells
+    def _reflected_arrays(self, shape: Target, poses: Poses) -> Traced:
+        setting, rules = self._setting, self._rules()
+        itself = shape.flat is setting.room_cells
+        wanted, faced = np.ones(len(shape.albedo), np.int64), integral.around_patch(setting.patch)
 
         def some(wall: Floats, finest: float, pose: int) -> tuple[Floats, int]:
-            turn, place = turns[pose], places[pose]
+            turn, place = poses.turns[pose], poses.places[pose]
             hiders: list[shaded.Hider] = [setting.obstacles.blockers(place, turn)]
             if not itself and not setting.convex:
                 hiders.append(Placed(setting.target, turn, place))
-            found, _ = integral.cover(
-                *(flat, balls, turn, place, setting.pole, setting.spread, self._rings[False], *_around(wall)),
-                *(setting.patch, elements.GAUSS, self._digits, finest, np.ones(len(flat) + len(balls), np.int64)),
-            )
-            return shaded.reflected(wall, found, tint, self._light, hiders), len(found)
+            found, _ = integral.cover(shape, turn, place, faced, _around(wall), rules, finest, wanted)
+            return shaded.reflected(wall, found, shape.albedo, self._light, hiders), len(found)
 
-        return _arrays(some, tint.shape[1])
+        return _arrays(some, shape.albedo.shape[1])
 
     def _hidden_arrays(self, turns: Floats, places: Floats) -> Traced:
-        setting = self._setting
+        setting, target = self._setting, self._target()
+        rules = self._rules()._replace(digits=self._shadow_digits)
+        wanted, patch = np.ones_like(setting.faces.of), integral.around_patch(setting.patch)
 
         def some(wall: Floats, finest: float, pose: int) -> tuple[Floats, int]:
             turn, place = turns[pose], places[pose]
-            centre, radius = _around(wall)
+            view = _around(wall)
             seen, lit = (
-                integral.cover(
-                    *(setting.flat, setting.balls, turn, place, at, around, self._rings[False], centre, radius),
-                    *(setting.patch, elements.GAUSS, self._shadow_digits, finest, np.ones_like(setting.faces.of)),
-                )[0]
-                for at, around in ((np.append(centre, 0.0), radius), (setting.pole, setting.spread))
+                integral.cover(target, turn, place, faced, view, rules, finest, wanted)[0] for faced in (view, patch)
             )
-            blockers, target = [setting.obstacles.blockers(place, turn)], [Placed(setting.target, turn, place)]
+            blockers, hiders = [setting.obstacles.blockers(place, turn)], [Placed(setting.target, turn, place)]
             values = shaded.hidden(
-                wall, seen, lit, setting.room, blockers, target, self._light, convex=setting.convex
+                wall, seen, lit, setting.room, blockers, hiders, self._light, convex=setting.convex
             )
             return values, len(seen) + len(lit)
 
@@ -428,7 +409,7 @@ class Fields:
                 break
         pixels, used = picture.draw(
             lambda owner, boxes: (on_panels(owner, boxes, self._rule.places), np.zeros(len(owner))),
-            *(self._rule, picture.Parts.whole(n), n, groups, self._setting.resolution, _LOOSE * self._accuracy),
+            *(self._rule, picture.Parts.whole(n), self._shape(n, groups), _LOOSE * self._accuracy),
             level=level,
         )
         return pixels, used, most
@@ -442,10 +423,15 @@ class Fields:
         return np.column_stack([lifted[:, :2] / lifted[:, 2:], np.zeros(len(lifted))])
 
 
-def _around(wall: Floats) -> tuple[Floats, float]:
-    """Middle and radius of a circle around wall points."""
+def _around(wall: Floats) -> Disc:
+    """Return a disc around wall points."""
     middle = wall[:, :2].mean(axis=0)
-    return middle, float(np.linalg.norm(wall[:, :2] - middle, axis=1).max())
+    return Disc(np.append(middle, 0.0), float(np.linalg.norm(wall[:, :2] - middle, axis=1).max()))
+
+
+def _poses(turns: Floats, places: Floats) -> Poses:
+    """Return poses with nothing in their way."""
+    return Poses(turns, places, np.zeros(len(places), dtype=np.int64), np.ones(len(places), dtype=np.int64))
 
 
 def _arrays(some: Shaded, groups: int) -> Traced:

@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from generator.transport.compiled import COMPILED, jit
+from generator.transport.compiled import COMPILED, jit, jit_in_place
 
 Floats = NDArray[Any]
 
@@ -116,7 +116,7 @@ def _irradiance_arrays(x: Floats, n: Floats, nodes: Floats, count: int) -> float
 irradiance = jit(_irradiance_loops) if COMPILED else _irradiance_arrays
 
 
-@jit
+@jit_in_place
 def irradiance_gradient(x: Floats, n: Floats, nodes: Floats, count: int, gradient: Floats) -> float:
     """Return the irradiance as `irradiance` does, and leave its derivatives in ``gradient``.
 
@@ -147,7 +147,7 @@ def irradiance_gradient(x: Floats, n: Floats, nodes: Floats, count: int, gradien
     return total
 
 
-@jit
+@jit_in_place
 def radiance_gradient(
     a: Floats, b: Floats, elements: Floats, moves: Floats, count: int, floor: float, total: Floats
 ) -> None:

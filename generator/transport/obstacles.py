@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from generator.model.errors import NlosError
+from generator.transport.lit import Patch
 from generator.transport.rays import Surfaces
 
 Floats = NDArray[Any]
@@ -33,7 +34,7 @@ class Obstacles:
     target : Surfaces
         In its own frame.
     to_wall : ndarray of shape (3, 3)
-    patch : ndarray of shape (14,)
+    patch : lit.Patch
     eye : ndarray of shape (4,)
 
     Attributes
@@ -45,15 +46,18 @@ class Obstacles:
         room are not among them: everything is on one side of each.
     """
 
-    def __init__(self, room: Surfaces, target: Surfaces, to_wall: Floats, patch: Floats, eye: Floats) -> None:
+    def __init__(self, room: Surfaces, target: Surfaces, to_wall: Floats, patch: Patch, eye: Floats) -> None:
         self._room, self._target = room, target
         corners = np.array([[0.0, 0.0, 1.0], [1.0, 0.0, 1.0], [1.0, 1.0, 1.0], [0.0, 1.0, 1.0]]) @ to_wall.T
         self._watched = np.column_stack([corners[:, :2] / corners[:, 2:], np.zeros(4)])
         turn = np.linspace(0.0, 2.0 * math.pi, 32, endpoint=False)
-        rim = patch[:2] + np.outer(np.cos(turn), patch[2:4]) + np.outer(np.sin(turn), patch[4:6])
+        rim = patch.centre + np.outer(np.cos(turn), patch.major) + np.outer(np.sin(turn), patch.minor)
         self._patch_rim = np.column_stack([rim, np.zeros(32)])
-        self._lamp = np.append(patch[6:9], 1.0)
-        self._patch_centre, self._patch_radius = np.append(patch[:2], 0.0), math.hypot(patch[2], patch[3])
+        self._lamp = np.array([patch.lamp_x, patch.lamp_y, patch.height, 1.0])
+        self._patch_centre, self._patch_radius = (
+            np.append(patch.centre, 0.0),
+            math.hypot(patch.major_x, patch.major_y),
+        )
         self._eye = eye
         self._cone = _pyramid(self._lamp, self._patch_centre + _RIM * (self._patch_rim - self._patch_centre))
         middle = self._watched.mean(axis=0)

@@ -15,7 +15,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.polynomial.legendre import leggauss, legvander
@@ -147,9 +147,7 @@ def draw(
     evaluate: Evaluate,
     rule: Rule,
     parts: Parts,
-    pictures: int,
-    channels: int,
-    resolution: tuple[int, int],
+    shape: tuple[int, int, int, int],
     accuracy: float,
     *,
     level: Floats | None = None,
@@ -163,9 +161,8 @@ def draw(
         Owners are parts.
     rule : Rule
     parts : Parts
-    pictures, channels : int
-    resolution : (int, int)
-        Width and height, pixels.
+    shape : (int, int, int, int)
+        Pictures, channels, and the pictures' height and width, pixels.
     accuracy : float
         Root mean square of the error, relative to that of the picture, channel by channel.
     level : ndarray of shape (pictures, channels), optional
@@ -179,8 +176,8 @@ def draw(
         Means over the pixels' boxes.
     panels : Panels
     """
-    width, height = resolution
-    out = np.zeros((pictures, channels, height, width))
+    pictures, channels, height, width = shape
+    out = np.zeros(shape)
     picture = parts.picture
     owner, boxes = np.arange(len(picture)), np.tile([0.0, 1.0, 0.0, 1.0], (len(picture), 1))
     settled, lost = np.zeros((pictures, channels)), np.zeros((pictures, channels))
@@ -248,8 +245,16 @@ def deposit(out: Floats, owner: Floats, boxes: Floats, coefficients: Floats, lin
         starts = np.flatnonzero(np.diff(owner[order], prepend=-1))
         nodes, weights = leggauss(math.isqrt(coefficients.shape[2]))
         edge = np.stack([(nodes + 1.0) / 2.0, weights / 2.0])
-        ends = np.append(starts, len(owner))
-        in_parts(_deposit, len(starts), out, owner, order, ends, boxes, coefficients, lines, edge)
+        runs = _Runs(owner, order, np.append(starts, len(owner)))
+        in_parts(_deposit, len(starts), out, runs, boxes, coefficients, lines, edge)
+
+
+class _Runs(NamedTuple):
+    """Which picture each panel belongs to; the panels picture by picture; and where in these each picture begins."""
+
+    owner: Floats
+    order: Floats
+    ends: Floats
 
 
 @jit
@@ -354,9 +359,7 @@ def _deposit(
     start: int,
     stop: int,
     out: Floats,
-    owner: Floats,
-    order: Floats,
-    ends: Floats,
+    runs: _Runs,
     boxes: Floats,
     coefficients: Floats,
     lines: Floats,
@@ -366,8 +369,8 @@ def _deposit(
     m = edge.shape[1]
     pixels = np.array([width, height])
     for run in range(start, stop):  # of one picture: no two threads write the same
-        for k in range(ends[run], ends[run + 1]):
-            item = order[k]
+        for k in range(runs.ends[run], runs.ends[run + 1]):
+            item = runs.order[k]
             box, line = boxes[item], lines[item]
             first_column, across = _shares(box[0], box[1], width, m)
             first_row, down = _shares(box[2], box[3], height, m)
@@ -379,7 +382,7 @@ def _deposit(
             least = line[2] + min(line[0] * box[0], line[0] * box[1]) + min(line[1] * box[2], line[1] * box[3])
             if least < 0.0:
                 _keep_side(block, np.array([first_column, first_row]), box, pixels, held, line, edge)
-            into = out[owner[item]]
+            into = out[runs.owner[item]]
             into[:, first_row : first_row + down.shape[0], first_column : first_column + across.shape[0]] += block
 
 

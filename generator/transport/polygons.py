@@ -7,13 +7,15 @@ more than no shadow.
 from __future__ import annotations
 
 import math
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from generator.transport import elements, integral
-from generator.transport.compiled import jit
+from generator.transport import elements
+from generator.transport.compiled import jit, jit_in_place, jit_inlined
+from generator.transport.lit import Rules, distance_to, order_at, radius_of
+from generator.transport.records import Disc
 
 Floats = NDArray[Any]
 
@@ -22,50 +24,79 @@ CORNERS = 128
 PIECES = 96
 """Most that a polygon may fall into."""
 
-FACET = 36
-"""Width of a row: origin (3), two axes (3 + 3), normal (3), level, how many corners, corners (4 x 3), the same along
-the axes (4 x 2), one-sided, 0."""
+ORIGIN, FIRST, SECOND, NORMAL, LEVEL, COUNT, CORNER, OUTLINE, SIDED, FACET = 0, 3, 6, 9, 12, 13, 14, 26, 34, 36
+"""Columns of a facet's row: a corner (3), two unit axes in its plane (3 + 3), its unit normal (3), the level of its
+plane, how many corners it has, these corners (4 x 3), the same along the axes (4 x 2), whether it has one side; and
+how many columns there are."""
 
-_TOUCH = 1e-9
+AREA, ORDER = 3, 4
+"""Columns, after its place (3), of a quadrature point: its area, and which of the patch's rules it asks for."""
+
+_STACK = 128
 
 
 @jit
 def lay(origin: Floats, first: Floats, second: Floats, triangle: bool, row: Floats) -> None:
     """Write a parallelogram or triangle, given by a corner and two edges, as a facet."""
-    row[0:3] = origin
-    row[9], row[10], row[11] = (
-        first[1] * second[2] - first[2] * second[1],
-        first[2] * second[0] - first[0] * second[2],
-        first[0] * second[1] - first[1] * second[0],
-    )
-    row[3:6] = first / math.sqrt((first * first).sum())
-    row[9:12] /= math.sqrt((row[9:12] * row[9:12]).sum())
-    row[6], row[7], row[8] = (
-        row[10] * row[5] - row[11] * row[4],
-        row[11] * row[3] - row[9] * row[5],
-        row[9] * row[4] - row[10] * row[3],
-    )
-    row[12] = (row[9:12] * origin).sum()
-    row[13] = 3 if triangle else 4
-    row[14:17] = origin
-    row[17:20] = origin + first
-    row[20:23] = origin + second if triangle else origin + first + second
-    row[23:26] = origin + second
+    row[ORIGIN:FIRST] = origin
+    one, two, normal = row[FIRST:SECOND], row[SECOND:NORMAL], row[NORMAL:LEVEL]
+    for r in range(3):
+        s, t = (r + 1) % 3, (r + 2) % 3
+        normal[r] = first[s] * second[t] - first[t] * second[s]
+    one[:] = first / math.sqrt((first * first).sum())
+    normal /= math.sqrt((normal * normal).sum())
+    for r in range(3):
+        s, t = (r + 1) % 3, (r + 2) % 3
+        two[r] = normal[s] * one[t] - normal[t] * one[s]
+    row[LEVEL] = (normal * origin).sum()
+    row[COUNT] = 3 if triangle else 4
+    corners = row[CORNER:OUTLINE]
+    corners[0:3] = origin
+    corners[3:6] = origin + first
+    corners[6:9] = origin + second if triangle else origin + first + second
+    corners[9:12] = origin + second
     for k in range(4):
-        for r in range(2):
-            row[26 + 2 * k + r] = ((row[14 + 3 * k : 17 + 3 * k] - origin) * row[3 + 3 * r : 6 + 3 * r]).sum()
+        arm = corners[3 * k : 3 * k + 3] - origin
+        row[OUTLINE + 2 * k], row[OUTLINE + 2 * k + 1] = (arm * one).sum(), (arm * two).sum()
 
 
-@jit
+@jit_inlined
+def height_of(facet: Floats, u: float, v: float) -> float:
+    """Return a wall point's height above a facet's plane."""
+    return facet[NORMAL] * u + facet[NORMAL + 1] * v - facet[LEVEL]
+
+
+@jit_inlined
+def height_above(facet: Floats, point: Floats) -> float:
+    """Return a point's height above a facet's plane."""
+    normal = facet[NORMAL] * point[0] + facet[NORMAL + 1] * point[1] + facet[NORMAL + 2] * point[2]
+    return normal - facet[LEVEL]
+
+
+@jit_inlined
+def on_facet(facet: Floats, u: float, v: float, point: Floats) -> None:
+    """Write the point (3,) of a facet's plane at coordinates along its axes."""
+    for r in range(3):
+        point[r] = facet[ORIGIN + r] + u * facet[FIRST + r] + v * facet[SECOND + r]
+
+
+@jit_in_place
 def outline(facet: Floats, polygon: Floats) -> int:
     """Write a facet's own corners along its axes; return how many."""
-    n = int(facet[13])
+    n = int(facet[COUNT])
     for k in range(n):
-        polygon[k, 0], polygon[k, 1] = facet[26 + 2 * k], facet[27 + 2 * k]
+        polygon[k, 0], polygon[k, 1] = facet[OUTLINE + 2 * k], facet[OUTLINE + 2 * k + 1]
     return n
 
 
-@jit
+@jit_in_place
+def copy(polygon: Floats, n: int, into: Floats) -> None:
+    """Copy a polygon's corners."""
+    for k in range(n):
+        into[k, 0], into[k, 1] = polygon[k, 0], polygon[k, 1]
+
+
+@jit_in_place
 def clip(polygon: Floats, n: int, a: float, b: float, c: float, kept: Floats) -> int:
     """Write the part of a polygon where a u + b v + c >= 0 (Sutherland and Hodgman 1974); return its corners."""
     m = 0
@@ -87,7 +118,7 @@ def clip(polygon: Floats, n: int, a: float, b: float, c: float, kept: Floats) ->
     return m
 
 
-@jit
+@jit_in_place
 def within(polygon: Floats, n: int, lines: Floats, k: int, kept: Floats, spare: Floats) -> int:
     """Write the part of a polygon inside all of ``k`` lines (k, 3); return its corners, 0 if there is none."""
     for i in range(k):
@@ -97,7 +128,7 @@ def within(polygon: Floats, n: int, lines: Floats, k: int, kept: Floats, spare: 
                 inside += 1
         if inside == 0:
             return 0
-    kept[:n] = polygon[:n]
+    copy(polygon, n, kept)
     for i in range(k):
         inside = 0
         for j in range(n):
@@ -107,11 +138,11 @@ def within(polygon: Floats, n: int, lines: Floats, k: int, kept: Floats, spare: 
             return 0
         if inside < n:
             n = clip(kept, n, lines[i, 0], lines[i, 1], lines[i, 2], spare)
-            kept[:n] = spare[:n]
+            copy(spare, n, kept)
     return n if n >= 3 else 0
 
 
-@jit
+@jit_in_place
 def without(
     polygon: Floats, n: int, lines: Floats, k: int, pieces: Floats, corners: Floats, count: int, spare: Floats
 ) -> int:
@@ -133,11 +164,11 @@ def without(
     if count < 0 or count + k >= PIECES:
         return -1
     if within(polygon, n, lines, k, spare[0], spare[1]) == 0:
-        pieces[count, :n] = polygon[:n]
+        copy(polygon, n, pieces[count])
         corners[count] = n
         return count + 1
     rest = spare[2]
-    rest[:n] = polygon[:n]
+    copy(polygon, n, rest)
     for i in range(k):
         m = clip(rest, n, -lines[i, 0], -lines[i, 1], -lines[i, 2], pieces[count])
         if m >= 3:
@@ -146,139 +177,155 @@ def without(
         n = clip(rest, n, lines[i, 0], lines[i, 1], lines[i, 2], spare[0])
         if n < 3:
             break
-        rest[:n] = spare[0][:n]
+        copy(spare[0], n, rest)
     return count
 
 
+class Summing(NamedTuple):
+    """Room to sum light in: a stack of triangles, a point, and the rows of one cell's quadrature points."""
+
+    stack: Floats
+    point: Floats
+    found: Floats
+
+
 @jit
-def spread(
-    polygon: Floats,
-    n: int,
-    facet: Floats,
-    centre: Floats,
-    radius: float,
-    patch: Floats,
-    gauss: Floats,
-    digits: float,
-    stack: Floats,
-    found: Floats,
-    count: int,
-) -> tuple[Floats, int]:
-    """Append quadrature points of a polygon on a facet, as fine as a disc on the wall and the lit patch ask.
+def room_to_sum() -> Summing:
+    """Return the arrays that summing works in."""
+    return Summing(np.empty((_STACK, 6)), np.empty(3), np.empty((elements.MAX_POINTS**2, 5)))
+
+
+@jit_inlined
+def fan(polygon: Floats, n: int) -> tuple[float, float, int, int]:
+    """Return the point that a polygon's triangles share, and the first and last (exclusive) of the sides opposite it.
+
+    A fan from the middle keeps the triangles of a round polygon slim; those of a few corners are better left large.
+    """
+    if n <= 6:
+        return polygon[0, 0], polygon[0, 1], 1, n - 1
+    return polygon[:n, 0].mean(), polygon[:n, 1].mean(), 0, n
+
+
+@jit_inlined
+def start_triangle(polygon: Floats, n: int, k: int, middle0: float, middle1: float, row: Floats) -> None:
+    """Write a triangle of `fan`, the one opposite a polygon's k-th side: a corner and two edges."""
+    after = (k + 1) % n
+    row[0], row[1] = middle0, middle1
+    row[2], row[3] = polygon[k, 0] - middle0, polygon[k, 1] - middle1
+    row[4], row[5] = polygon[after, 0] - middle0, polygon[after, 1] - middle1
+
+
+@jit_inlined
+def next_points(facet: Floats, view: Disc, rules: Rules, work: Summing, top: int) -> tuple[int, int]:
+    """Cut the topmost triangle on a facet as finely as a disc on the wall and the lit patch ask.
 
     Parameters
     ----------
-    polygon : ndarray of shape (CORNERS, 2)
-        Along the facet's axes.
-    n : int
     facet : ndarray of shape (FACET,)
-    centre, radius
-        Of the disc.
-    patch, gauss
-        As for `integral.panels`.
-    digits : float
-    stack : ndarray of shape (s, 6), room to work in
-    found : ndarray of shape (capacity, 5)
-        Rows: position (3), area, and which of the patch's rules it asks for.
-    count : int
+    view : Disc
+    rules : Rules
+    work : Summing
+        The first ``top`` rows of its stack are triangles, a corner and two edges along the facet's axes. Its rows
+        ``found`` become the quadrature points of the first piece that need not be cut: position (3), area, and which
+        of the patch's rules it asks for.
+    top : int
 
     Returns
     -------
-    found, count
-        The same array, or a larger one, and how many rows of it are filled.
+    top, count : int
+        How many triangles are left, and how many points were written.
     """
-    nodes, weights, corner, corner_weights = gauss[0], gauss[1], gauss[2], gauss[3]
-    patch_radius = math.sqrt(patch[2] ** 2 + patch[3] ** 2)
-    least = 0.02 * patch_radius
-    point = np.empty(3)
-    # A fan from the middle keeps the triangles of a round polygon slim; those of a few corners are better left large.
-    middle0, middle1, start, end = polygon[0, 0], polygon[0, 1], 1, n - 1
-    if n > 6:
-        middle0, middle1, start, end = polygon[:n, 0].mean(), polygon[:n, 1].mean(), 0, n
-    for k in range(start, end):
-        after = (k + 1) % n
-        stack[0, 0], stack[0, 1] = middle0, middle1
-        stack[0, 2], stack[0, 3] = polygon[k, 0] - middle0, polygon[k, 1] - middle1
-        stack[0, 4], stack[0, 5] = polygon[after, 0] - middle0, polygon[after, 1] - middle1
-        top = 1
-        while top > 0:
-            top -= 1
-            o0, o1, e0, e1 = stack[top, 0], stack[top, 1], stack[top, 2], stack[top, 3]
-            f0, f1 = stack[top, 4], stack[top, 5]
-            area = abs(e0 * f1 - e1 * f0)
-            if area == 0.0:
-                continue
-            m0, m1 = o0 + (e0 + f0) / 3.0, o1 + (e1 + f1) / 3.0
-            for r in range(3):
-                point[r] = facet[r] + m0 * facet[3 + r] + m1 * facet[6 + r]
-            distance = min(
-                elements.distance_to_disc(point, centre[0], centre[1], radius),
-                elements.distance_to_disc(point, patch[0], patch[1], patch_radius),
-            )
-            along = math.sqrt(max(e0 * e0 + e1 * e1, f0 * f0 + f1 * f1)) / 2.0
-            across = math.sqrt((e0 - f0) ** 2 + (e1 - f1) ** 2) / 2.0
-            ku = elements.points_wanted(along, distance, digits)
-            kv = elements.points_wanted(across, distance, digits)
-            if max(ku, kv) > elements.MAX_POINTS and max(along, across) > least and top + 4 <= stack.shape[0]:
-                e0, e1, f0, f1 = e0 / 2.0, e1 / 2.0, f0 / 2.0, f1 / 2.0
-                for part in range(4):
-                    row = stack[top + part]
-                    row[0], row[1], row[2], row[3], row[4], row[5] = o0, o1, e0, e1, f0, f1
-                    if part == 1:
-                        row[0], row[1] = o0 + e0, o1 + e1
-                    elif part == 2:
-                        row[0], row[1] = o0 + f0, o1 + f1
-                    elif part == 3:  # the middle one stands on its head
-                        row[0], row[1] = o0 + e0 + f0, o1 + e1 + f1
-                        row[2], row[3], row[4], row[5] = -e0, -e1, -f0, -f1
-                top += 4
-                continue
-            ku, kv = min(ku, elements.MAX_POINTS), min(kv, elements.MAX_POINTS)
-            if count + ku * kv > found.shape[0]:
-                grown = np.empty((2 * found.shape[0] + ku * kv, found.shape[1]))
-                grown[:count] = found[:count]
-                found = grown
-            order = integral.patch_order(point, patch, digits)
-            for i in range(ku):
-                for j in range(kv):
-                    # Duffy 1982, as in `elements.cell_point`.
-                    s, t = corner[ku, i] * (1.0 - nodes[kv, j]), corner[ku, i] * nodes[kv, j]
-                    p0, p1 = o0 + s * e0 + t * f0, o1 + s * e1 + t * f1
-                    row = found[count]
-                    for r in range(3):
-                        row[r] = facet[r] + p0 * facet[3 + r] + p1 * facet[6 + r]
-                    row[3], row[4] = corner_weights[ku, i] * weights[kv, j] * area / 2.0, order
-                    count += 1
-    return found, count
+    stack, point, found = work
+    nodes, weights, corner, corner_weights = rules.gauss[0], rules.gauss[1], rules.gauss[2], rules.gauss[3]
+    least = 0.02 * radius_of(rules.patch)
+    while top > 0:
+        top -= 1
+        o0, o1, e0, e1 = stack[top, 0], stack[top, 1], stack[top, 2], stack[top, 3]
+        f0, f1 = stack[top, 4], stack[top, 5]
+        area = abs(e0 * f1 - e1 * f0)
+        if area == 0.0:
+            continue
+        on_facet(facet, o0 + (e0 + f0) / 3.0, o1 + (e1 + f1) / 3.0, point)
+        distance = min(
+            elements.distance_to_disc(point, view.centre[0], view.centre[1], view.radius),
+            distance_to(point, rules.patch),
+        )
+        along = math.sqrt(max(e0 * e0 + e1 * e1, f0 * f0 + f1 * f1)) / 2.0
+        across = math.sqrt((e0 - f0) ** 2 + (e1 - f1) ** 2) / 2.0
+        ku = elements.points_wanted(along, distance, rules.digits)
+        kv = elements.points_wanted(across, distance, rules.digits)
+        if max(ku, kv) > elements.MAX_POINTS and max(along, across) > least and top + 4 <= stack.shape[0]:
+            _quarter(o0, o1, e0 / 2.0, e1 / 2.0, f0 / 2.0, f1 / 2.0, stack[top : top + 4])
+            top += 4
+            continue
+        ku, kv = min(ku, elements.MAX_POINTS), min(kv, elements.MAX_POINTS)
+        order = order_at(point, rules.patch, rules.digits)
+        count = 0
+        for i in range(ku):
+            for j in range(kv):
+                # Duffy 1982, as in `elements.cell_point`.
+                s, t = corner[ku, i] * (1.0 - nodes[kv, j]), corner[ku, i] * nodes[kv, j]
+                row = found[count]
+                on_facet(facet, o0 + s * e0 + t * f0, o1 + s * e1 + t * f1, row)
+                row[AREA], row[ORDER] = corner_weights[ku, i] * weights[kv, j] * area / 2.0, order
+                count += 1
+        return top, count
+    return 0, 0
 
 
-@jit
-def by_way_of(found: Floats, count: int, facet: Floats, wall: Floats, node: Floats, whole: Floats) -> float:
-    """Return what a wall point receives from the lit patch by way of points on a facet, if nothing is in between.
+@jit_in_place
+def _quarter(o0: float, o1: float, e0: float, e1: float, f0: float, f1: float, rows: Floats) -> None:
+    """Write the four triangles (4, 6) that halving a triangle's edges, to e and f, makes of it."""
+    for part in range(4):
+        row = rows[part]
+        row[0], row[1], row[2], row[3], row[4], row[5] = o0, o1, e0, e1, f0, f1
+        if part == 1:
+            row[0], row[1] = o0 + e0, o1 + e1
+        elif part == 2:
+            row[0], row[1] = o0 + f0, o1 + f1
+        elif part == 3:  # the middle one stands on its head
+            row[0], row[1] = o0 + e0 + f0, o1 + e1 + f1
+            row[2], row[3], row[4], row[5] = -e0, -e1, -f0, -f1
 
-        sum_y  A_y cos cos / |w - y|^2  sum_q  L_q cos cos / |q - y|^2
 
-    Parameters
+class Path(NamedTuple):
+    """The way of light from the patch by way of a facet to a point of the wall.
+
+    Attributes
     ----------
-    found, count
-        As `spread` returns them.
     facet : ndarray of shape (FACET,)
     wall : ndarray of shape (3,)
     node : ndarray of shape (3,)
         One point of the patch, and its radiance times area; if that is 0, the whole patch.
+    """
+
+    facet: Floats
+    wall: Floats
+    node: Floats
+
+
+@jit_inlined
+def add_by_way_of(total: float, found: Floats, count: int, path: Path, whole: Floats) -> float:
+    """Return a sum plus what a wall point receives from the lit patch by way of points on a facet, unobstructed.
+
+        sum_y  A_y cos_y / |w - y|^3 h  sum_q  L_q cos cos / |q - y|^2
+
+    On a plane, cos_y |w - y| is the wall point's height above it, wherever y is; the sum is without that factor,
+    `height_of`.
+
+    Parameters
+    ----------
+    total : float
+    found, count
+        As `next_points` writes them.
+    path : Path
     whole : ndarray
         The patch's rules.
     """
-    # On a plane, cos |w - y| is the wall point's height above it, wherever y is.
-    level = facet[9] * wall[0] + facet[10] * wall[1] - facet[12]
-    if level == 0.0:
-        return 0.0
-    side = 1.0 if level > 0.0 else -1.0
+    facet, wall, node = path.facet, path.wall, path.node
+    side = 1.0 if height_of(facet, wall[0], wall[1]) > 0.0 else -1.0
     single = node[2] != 0.0
-    caught = side * (facet[9] * node[0] + facet[10] * node[1] - facet[12]) * node[2]
-    if single and caught <= 0.0:
-        return 0.0
-    total = 0.0
+    caught = side * height_of(facet, node[0], node[1]) * node[2]
     for k in range(count):
         x, y, h = found[k, 0], found[k, 1], found[k, 2]
         u, v = wall[0] - x, wall[1] - y
@@ -289,12 +336,39 @@ def by_way_of(found: Floats, count: int, facet: Floats, wall: Floats, node: Floa
             near = u * u + v * v + h * h
             light = caught / (near * near)
         else:
-            order = int(found[k, 4])
+            order = int(found[k, ORDER])
             for q in range(order * order):
                 p0, p1 = whole[order, 0, q], whole[order, 1, q]
                 u, v = p0 - x, p1 - y
                 near = u * u + v * v + h * h
-                above = side * (facet[9] * p0 + facet[10] * p1 - facet[12])
+                above = side * height_of(facet, p0, p1)
                 light += whole[order, 2, q] * max(0.0, above) / (near * near)
-        total += found[k, 3] * light * h * h / (far * far)
-    return total * abs(level)
+        total += found[k, AREA] * light * h * h / (far * far)
+    return total
+
+
+@jit_inlined
+def is_lit(path: Path) -> bool:
+    """Whether the facet's side that a wall point sees can catch light."""
+    level = height_of(path.facet, path.wall[0], path.wall[1])
+    if level == 0.0:
+        return False
+    side = 1.0 if level > 0.0 else -1.0
+    node = path.node
+    return node[2] == 0.0 or side * height_of(path.facet, node[0], node[1]) * node[2] > 0.0
+
+
+@jit_in_place
+def light_of(polygon: Floats, n: int, path: Path, rules: Rules, work: Summing) -> float:
+    """Return what a wall point receives by way of a polygon on a facet, if nothing is in between."""
+    if not is_lit(path):
+        return 0.0
+    view, total = Disc(path.wall, 0.0), 0.0
+    middle0, middle1, start, end = fan(polygon, n)
+    for k in range(start, end):
+        start_triangle(polygon, n, k, middle0, middle1, work.stack[0])
+        top = 1
+        while top > 0:
+            top, count = next_points(path.facet, view, rules, work, top)
+            total = add_by_way_of(total, work.found, count, path, rules.whole)
+    return total * abs(height_of(path.facet, path.wall[0], path.wall[1]))

@@ -10,8 +10,9 @@ from numpy.typing import NDArray
 
 from generator.model.arrays import Array
 from generator.model.errors import NlosError
-from generator.transport import elements, integral
+from generator.transport import elements
 from generator.transport.faces import Faces
+from generator.transport.lit import Patch, chord_rules, whole_rules
 from generator.transport.obstacles import Obstacles
 from generator.transport.rays import Surfaces
 from generator.transport.world import Mesh, Sphere, Watched, World
@@ -53,12 +54,10 @@ class Setting:
     ----------
     frame : Frame
     resolution : (int, int)
-    patch : ndarray of shape (14,)
-        As `elements.clip_patch` describes it, of radiance 1 under the lamp.
+    patch : lit.Patch
+        Of radiance 1 under the lamp.
     whole, chords : ndarray
-        Its quadrature rules (`integral.patch_rules`, `integral.chord_rules`).
-    pole, spread : ndarray of shape (3,), float
-        A circle around it.
+        Its quadrature rules (`lit.whole_rules`, `lit.chord_rules`).
     to_wall : ndarray of shape (3, 3)
         From (u, v, 1) to the wall's axes.
     wall_radiance, factor : ndarray of shape (3,)
@@ -86,19 +85,18 @@ class Setting:
         watched, lit = world.watched, world.patch
         frame = self.frame = Frame(watched)
         self.resolution = watched.resolution
-        self.patch = np.concatenate(
-            [
-                frame.points(lit.centre)[:2],
-                frame.directions(lit.major)[:2] / frame.unit,
-                frame.directions(lit.minor)[:2] / frame.unit,
-                frame.points(lit.lamp)[:2],
-                [lit.height / frame.unit],
-                frame.directions(lit.axis),
-                [lit.cos_outer, lit.cos_width],
-            ]
+        numbers = (
+            *frame.points(lit.centre)[:2],
+            *frame.directions(lit.major)[:2] / frame.unit,
+            *frame.directions(lit.minor)[:2] / frame.unit,
+            *frame.points(lit.lamp)[:2],
+            lit.height / frame.unit,
+            *frame.directions(lit.axis),
+            lit.cos_outer,
+            lit.cos_width,
         )
-        self.whole, self.chords = integral.patch_rules(self.patch), integral.chord_rules()
-        self.pole, self.spread = np.append(self.patch[:2], 0.0), math.hypot(self.patch[2], self.patch[3])
+        self.patch = Patch(*map(float, numbers))
+        self.whole, self.chords = whole_rules(self.patch), chord_rules()
         self.to_wall = np.concatenate(
             [
                 frame.axes[:2] @ (watched.to_wall[:3] - np.outer(frame.origin, watched.to_wall[3])),
@@ -109,8 +107,9 @@ class Setting:
         self.factor = self.wall_radiance * watched.albedo / math.pi**2
 
         self.flat, self.balls, tint = elements.cells(world.target)
-        self.flat[:, 2:11] /= frame.unit
-        self.balls[:, [2, 3, 4, 15]] /= frame.unit
+        self.flat[:, elements.ORIGIN : elements.LOW] /= frame.unit
+        self.balls[:, elements.ORIGIN : elements.FIRST] /= frame.unit
+        self.balls[:, elements.RADIUS] /= frame.unit
         if not len(self.flat) + len(self.balls):
             raise NlosError("the target has no surface")
         room = _joined([Mesh(frame.points(m.triangles), m.albedo) for m in world.room])
@@ -129,12 +128,12 @@ class Setting:
         self.around = Surfaces(whole.triangles, whole.albedo[:, kept])
         self.room_cells = elements.cells((room,))[0]
         # A room is seen from inside, however it is closed.
-        self.room_cells[:, 1] = 0.0
+        self.room_cells[:, elements.SIDED] = 0.0
 
         meshes = _joined([Mesh(b.triangles / frame.unit, b.albedo) for b in world.target if isinstance(b, Mesh)])
         spheres = [np.append(b.centre, b.radius) / frame.unit for b in world.target if isinstance(b, Sphere)]
         self.target = Surfaces(meshes.triangles, meshes.albedo[:, kept], np.reshape(spheres, (-1, 4)))
-        one_sided = bool(len(self.balls)) or bool(self.flat[:, 1].all())
+        one_sided = bool(len(self.balls)) or bool(self.flat[:, elements.SIDED].all())
         self.convex = len(world.target) == 1 and (one_sided or len(self.flat) == 1)
         eye = watched.eye
         self.obstacles = Obstacles(

@@ -13,7 +13,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from generator.transport import integral
+from generator.transport.elements import AREA, CELL, NORMAL, ONE_SIDED, POINT
+from generator.transport.lit import Patch, order_at
 from generator.transport.rays import Placed, Surfaces
 
 Floats = NDArray[Any]
@@ -28,24 +29,26 @@ class Light:
 
     Parameters
     ----------
-    patch, whole : ndarray
-        As for `integral.panels`.
+    patch : lit.Patch
+    whole : ndarray
+        Its rules (`lit.whole_rules`).
     digits : float
         Natural logarithm of one over the relative accuracy.
     """
 
-    def __init__(self, patch: Floats, whole: Floats, digits: float) -> None:
+    def __init__(self, patch: Patch, whole: Floats, digits: float) -> None:
         self._patch, self._whole, self._digits = patch, whole, digits
 
     def order(self, points: Floats, reach: float = 0.0) -> int:
         """Return which of the patch's rules surfaces within ``reach`` of points (k, 3) need."""
         if not len(points):
             return 1
-        beside = np.linalg.norm(points[:, :2] - self._patch[:2], axis=1) - math.hypot(self._patch[2], self._patch[3])
+        beside = np.linalg.norm(points[:, :2] - self._patch.centre, axis=1)
+        beside -= math.hypot(self._patch.major_x, self._patch.major_y)
         distance = np.hypot(np.maximum(beside, 0.0), points[:, 2]).min() - reach
-        above = np.array([self._patch[0], self._patch[1], max(float(distance), 0.0)])
+        above = np.array([self._patch.x, self._patch.y, max(float(distance), 0.0)])
         # Shadows' edges are not resolved better by more points than this.
-        return min(12, integral.patch_order(above, self._patch, self._digits))
+        return min(12, order_at(above, self._patch, self._digits))
 
     def nodes(self, points: Floats) -> Floats:
         """Return the patch's points (3, n) that receivers (k, 3) need: position on the wall, radiance times area."""
@@ -101,24 +104,24 @@ def reflected(wall: Floats, found: Floats, albedo: Floats, light: Light, hidden_
     ndarray of shape (groups, k)
     """
     total = np.zeros((albedo.shape[1], len(wall)))
-    both = np.concatenate([found, _turned(found[found[:, 8] == 0.0])])
-    lit = light.irradiance(both[:, :3], both[:, 3:6], hidden_by) * both[:, 6]
+    both = np.concatenate([found, _turned(found[found[:, ONE_SIDED] == 0.0])])
+    lit = light.irradiance(both[:, POINT:NORMAL], both[:, NORMAL:AREA], hidden_by) * both[:, AREA]
     both, lit = both[lit > 0.0], lit[lit > 0.0]
     step = max(1, _AT_ONCE // max(1, len(wall)))
     for at in range(0, len(both), step):
         part = both[at : at + step]
-        term = _exchange(wall, part[:, :3], part[:, 3:6])
+        term = _exchange(wall, part[:, POINT:NORMAL], part[:, NORMAL:AREA])
         k, j = np.nonzero(term)
-        blocked = any_blocks(hidden_by, part[j, :3], wall[k])
+        blocked = any_blocks(hidden_by, part[j, POINT:NORMAL], wall[k])
         term[k[blocked], j[blocked]] = 0.0
-        strength = lit[at : at + step, None] * albedo[part[:, 7].astype(int)]
+        strength = lit[at : at + step, None] * albedo[part[:, CELL].astype(int)]
         total += (term @ strength).T
     return total
 
 
 def _turned(found: Floats) -> Floats:
     turned = found.copy()
-    turned[:, 3:6] *= -1.0
+    turned[:, NORMAL:AREA] *= -1.0
     return turned
 
 
@@ -129,6 +132,14 @@ def _exchange(wall: Floats, points: Floats, normals: Floats, *, two_sided: bool 
     facing = normals[:, 0] * u + normals[:, 1] * v + normals[:, 2] * w
     facing = np.abs(facing) if two_sided else np.maximum(facing, 0.0)
     made: Floats = facing * np.maximum(-w, 0.0) / (squared * squared)
+    return made
+
+
+def _between(wall: Floats, found: Floats) -> Floats:
+    """As `_exchange`, with elements (n, 9), which may have two sides."""
+    points, normals = found[:, POINT:NORMAL], found[:, NORMAL:AREA]
+    both = _exchange(wall, points, normals, two_sided=True)
+    made: Floats = np.where(found[:, ONE_SIDED] == 0.0, both, _exchange(wall, points, normals))
     return made
 
 
@@ -179,17 +190,11 @@ def hidden(
     step = max(1, _AT_ONCE // max(1, len(wall)))
     for at in range(0, len(seen), step):
         part = seen[at : at + step]
-        two_sided = part[:, 8] == 0.0
-        term = np.where(
-            two_sided,
-            _exchange(wall, part[:, :3], part[:, 3:6], two_sided=True),
-            _exchange(wall, part[:, :3], part[:, 3:6]),
-        )
-        term *= part[:, 6]
+        term = _between(wall, part) * part[:, AREA]
         k, j = np.nonzero(term)
-        clear = ~any_blocks([*blockers, *within], wall[k], part[j, :3])
+        clear = ~any_blocks([*blockers, *within], wall[k], part[j, POINT:NORMAL])
         k, j = k[clear], j[clear]
-        radiance = _room_radiance(part[j, :3], part[j, :3] - wall[k], room, blockers, light)
+        radiance = _room_radiance(part[j, POINT:NORMAL], part[j, POINT:NORMAL] - wall[k], room, blockers, light)
         for g in range(groups):
             total[g] += np.bincount(k, weights=term[k, j] * radiance[g], minlength=len(wall))
     total += _first_leg(wall, lit, room, blockers, target, within, light)
@@ -221,17 +226,12 @@ def _first_leg(
     total = np.zeros((room.tint.shape[1], len(wall)))
     if not len(lit):
         return total
-    nodes = light.nodes(lit[:, :3])
+    nodes = light.nodes(lit[:, POINT:NORMAL])
     for q in range(nodes.shape[1]):
         source = np.array([[nodes[0, q], nodes[1, q], 0.0]])
-        facing = np.where(
-            lit[:, 8] == 0.0,
-            _exchange(source, lit[:, :3], lit[:, 3:6], two_sided=True)[0],
-            _exchange(source, lit[:, :3], lit[:, 3:6])[0],
-        )
-        caught = nodes[2, q] * facing * lit[:, 6]
+        caught = nodes[2, q] * _between(source, lit)[0] * lit[:, AREA]
         some = np.flatnonzero(caught)
-        start = lit[some, :3]
+        start = lit[some, POINT:NORMAL]
         sources = np.broadcast_to(source, start.shape)
         clear = ~any_blocks([*blockers, *within], sources, start)
         some, start = some[clear], start[clear]

@@ -3,14 +3,14 @@
 from __future__ import annotations
 
 import math
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from generator.transport import elements
-from generator.transport.compiled import jit
-from generator.transport.polygons import FACET, lay
+from generator.transport.compiled import jit, jit_in_place
+from generator.transport.polygons import CORNER, COUNT, FACET, LEVEL, NORMAL, SIDED, height_above, lay
 from generator.transport.rays import Surfaces
 
 Floats = NDArray[Any]
@@ -19,13 +19,51 @@ Floats = NDArray[Any]
 TOUCH = 1e-9
 
 
-Cones = tuple[Floats, Floats]
-"""What each occluder hides from a point: half-spaces (occluders, k, 4), n . y + c >= 0, and how many of them
-(occluders,), 0 if it hides nothing. The target's flat cells come first, then its spheres, then the room."""
+class Cones(NamedTuple):
+    """What each occluder hides from a point, or, with one more axis in front, from each of several.
+
+    Attributes
+    ----------
+    spaces : ndarray of shape (occluders, k, 4)
+        Half-spaces, n . y + c >= 0. The target's flat cells come first, then its spheres, then the room.
+    counts : ndarray of shape (occluders,), int
+        How many of them; 0 if it hides nothing.
+    """
+
+    spaces: Floats
+    counts: Floats
 
 
-Occluders = tuple[Floats, int, Floats, Floats]
-"""Facets (n, FACET), how many of them are the target's, spheres (s, 4), and the sides of a sphere's outline."""
+class Occluders(NamedTuple):
+    """What can hide something.
+
+    Attributes
+    ----------
+    facets : ndarray of shape (n, FACET)
+    flat : int
+        How many of them, from the first, are the target's.
+    balls : ndarray of shape (s, 4)
+        The target's spheres: centre, radius.
+    sides : ndarray
+        The sides of a sphere's outline, as `ring` gives them.
+    """
+
+    facets: Floats
+    flat: int
+    balls: Floats
+    sides: Floats
+
+
+@jit_in_place
+def target_parts(occluders: Occluders) -> int:
+    """Return how many of the occluders, from the first, are the target's."""
+    return occluders.flat + occluders.balls.shape[0]
+
+
+@jit_in_place
+def all_parts(occluders: Occluders) -> int:
+    """Return how many occluders there are."""
+    return occluders.facets.shape[0] + occluders.balls.shape[0]
 
 
 def facets(surfaces: Surfaces) -> Floats:
@@ -49,31 +87,34 @@ def ring(corners: int) -> Floats:
     return np.vstack([np.column_stack([np.cos(turn), np.sin(turn)]), [math.sqrt(step / math.tan(step)), 0.0]])
 
 
-@jit
+@jit_in_place
 def _behind_facet(facet: Floats, view: Floats, spaces: Floats) -> int:
     """Write the half-spaces of what a facet hides from a point; return how many, or 0."""
-    level = facet[9] * view[0] + facet[10] * view[1] + facet[11] * view[2] - facet[12]
+    level = height_above(facet, view)
     # Of a solid, the far side hides nothing that the near side does not.
-    if abs(level) < TOUCH or (facet[34] == 1.0 and level < 0.0):
+    if abs(level) < TOUCH or (facet[SIDED] == 1.0 and level < 0.0):
         return 0
     side = 1.0 if level > 0.0 else -1.0
-    n = int(facet[13])
+    n = int(facet[COUNT])
     for k in range(n):
-        i, j = 14 + 3 * k, 14 + 3 * ((k + 1) % n)
+        i, j = CORNER + 3 * k, CORNER + 3 * ((k + 1) % n)
         a0, a1, a2 = facet[i] - view[0], facet[i + 1] - view[1], facet[i + 2] - view[2]
         b0, b1, b2 = facet[j] - view[0], facet[j + 1] - view[1], facet[j + 2] - view[2]
         row = spaces[k]
         row[0], row[1], row[2] = side * (a2 * b1 - a1 * b2), side * (a0 * b2 - a2 * b0), side * (a1 * b0 - a0 * b1)
         row[3] = -(row[0] * view[0] + row[1] * view[1] + row[2] * view[2])
     row = spaces[n]
-    row[0], row[1], row[2], row[3] = -side * facet[9], -side * facet[10], -side * facet[11], side * facet[12] - TOUCH
+    for r in range(3):
+        row[r] = -side * facet[NORMAL + r]
+    row[3] = side * facet[LEVEL] - TOUCH
     return n + 1
 
 
-@jit
+@jit_in_place
 def _behind_ball(ball: Floats, view: Floats, sides: Floats, spaces: Floats) -> int:
     """As `_behind_facet`, for a sphere (centre, radius), whose outline becomes a polygon of the same area."""
-    axis, across, third = np.empty(3), np.empty(3), np.empty(3)
+    n = sides.shape[0] - 1
+    axis, across = spaces[n, :3], spaces[n + 1, :3]
     far = 0.0
     for r in range(3):
         axis[r] = ball[r] - view[r]
@@ -83,54 +124,48 @@ def _behind_ball(ball: Floats, view: Floats, sides: Floats, spaces: Floats) -> i
         axis[r] /= far
     sine = min(ball[3] / far, 1.0 - 1e-9)
     elements.beside(axis, across)
-    for r in range(3):
-        s, t = (r + 1) % 3, (r + 2) % 3
-        third[r] = axis[s] * across[t] - axis[t] * across[s]
-    n = sides.shape[0] - 1
+    third0 = axis[1] * across[2] - axis[2] * across[1]
+    third1 = axis[2] * across[0] - axis[0] * across[2]
+    third2 = axis[0] * across[1] - axis[1] * across[0]
     opening = sine / math.sqrt(1.0 - sine * sine) * sides[n, 0]
     for k in range(n):
         row = spaces[k]
         row[3] = 0.0
         for r in range(3):
-            row[r] = opening * axis[r] - (sides[k, 0] * across[r] + sides[k, 1] * third[r])
+            third = third0 if r == 0 else third1 if r == 1 else third2
+            row[r] = opening * axis[r] - (sides[k, 0] * across[r] + sides[k, 1] * third)
             row[3] -= row[r] * view[r]
     row = spaces[n]
     row[3] = -far * (1.0 - sine * sine)
     for r in range(3):
-        row[r] = axis[r]
         row[3] -= axis[r] * view[r]
     return n + 1
 
 
-@jit
+@jit_in_place
 def all_hidden(view: Floats, occluders: Occluders, cones: Cones) -> None:
     """Write what each occluder hides from a point."""
-    every, first, balls, sides = occluders
-    spaces, counts = cones
-    for k in range(every.shape[0]):
+    facets, first, balls = occluders.facets, occluders.flat, occluders.balls
+    for k in range(facets.shape[0]):
         at = k if k < first else k + balls.shape[0]
-        counts[at] = _behind_facet(every[k], view, spaces[at])
+        cones.counts[at] = _behind_facet(facets[k], view, cones.spaces[at])
     for k in range(balls.shape[0]):
-        counts[first + k] = _behind_ball(balls[k], view, sides, spaces[first + k])
+        cones.counts[first + k] = _behind_ball(balls[k], view, occluders.sides, cones.spaces[first + k])
 
 
 @jit
 def no_cones(occluders: Occluders) -> Cones:
     """Return room for what is hidden from a point."""
-    every, _, balls, sides = occluders
-    depth = max(6, sides.shape[0] + 1 if balls.shape[0] else 0)
-    number = every.shape[0] + balls.shape[0]
-    return np.empty((number, depth, 4)), np.zeros(number, dtype=np.int64)
+    depth = max(6, occluders.sides.shape[0] + 1 if occluders.balls.shape[0] else 0)
+    number = all_parts(occluders)
+    return Cones(np.empty((number, depth, 4)), np.zeros(number, dtype=np.int64))
 
 
 @jit
-def hidden_from_nodes(nodes: Floats, occluders: Occluders) -> tuple[Floats, Floats]:
-    """Return cones from each point of the patch: (nodes, occluders, k, 4) and (nodes, occluders)."""
+def hidden_from_each(views: Floats, occluders: Occluders) -> Cones:
+    """Return what is hidden from each of some points (n, 3)."""
     spaces, counts = no_cones(occluders)
-    every = np.empty((nodes.shape[1], *spaces.shape))
-    numbers = np.empty((nodes.shape[1], counts.shape[0]), dtype=np.int64)
-    view = np.zeros(3)
-    for q in range(nodes.shape[1]):
-        view[0], view[1] = nodes[0, q], nodes[1, q]
-        all_hidden(view, occluders, (every[q], numbers[q]))
-    return every, numbers
+    made = Cones(np.empty((views.shape[0], *spaces.shape)), np.empty((views.shape[0], len(counts)), dtype=np.int64))
+    for q in range(views.shape[0]):
+        all_hidden(views[q], occluders, Cones(made.spaces[q], made.counts[q]))
+    return made

@@ -3,56 +3,70 @@
 from __future__ import annotations
 
 import math
+from typing import NamedTuple
 
 import numpy as np
 
-from generator.transport import elements, integral
-from generator.transport.compiled import NONE, ONE, jit
-from generator.transport.polygons import by_way_of, spread, within
-from generator.transport.shadows.cones import Cones, Floats, Occluders
-from generator.transport.shadows.pieces import ON_LINE, Pieces, Work, cleared, covered, on_plane
-
-Rules = tuple[Floats, Floats, Floats, float]
-"""Quadrature: the patch's rules, the patch, Gauss points, digits."""
-
-
-@jit
-def _add_light(
-    light: Floats,
-    sign: float,
-    polygon: Floats,
-    n: int,
-    facet: Floats,
-    wall: Floats,
-    node: Floats,
-    rules: Rules,
-    stack: Floats,
-    found: Floats,
-) -> Floats:
-    """Add to ``light[0]`` what a wall point receives by way of a polygon; return ``found``, perhaps grown."""
-    whole, patch, gauss, digits = rules
-    found, count = spread(polygon, n, facet, wall, 0.0, patch, gauss, digits, stack, found, NONE[0])
-    light[0] += sign * by_way_of(found, count, facet, wall, node, whole)
-    return found
+from generator.transport import elements
+from generator.transport.compiled import NONE, ONE, jit_in_place
+from generator.transport.lit import distance_to, order_at
+from generator.transport.polygons import (
+    AREA,
+    CORNER,
+    COUNT,
+    NORMAL,
+    ORDER,
+    Path,
+    add_by_way_of,
+    copy,
+    height_above,
+    height_of,
+    is_lit,
+    light_of,
+    on_facet,
+    within,
+)
+from generator.transport.shadows.cones import Cones, Floats, all_parts
+from generator.transport.shadows.pieces import ON_LINE, Pieces, Scene, View, Work, cleared, covered, on_plane
 
 
-@jit
-def _facet_rates(facet: Floats, k: int, view: Floats, at: Floats, point: Floats, rates: Floats) -> None:
+class Kept(NamedTuple):
+    """What the shadows of the patch's points cover of the surfaces.
+
+    Attributes
+    ----------
+    polygons : ndarray of shape (n, CORNERS, 2)
+        Along the surface's axes.
+    corners : ndarray of shape (n,), int
+        How many each has.
+    of : ndarray of shape (n, 2), int
+        Which surface each is on, and which point's shadow it is.
+    number : int
+        How many there are; below 0, there were too many.
+    """
+
+    polygons: Floats
+    corners: Floats
+    of: Floats
+    number: int
+
+
+@jit_in_place
+def _facet_rates(facet: Floats, k: int, view: Floats, at: Floats, point: Floats, rates: Floats, work: Floats) -> None:
     """Write how the k-th half-space of what a facet hides changes at a point as the target moves and turns.
 
     With corners a and b as seen from the view and d the point, it is -(a x b) . d, and a moves by t + w x (a's arm).
     """
-    level = facet[9] * view[0] + facet[10] * view[1] + facet[11] * view[2] - facet[12]
-    side = 1.0 if level > 0.0 else -1.0
-    n = int(facet[13])
+    side = 1.0 if height_above(facet, view) > 0.0 else -1.0
+    n = int(facet[COUNT])
     if k == n:
         for r in range(3):
             s, t = (r + 1) % 3, (r + 2) % 3
-            rates[r] = side * facet[9 + r]
-            rates[3 + r] = -side * (facet[9 + s] * (point[t] - at[t]) - facet[9 + t] * (point[s] - at[s]))
+            rates[r] = side * facet[NORMAL + r]
+            rates[3 + r] = -side * (facet[NORMAL + s] * (point[t] - at[t]) - facet[NORMAL + t] * (point[s] - at[s]))
         return
-    i, j = 14 + 3 * k, 14 + 3 * ((k + 1) % n)
-    left, right = np.empty(3), np.empty(3)
+    i, j = CORNER + 3 * k, CORNER + 3 * ((k + 1) % n)
+    left, right = work[:3], work[3:]
     for r in range(3):
         s, t = (r + 1) % 3, (r + 2) % 3
         ds, dt = point[s] - view[s], point[t] - view[t]
@@ -69,7 +83,7 @@ def _facet_rates(facet: Floats, k: int, view: Floats, at: Floats, point: Floats,
         )
 
 
-@jit
+@jit_in_place
 def _ball_rates(
     ball: Floats, space: Floats, apothem: float, view: Floats, at: Floats, point: Floats, rates: Floats
 ) -> None:
@@ -93,201 +107,145 @@ def _ball_rates(
         rates[3 + r] = (ball[s] - at[s]) * rates[t] - (ball[t] - at[t]) * rates[s]
 
 
-@jit
+class _Edge(NamedTuple):
+    """An edge of a polygon, which the border of what a part of the target hides moves along: half-space ``side``,
+    ``steep`` of whose distances along the plane are one of its own; ``sign`` says on which side the polygon is.
+    """
+
+    part: int
+    side: int
+    start: Floats
+    end: Floats
+    sign: float
+    steep: float
+
+
+@jit_in_place
+def _add_edge(light: Floats, edge: _Edge, path: Path, view: View, scene: Scene, work: Floats) -> None:
+    """Add to ``light[1:]`` the light along an edge, times how fast it moves; ``work`` (4, 6) is room to work in."""
+    if not is_lit(path):
+        return
+    occluders, rules = scene.occluders, scene.rules
+    gauss = rules.gauss
+    found, rates, point = work[:1], work[1], work[2, :3]
+    u0, v0, u1, v1 = edge.start[0], edge.start[1], edge.end[0], edge.end[1]
+    length = math.hypot(u1 - u0, v1 - v0)
+    on_facet(path.facet, (u0 + u1) / 2.0, (v0 + v1) / 2.0, point)
+    distance = min(elements.distance_to_disc(point, path.wall[0], path.wall[1], 0.0), distance_to(point, rules.patch))
+    cuts = min(1000, 1 + int(length / distance))
+    wanted = min(elements.MAX_POINTS, elements.points_wanted(length / cuts / 2.0, distance, rules.digits))
+    found[0, AREA], found[0, ORDER] = 1.0, order_at(point, rules.patch, rules.digits)
+    level = abs(height_of(path.facet, path.wall[0], path.wall[1]))
+    for piece in range(cuts):
+        for g in range(wanted):
+            share = (piece + gauss[0, wanted, g]) / cuts
+            on_facet(path.facet, u0 + share * (u1 - u0), v0 + share * (v1 - v0), point)
+            for r in range(3):
+                found[0, r] = point[r]
+            if edge.part < occluders.flat:
+                _facet_rates(occluders.facets[edge.part], edge.side, view.point, scene.at, point, rates, work[3])
+            else:
+                ball, sides = occluders.balls[edge.part - occluders.flat], occluders.sides
+                space = view.cones.spaces[edge.part, edge.side]
+                _ball_rates(ball, space, sides[sides.shape[0] - 1, 0], view.point, scene.at, point, rates)
+            weight = edge.sign * gauss[1, wanted, g] * length / cuts / edge.steep
+            weight *= add_by_way_of(0.0, found, ONE[0], path, rules.whole) * level
+            for r in range(6):
+                light[1 + r] += weight * rates[r]
+
+
+@jit_in_place
 def _add_rates(
-    light: Floats,
-    sign: float,
-    polygon: Floats,
-    n: int,
-    facet: Floats,
-    wall: Floats,
-    node: Floats,
-    view: Floats,
-    cones: Cones,
-    occluders: Occluders,
-    at: Floats,
-    rules: Rules,
-    lines: Floats,
-    found: Floats,
+    light: Floats, sign: float, polygon: Floats, n: int, path: Path, view: View, scene: Scene, work: Work
 ) -> None:
     """Add to ``light[1:]`` how light by way of a polygon changes as the target's shadows, seen from a point, move.
 
     By Reynolds' theorem that is an integral of the light along the edges that move, times how fast they do.
     """
-    every, first, balls, sides = occluders
-    spaces, counts = cones
-    whole, patch, gauss, digits = rules
-    patch_radius = math.sqrt(patch[2] ** 2 + patch[3] ** 2)
-    rates, point = np.empty(6), np.empty(3)
+    lines, flat = work.cutting.lines, scene.occluders.flat
     middle0, middle1 = polygon[:n, 0].mean(), polygon[:n, 1].mean()
-    for part in range(first + balls.shape[0]):
-        on_plane(facet, spaces[part], counts[part], lines)
-        for i in range(counts[part]):
+    for part in range(scene.target.parts):
+        count = view.cones.counts[part]
+        on_plane(path.facet, view.cones.spaces[part], count, lines)
+        for i in range(count):
             a, b, c = lines[i, 0], lines[i, 1], lines[i, 2]
             steep = math.hypot(a, b)
-            if steep == 0.0 or (part >= first and i == counts[part] - 1):
+            if steep == 0.0 or (part >= flat and i == count - 1):
                 continue
             inside = 1.0 if a * middle0 + b * middle1 + c > 0.0 else -1.0
             for j in range(n):
-                u0, v0 = polygon[j, 0], polygon[j, 1]
-                u1, v1 = polygon[(j + 1) % n, 0], polygon[(j + 1) % n, 1]
-                if abs(a * u0 + b * v0 + c) > ON_LINE * steep or abs(a * u1 + b * v1 + c) > ON_LINE * steep:
+                start, end = polygon[j], polygon[(j + 1) % n]
+                if abs(a * start[0] + b * start[1] + c) > ON_LINE * steep:
                     continue
-                length = math.hypot(u1 - u0, v1 - v0)
-                for r in range(3):
-                    point[r] = facet[r] + (u0 + u1) / 2.0 * facet[3 + r] + (v0 + v1) / 2.0 * facet[6 + r]
-                distance = min(
-                    elements.distance_to_disc(point, wall[0], wall[1], 0.0),
-                    elements.distance_to_disc(point, patch[0], patch[1], patch_radius),
-                )
-                cuts = min(1000, 1 + int(length / distance))
-                wanted = min(elements.MAX_POINTS, elements.points_wanted(length / cuts / 2.0, distance, digits))
-                found[0, 3], found[0, 4] = 1.0, integral.patch_order(point, patch, digits)
-                for piece in range(cuts):
-                    for g in range(wanted):
-                        share = (piece + gauss[0, wanted, g]) / cuts
-                        for r in range(3):
-                            point[r] = (
-                                facet[r]
-                                + (u0 + share * (u1 - u0)) * facet[3 + r]
-                                + (v0 + share * (v1 - v0)) * facet[6 + r]
-                            )
-                            found[0, r] = point[r]
-                        if part < first:
-                            _facet_rates(every[part], i, view, at, point, rates)
-                        else:
-                            apothem = sides[sides.shape[0] - 1, 0]
-                            _ball_rates(balls[part - first], spaces[part, i], apothem, view, at, point, rates)
-                        weight = sign * inside * gauss[1, wanted, g] * length / cuts / steep
-                        weight *= by_way_of(found, ONE[0], facet, wall, node, whole)
-                        for r in range(6):
-                            light[1 + r] += weight * rates[r]
+                if abs(a * end[0] + b * end[1] + c) > ON_LINE * steep:
+                    continue
+                _add_edge(light, _Edge(part, i, start, end, sign * inside, steep), path, view, scene, work.edge)
 
 
-@jit
-def add_seen(
-    light: Floats,
-    facet: Floats,
-    own: int,
-    wall: Floats,
-    pieces: Pieces,
-    count: int,
-    nodes: Floats,
-    from_nodes: Cones,
-    first: int,
-    last: int,
-    occluders: Occluders,
-    from_wall: Cones,
-    at: Floats,
-    rules: Rules,
-    work: Work,
-    found: Floats,
-) -> Floats:
-    """Add what a wall point receives by way of pieces of a facet that it sees, if occluders let the patch's light in.
-
-    Returns
-    -------
-    ndarray
-        ``found``, perhaps grown.
-    """
-    some, left, spare, lines, stack = work
-    polygons, corners = pieces
-    others, other_corners = some
-    spaces, counts = from_nodes
+@jit_in_place
+def add_seen(light: Floats, s: int, eye: View, pieces: Pieces, count: int, scene: Scene, work: Work) -> None:
+    """Add what a wall point receives by way of pieces of a surface that it sees, if occluders let the light in."""
+    facet, own, rules = scene.surfaces[s], scene.first + s, scene.rules
+    spaces, counts = scene.from_lamps
+    last = all_parts(scene.occluders)
+    cutting = work.cutting
+    lines, spare, some = cutting.lines, cutting.spare, cutting.some
     moving = light.shape[0] > 1
-    nothing = np.zeros(3)
     for p in range(count):
+        polygon, corners = pieces.polygons[p], pieces.corners[p]
         blocked = False
-        for q in range(nodes.shape[1]):
-            for part in range(first, last):
+        for q in range(counts.shape[0]):
+            for part in range(scene.first, last):
                 k = counts[q, part]
                 if blocked or part == own or k == 0:
                     continue
                 on_plane(facet, spaces[q, part], k, lines)
-                blocked = within(polygons[p], corners[p], lines, k, spare[0], spare[1]) > 0
-        for q in range(nodes.shape[1] if blocked else 1):
-            others[0, : corners[p]] = polygons[p, : corners[p]]
-            other_corners[0] = corners[p]
-            made, node = 1, nothing
+                blocked = within(polygon, corners, lines, k, spare[0], spare[1]) > 0
+        for q in range(counts.shape[0] if blocked else 1):
+            copy(polygon, corners, some.polygons[0])
+            some.corners[0] = corners
+            made, node = ONE[0], work.zeros
             if blocked:
-                node = nodes[:, q].copy()
-                made = cleared(facet, own, some, ONE[0], (spaces[q], counts[q]), first, last, left, work)
+                node = scene.nodes[q]
+                made = cleared(facet, own, some, ONE[0], Cones(spaces[q], counts[q]), scene.first, last, cutting)
             if made < 0:
                 light[:] = np.nan
+            path = Path(facet, eye.point, node)
             for i in range(made):
-                n = other_corners[i]
-                found = _add_light(light, 1.0, others[i], n, facet, wall, node, rules, stack, found)
+                light[0] += light_of(some.polygons[i], some.corners[i], path, rules, work.summing)
                 if moving:
-                    _add_rates(
-                        light,
-                        1.0,
-                        others[i],
-                        n,
-                        facet,
-                        wall,
-                        node,
-                        wall,
-                        from_wall,
-                        occluders,
-                        at,
-                        rules,
-                        lines,
-                        found,
-                    )
-    return found
+                    _add_rates(light, 1.0, some.polygons[i], some.corners[i], path, eye, scene, work)
 
 
-@jit
-def add_kept(
-    light: Floats,
-    whole: bool,
-    polygon: Floats,
-    n: int,
-    facet: Floats,
-    own: int,
-    wall: Floats,
-    node: Floats,
-    from_node: Cones,
-    from_wall: Cones,
-    occluders: Occluders,
-    target: int,
-    last: int,
-    disjoint: bool,
-    at: Floats,
-    held: Pieces,
-    pieces: Pieces,
-    rules: Rules,
-    work: Work,
-    found: Floats,
-) -> Floats:
-    """Add the light that a node's shadow keeps from a wall point, or (not ``whole``) take away what is hidden anyway.
-
-    Returns
-    -------
-    ndarray
-        ``found``, perhaps grown.
+@jit_in_place
+def add_kept(light: Floats, whole: bool, kept: Kept, p: int, eye: View, scene: Scene, work: Work) -> None:
+    """Add the light that a lamp point's shadow keeps from a wall point, or (not ``whole``) take away what is hidden
+    anyway.
     """
-    _, left, _, lines, stack = work
+    s, q = kept.of[p, 0], kept.of[p, 1]
+    facet, rules = scene.surfaces[s], scene.rules
+    lamp = View(scene.lamps[q], Cones(scene.from_lamps.spaces[q], scene.from_lamps.counts[q]))
+    path = Path(facet, eye.point, scene.nodes[q])
+    held, pieces, cutting = work.held, work.pieces, work.cutting
     moving = light.shape[0] > 1
-    view = np.array([node[0], node[1], 0.0])
-    held[0][0, :n] = polygon[:n]
-    held[1][0] = n
-    count = cleared(facet, own, held, ONE[0], from_wall, target, last, left, work) if whole else ONE[0]
+    copy(kept.polygons[p], kept.corners[p], held.polygons[0])
+    held.corners[0] = kept.corners[p]
+    count = ONE[0]
+    if whole:
+        last = all_parts(scene.occluders)
+        count = cleared(facet, scene.first + s, held, ONE[0], eye.cones, scene.first, last, cutting)
     made = NONE[0]
-    for p in range(count):
-        made = covered(facet, held[0][p], held[1][p], from_wall, target, disjoint, pieces, made, work)
+    for k in range(count):
+        made = covered(facet, held.polygons[k], held.corners[k], eye.cones, scene.target, pieces, made, cutting)
     if count < 0 or made < 0:
         light[:] = np.nan
-        return found
-    for p in range(count if whole else 0):
-        some, n = held[0][p], held[1][p]
-        found = _add_light(light, 1.0, some, n, facet, wall, node, rules, stack, found)
+        return
+    for k in range(count if whole else 0):
+        light[0] += light_of(held.polygons[k], held.corners[k], path, rules, work.summing)
         if moving:
-            _add_rates(light, 1.0, some, n, facet, wall, node, view, from_node, occluders, at, rules, lines, found)
-    for p in range(made):
-        some, n = pieces[0][p], pieces[1][p]
-        found = _add_light(light, -1.0, some, n, facet, wall, node, rules, stack, found)
+            _add_rates(light, 1.0, held.polygons[k], held.corners[k], path, lamp, scene, work)
+    for k in range(made):
+        light[0] -= light_of(pieces.polygons[k], pieces.corners[k], path, rules, work.summing)
         if moving:
-            _add_rates(light, -1.0, some, n, facet, wall, node, view, from_node, occluders, at, rules, lines, found)
-            _add_rates(light, -1.0, some, n, facet, wall, node, wall, from_wall, occluders, at, rules, lines, found)
-    return found
+            _add_rates(light, -1.0, pieces.polygons[k], pieces.corners[k], path, lamp, scene, work)
+            _add_rates(light, -1.0, pieces.polygons[k], pieces.corners[k], path, eye, scene, work)

@@ -2,71 +2,154 @@
 
 from __future__ import annotations
 
+from typing import NamedTuple
+
 import numpy as np
 
-from generator.transport.compiled import NONE, ONE, jit
-from generator.transport.polygons import CORNERS, PIECES, outline, within, without
-from generator.transport.shadows.cones import Cones, Floats
+from generator.transport.compiled import NONE, ONE, jit, jit_in_place
+from generator.transport.lit import Rules
+from generator.transport.polygons import (
+    CORNERS,
+    FIRST,
+    ORIGIN,
+    PIECES,
+    SECOND,
+    Summing,
+    copy,
+    outline,
+    room_to_sum,
+    within,
+    without,
+)
+from generator.transport.shadows.cones import Cones, Floats, Occluders
 
 ON_LINE = 1e-9
 
 
-_STACK = 128
+class Pieces(NamedTuple):
+    """Polygons on a facet.
+
+    Attributes
+    ----------
+    polygons : ndarray of shape (PIECES, CORNERS, 2)
+        Along the facet's axes.
+    corners : ndarray of shape (PIECES,), int
+        How many each has.
+    """
+
+    polygons: Floats
+    corners: Floats
 
 
-Pieces = tuple[Floats, Floats]
-"""Polygons (PIECES, CORNERS, 2) along a facet's axes, and how many corners each has (PIECES,)."""
+class Cutting(NamedTuple):
+    """Room to cut in: pieces, spare polygons, lines."""
+
+    some: Pieces
+    left: Pieces
+    spare: Floats
+    lines: Floats
 
 
-Work = tuple[Pieces, Pieces, Floats, Floats, Floats]
-"""Room to work in: pieces twice, spare polygons, lines, a stack of triangles."""
+class Work(NamedTuple):
+    """Room to work in: pieces twice, what cutting and summing take, rows for an edge that moves; and three zeros."""
+
+    pieces: Pieces
+    held: Pieces
+    cutting: Cutting
+    summing: Summing
+    edge: Floats
+    zeros: Floats
 
 
-@jit
+class TargetShadows(NamedTuple):
+    """How many occluders, from the first, are the target's; and whether shadows of its flat cells do not overlap, but
+    for those of a solid's far side.
+    """
+
+    parts: int
+    disjoint: bool
+
+
+class View(NamedTuple):
+    """A point, and what is hidden from it."""
+
+    point: Floats
+    cones: Cones
+
+
+class Scene(NamedTuple):
+    """What light comes by way of, and what is in its way.
+
+    Attributes
+    ----------
+    occluders : Occluders
+    surfaces : ndarray of shape (n, FACET)
+        What the light comes by way of.
+    first : int
+        The occluders from this one on can hide the surfaces, of which each, s, is the occluder ``first + s`` itself.
+    target : TargetShadows
+    at : ndarray of shape (3,)
+        What the target turns about.
+    nodes : ndarray of shape (n, 3)
+        Points of the patch that throw shadows: place on the wall, radiance times area.
+    lamps : ndarray of shape (n, 3)
+        The same as points.
+    from_lamps : Cones
+        What is hidden from each.
+    rules : Rules
+    """
+
+    occluders: Occluders
+    surfaces: Floats
+    first: int
+    target: TargetShadows
+    at: Floats
+    nodes: Floats
+    lamps: Floats
+    from_lamps: Cones
+    rules: Rules
+
+
+@jit_in_place
 def on_plane(facet: Floats, spaces: Floats, k: int, lines: Floats) -> None:
     """Write the lines (k, 3) in which half-spaces' borders cut a facet's plane."""
     for i in range(k):
         for r in range(2):
             lines[i, r] = 0.0
             for c in range(3):
-                lines[i, r] += spaces[i, c] * facet[3 + 3 * r + c]
+                lines[i, r] += spaces[i, c] * facet[FIRST + 3 * r + c]
         lines[i, 2] = spaces[i, 3]
         for c in range(3):
-            lines[i, 2] += spaces[i, c] * facet[c]
+            lines[i, 2] += spaces[i, c] * facet[ORIGIN + c]
 
 
-@jit
+@jit_in_place
 def above(facet: Floats, polygon: Floats, lines: Floats, spare: Floats) -> int:
     """Write the corners of the part of a facet that is above the relay wall; return how many."""
     n = outline(facet, polygon)
-    lines[0, 0], lines[0, 1], lines[0, 2] = facet[5], facet[8], facet[2]
+    lines[0, 0], lines[0, 1], lines[0, 2] = facet[FIRST + 2], facet[SECOND + 2], facet[ORIGIN + 2]
     return within(polygon, n, lines, ONE[0], polygon, spare)
 
 
-@jit
+@jit_in_place
 def cleared(
-    facet: Floats, own: int, pieces: Pieces, count: int, cones: Cones, first: int, last: int, left: Pieces, work: Work
+    facet: Floats, own: int, pieces: Pieces, count: int, cones: Cones, first: int, last: int, work: Cutting
 ) -> int:
     """Take the shadows of occluders ``first`` to ``last`` but the facet's own from pieces on it.
-
-    Parameters
-    ----------
-    left : Pieces, room to work in
 
     Returns
     -------
     int
         How many pieces there are then; below 0, there were too many.
     """
-    spaces, counts = cones
     polygons, corners = pieces
-    others, other_corners = left
-    _, _, spare, lines, _ = work
+    others, other_corners = work.left
+    lines, spare = work.lines, work.spare
     for part in range(first, last):
-        if part == own or counts[part] == 0 or count <= 0:
+        k = cones.counts[part]
+        if part == own or k == 0 or count <= 0:
             continue
-        k = counts[part]
-        on_plane(facet, spaces[part], k, lines)
+        on_plane(facet, cones.spaces[part], k, lines)
         touched = False
         for p in range(count):
             if within(polygons[p], corners[p], lines, k, spare[0], spare[1]):
@@ -80,82 +163,86 @@ def cleared(
         if made < 0:
             return -1
         for p in range(made):
-            polygons[p, : other_corners[p]] = others[p, : other_corners[p]]
+            copy(others[p], other_corners[p], polygons[p])
             corners[p] = other_corners[p]
         count = made
     return count
 
 
-@jit
+@jit_in_place
 def covered(
     facet: Floats,
     polygon: Floats,
     n: int,
     cones: Cones,
-    parts: int,
-    disjoint: bool,
+    target: TargetShadows,
     pieces: Pieces,
     count: int,
-    work: Work,
+    work: Cutting,
 ) -> int:
-    """Append what the first ``parts`` occluders together hide of a polygon on a facet, in pieces that do not overlap.
+    """Append what the target hides of a polygon on a facet, in pieces that do not overlap.
 
     Returns
     -------
     int
         How many pieces there are then; below 0, there were too many.
     """
-    some, left, spare, lines, _ = work
-    spaces, counts = cones
     polygons, corners = pieces
-    others, other_corners = some
-    for part in range(parts):
-        k = counts[part]
+    others, other_corners = work.some
+    lines = work.lines
+    for part in range(target.parts):
+        k = cones.counts[part]
         if k == 0 or count < 0:
             continue
-        on_plane(facet, spaces[part], k, lines)
-        other_corners[0] = within(polygon, n, lines, k, others[0], spare[0])
+        on_plane(facet, cones.spaces[part], k, lines)
+        other_corners[0] = within(polygon, n, lines, k, others[0], work.spare[0])
         if other_corners[0] == 0:
             continue
-        made = 1 if disjoint or part == 0 else cleared(facet, -ONE[0], some, ONE[0], cones, NONE[0], part, left, work)
+        made = ONE[0]
+        if not target.disjoint and part > 0:
+            made = cleared(facet, -ONE[0], work.some, ONE[0], cones, NONE[0], part, work)
         if made < 0 or count + made > PIECES:
             return -1
         for p in range(made):
-            polygons[count, : other_corners[p]] = others[p, : other_corners[p]]
+            copy(others[p], other_corners[p], polygons[count])
             corners[count] = other_corners[p]
             count += 1
     return count
 
 
-@jit
+@jit_in_place
 def may_meet(facet: Floats, polygon: Floats, n: int, ends: Cones, part: int, lines: Floats, outside: Floats) -> bool:
     """Whether a flat part's shadow, seen from anywhere between some points, may reach a polygon on a facet.
 
     The side of an edge's plane on which y lies, as seen from w, is a determinant that is affine in w and in y: with
     one sign for all corners of both, it has that sign everywhere between them.
     """
-    spaces, counts = ends
-    k = counts[0, part]
-    outside[:] = True
-    for e in range(spaces.shape[0]):
-        if counts[e, part] != k or k == 0:
+    k = ends.counts[0, part]
+    for i in range(outside.shape[0]):
+        outside[i] = True
+    for e in range(ends.counts.shape[0]):
+        if ends.counts[e, part] != k or k == 0:
             return True
-        on_plane(facet, spaces[e, part], k, lines)
+        on_plane(facet, ends.spaces[e, part], k, lines)
         for i in range(k):
             for j in range(n):
                 if lines[i, 0] * polygon[j, 0] + lines[i, 1] * polygon[j, 1] + lines[i, 2] > 0.0:
                     outside[i] = False
-    return not outside[:k].any()
+    parted = False
+    for i in range(k):
+        parted = parted or outside[i]
+    return not parted
 
 
 @jit
 def no_pieces() -> Pieces:
-    """Return room for pieces of polygons: corners, and how many each has."""
-    return np.empty((PIECES, CORNERS, 2)), np.empty(PIECES, dtype=np.int64)
+    """Return room for pieces of polygons."""
+    return Pieces(np.empty((PIECES, CORNERS, 2)), np.empty(PIECES, dtype=np.int64))
 
 
 @jit
 def room_to_work(cones: Cones) -> Work:
     """Return the arrays that cutting works in, for as many cones as one can meet."""
-    depth = cones[0].shape[1]
-    return no_pieces(), no_pieces(), np.empty((3, CORNERS, 2)), np.empty((depth, 3)), np.empty((_STACK, 6))
+    lines = np.empty((cones.spaces.shape[1], 3))
+    cutting = Cutting(no_pieces(), no_pieces(), np.empty((3, CORNERS, 2)), lines)
+    return Work(no_pieces(), no_pieces(), cutting, room_to_sum(), np.empty((4, 6)), np.zeros(3))

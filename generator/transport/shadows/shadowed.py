@@ -9,80 +9,118 @@ wall point as the scene allows, and its derivatives are integrals along the poly
 from __future__ import annotations
 
 import math
+from typing import NamedTuple
 
 import numpy as np
 
 from generator.transport import elements, kernel
-from generator.transport.compiled import NONE, ONE, jit, jit_released
-from generator.transport.polygons import CORNERS, FACET, PIECES, lay, spread
-from generator.transport.shadows.cones import Floats, Occluders, all_hidden, hidden_from_nodes, no_cones
-from generator.transport.shadows.light import Rules, add_kept, add_seen
-from generator.transport.shadows.pieces import Work, above, cleared, covered, may_meet, no_pieces, room_to_work
+from generator.transport.compiled import NONE, ONE, jit, jit_in_place, jit_released
+from generator.transport.lit import Rules
+from generator.transport.polygons import (
+    AREA,
+    CORNERS,
+    FACET,
+    NORMAL,
+    PIECES,
+    SIDED,
+    copy,
+    fan,
+    height_of,
+    lay,
+    next_points,
+    start_triangle,
+)
+from generator.transport.records import Disc, Panels, Poses, Target
+from generator.transport.shadows.cones import (
+    Cones,
+    Floats,
+    Occluders,
+    all_hidden,
+    all_parts,
+    hidden_from_each,
+    no_cones,
+    target_parts,
+)
+from generator.transport.shadows.light import Kept, add_kept, add_seen
+from generator.transport.shadows.pieces import (
+    Scene,
+    TargetShadows,
+    View,
+    Work,
+    above,
+    cleared,
+    covered,
+    may_meet,
+    room_to_work,
+)
 
-# --- what is hidden from a point ------------------------------------------------------------------------------------
 
+class Room(NamedTuple):
+    """The room, and how shadows in it are cut.
 
-# --- on a facet -----------------------------------------------------------------------------------------------------
+    Attributes
+    ----------
+    facets : ndarray of shape (m, FACET)
+    tint : ndarray of shape (m, groups)
+        Albedo.
+    sides : ndarray
+        As `cones.ring` gives them.
+    disjoint : bool
+        Whether shadows of the target's flat cells do not overlap, but for those of a solid's far side.
+    """
 
-
-# --- light ----------------------------------------------------------------------------------------------------------
-
-
-# --- panels ---------------------------------------------------------------------------------------------------------
+    facets: Floats
+    tint: Floats
+    sides: Floats
+    disjoint: bool
 
 
 @jit
-def _placed(flat: Floats, balls: Floats, turn: Floats, at: Floats) -> tuple[Floats, Floats]:
+def _placed(target: Target, turn: Floats, at: Floats) -> tuple[Floats, Floats]:
     """Return a target's cells as facets, and its spheres (centre, radius), at a pose."""
+    flat, balls = target.flat, target.balls
     parts, spheres = np.zeros((flat.shape[0], FACET)), np.empty((balls.shape[0], 4))
     cell = np.empty(elements.WIDTH)
+    origin, first, second, end = elements.ORIGIN, elements.FIRST, elements.SECOND, elements.LOW
     for k in range(flat.shape[0]):
         elements.place(flat[k], turn, at, cell)
-        lay(cell[2:5], cell[5:8], cell[8:11], cell[0] == 1.0, parts[k])
-        parts[k, 34] = cell[1]
+        triangle = cell[elements.KIND] == elements.TRIANGLE
+        lay(cell[origin:first], cell[first:second], cell[second:end], triangle, parts[k])
+        parts[k, SIDED] = cell[elements.SIDED]
     for k in range(balls.shape[0]):
         elements.place(balls[k], turn, at, cell)
-        spheres[k, :3], spheres[k, 3] = cell[2:5], cell[15]
+        spheres[k, :3], spheres[k, 3] = cell[origin:first], cell[elements.RADIUS]
     return parts, spheres
 
 
 @jit
-def _around(walls: Floats) -> tuple[Floats, float]:
-    """Return middle and radius of a circle around a panel's points, whose last four are its corners."""
+def _lamps(rules: Rules, order: int) -> tuple[Floats, Floats]:
+    """Return the points of the patch that throw shadows (n, 3): with radiance times area, and as points."""
+    nodes = np.ascontiguousarray(rules.whole[order, :, : order**2].T)
+    lamps = nodes.copy()
+    lamps[:, 2] = 0.0
+    return nodes, lamps
+
+
+@jit
+def _around(walls: Floats) -> Disc:
+    """Return a disc around a panel's points, whose last four are its corners."""
     ends = walls[walls.shape[0] - 4 :]
-    centre = np.zeros(2)
+    centre = np.zeros(3)
     for e in range(4):
         centre[0] += ends[e, 0] / 4.0
         centre[1] += ends[e, 1] / 4.0
     radius = 0.0
     for e in range(4):
         radius = max(radius, math.hypot(ends[e, 0] - centre[0], ends[e, 1] - centre[1]))
-    return centre, radius
+    return Disc(centre, radius)
 
 
 @jit_released
 def hidden_panels(
-    start: int,
-    stop: int,
-    owner: Floats,
-    walls: Floats,
-    flat: Floats,
-    balls: Floats,
-    turns: Floats,
-    places: Floats,
-    disjoint: bool,
-    sides: Floats,
-    room: Floats,
-    tint: Floats,
-    hiders: Floats,
-    orders: Floats,
-    whole: Floats,
-    patch: Floats,
-    gauss: Floats,
-    digits: float,
-    values: Floats,
+    start: int, stop: int, panels: Panels, target: Target, poses: Poses, room: Room, rules: Rules, values: Floats
 ) -> None:
-    """Evaluate `shaded.hidden` on panels, and its derivatives.
+    """Evaluate `shaded.hidden` on panels ``start`` to ``stop``, and its derivatives.
 
     The target hides y from w, or from a point q of the patch, where y is in the one or the other's shadow. So the sum
     is over what w's shadow covers, with all of the light that y would have; and over what q's shadow covers, but for
@@ -91,187 +129,109 @@ def hidden_panels(
     Parameters
     ----------
     start, stop : int
-        Which panels.
-    owner : ndarray of shape (n,), int
-        Which pose each panel belongs to.
-    walls : ndarray of shape (n, k, 3)
-        Each panel's points; the last four are its corners.
-    flat, balls, turns, places, whole, patch, gauss, digits
-        As for `integral.panels`.
-    disjoint : bool
-        Whether shadows of the target's flat cells do not overlap, but for those of a solid's far side.
-    sides : ndarray
-        As `ring` gives them.
-    room : ndarray of shape (m, FACET)
-    tint : ndarray of shape (m, groups)
-    hiders : ndarray of shape (poses,), int
-        How many of the room's facets, from the first, can stand in the way.
-    orders : ndarray of shape (poses,), int
-        Which of the rules ``whole`` stands for the lit patch where its points throw shadows one by one.
+    panels : Panels
+    target : Target
+    poses : Poses
+    room : Room
+    rules : Rules
     values : ndarray of shape (n, groups, 1 or 7, k), written
         Not a number where shadows fall into too many pieces. With seven channels, the derivatives for the target's
         position (3) and its rotation about the three axes (3) follow.
     """
-    rules = (whole, patch, gauss, digits)
     for item in range(start, stop):
-        pose = owner[item]
-        parts, spheres = _placed(flat, balls, turns[pose], places[pose])
-        occluders = (np.concatenate((parts, room[: hiders[pose]])), parts.shape[0], spheres, sides)
-        nodes = np.ascontiguousarray(whole[orders[pose], :, : orders[pose] ** 2])
+        pose = panels.owner[item]
+        parts, spheres = _placed(target, poses.turns[pose], poses.places[pose])
+        every = np.concatenate((parts, room.facets[: poses.hiders[pose]]))
+        occluders = Occluders(every, parts.shape[0], spheres, room.sides)
+        nodes, lamps = _lamps(rules, poses.orders[pose])
+        hidden = hidden_from_each(lamps, occluders)
+        own = TargetShadows(target_parts(occluders), room.disjoint)
+        scene = Scene(occluders, room.facets, own.parts, own, poses.places[pose], nodes, lamps, hidden, rules)
         values[item] = 0.0
-        _hidden_panel(walls[item], occluders, disjoint, room, tint, nodes, places[pose], rules, values[item])
+        _hidden_panel(panels.walls[item], scene, room.tint, values[item])
 
 
 @jit
-def _hidden_panel(
-    walls: Floats,
-    occluders: Occluders,
-    disjoint: bool,
-    room: Floats,
-    tint: Floats,
-    nodes: Floats,
-    at: Floats,
-    rules: Rules,
-    total: Floats,
-) -> None:
-    every, flat, balls, _ = occluders
-    target, last = flat + balls.shape[0], every.shape[0] + balls.shape[0]
-    from_wall = no_cones(occluders)
-    from_nodes = hidden_from_nodes(nodes, occluders)
-    work, pieces, held = room_to_work(from_wall), no_pieces(), no_pieces()
-    _, left, spare, lines, _ = work
-    polygon, found = np.empty((CORNERS, 2)), np.empty((256, 5))
-    light = np.zeros(total.shape[1])
-
-    # What the nodes' shadows cover, node by node.
-    most = PIECES + nodes.shape[1] * room.shape[0]
-    kept, kept_corners, kept_of = (
-        np.empty((most, CORNERS, 2)),
-        np.empty(most, np.int64),
-        np.empty((most, 2), np.int64),
-    )
-    number = NONE[0]
-    for s in range(room.shape[0]):
-        n = above(room[s], polygon, lines, spare[0])
-        for q in range(nodes.shape[1] if n else 0):
-            cones = (from_nodes[0][q], from_nodes[1][q])
-            count = covered(room[s], polygon, n, cones, target, disjoint, pieces, NONE[0], work)
-            count = cleared(room[s], target + s, pieces, count, cones, target, last, left, work)
-            if count < 0:
-                total[:] = np.nan
-                return
-            if number + count > len(kept):
-                room_for = 2 * (number + count)
-                more, more_corners, more_of = (
-                    np.empty((room_for, CORNERS, 2)),
-                    np.empty(room_for, np.int64),
-                    np.empty((room_for, 2), np.int64),
-                )
-                more[:number], more_corners[:number], more_of[:number] = (
-                    kept[:number],
-                    kept_corners[:number],
-                    kept_of[:number],
-                )
-                kept, kept_corners, kept_of = more, more_corners, more_of
-            for p in range(count):
-                n_p = pieces[1][p]
-                kept[number, :n_p] = pieces[0][p, :n_p]
-                kept_corners[number], kept_of[number, 0], kept_of[number, 1] = n_p, s, q
-                number += 1
-
-    together, apart = _sorted(walls, kept, kept_corners, kept_of, number, occluders, target, room, work)
+def _hidden_panel(walls: Floats, scene: Scene, tint: Floats, total: Floats) -> None:
+    from_wall = no_cones(scene.occluders)
+    work = room_to_work(from_wall)
+    polygon, light = np.empty((CORNERS, 2)), np.zeros(total.shape[1])
+    kept = _kept_by_nodes(scene, polygon, work)
+    if kept.number < 0:
+        total[:] = np.nan
+        return
+    together, apart = _sorted(walls, kept, scene, work.cutting.lines)
     if total.shape[1] > 1:
         together[:] = False
         apart[:] = True
-    _add_together(walls, kept, kept_corners, kept_of, number, together, room, tint, nodes, rules, work, total)
+    _add_together(walls, kept, together, scene, tint, work, total)
+    first, last = scene.first, all_parts(scene.occluders)
+    pieces, cutting = work.pieces, work.cutting
     for w in range(walls.shape[0]):
-        wall = walls[w]
-        all_hidden(wall, occluders, from_wall)
-        for s in range(room.shape[0]):
-            n = above(room[s], polygon, lines, spare[0])
-            count = covered(room[s], polygon, n, from_wall, target, disjoint, pieces, NONE[0], work)
-            count = cleared(room[s], target + s, pieces, count, from_wall, target, last, left, work)
+        all_hidden(walls[w], scene.occluders, from_wall)
+        eye = View(walls[w], from_wall)
+        for s in range(scene.surfaces.shape[0]):
+            facet = scene.surfaces[s]
+            n = above(facet, polygon, cutting.lines, cutting.spare[0])
+            count = covered(facet, polygon, n, from_wall, scene.target, pieces, NONE[0], cutting)
+            count = cleared(facet, first + s, pieces, count, from_wall, first, last, cutting)
             light[:] = 0.0 if count >= 0 else np.nan
-            found = add_seen(
-                light,
-                room[s],
-                target + s,
-                wall,
-                pieces,
-                count,
-                nodes,
-                from_nodes,
-                target,
-                last,
-                occluders,
-                from_wall,
-                at,
-                rules,
-                work,
-                found,
-            )
+            add_seen(light, s, eye, pieces, count, scene, work)
             for g in range(tint.shape[1]):
                 total[g, :, w] += light * tint[s, g]
-        for p in range(number):
+        for p in range(kept.number):
             if together[p] and not apart[p]:
                 continue
-            s, q = kept_of[p, 0], kept_of[p, 1]
             light[:] = 0.0
-            found = add_kept(
-                light,
-                not together[p],
-                kept[p],
-                kept_corners[p],
-                room[s],
-                target + s,
-                wall,
-                nodes[:, q].copy(),
-                (from_nodes[0][q], from_nodes[1][q]),
-                from_wall,
-                occluders,
-                target,
-                last,
-                disjoint,
-                at,
-                held,
-                pieces,
-                rules,
-                work,
-                found,
-            )
+            add_kept(light, not together[p], kept, p, eye, scene, work)
             for g in range(tint.shape[1]):
-                total[g, :, w] += light * tint[s, g]
+                total[g, :, w] += light * tint[kept.of[p, 0], g]
 
 
 @jit
-def _sorted(
-    walls: Floats,
-    kept: Floats,
-    corners: Floats,
-    of: Floats,
-    number: int,
-    occluders: Occluders,
-    target: int,
-    room: Floats,
-    work: Work,
-) -> tuple[Floats, Floats]:
+def _kept_by_nodes(scene: Scene, polygon: Floats, work: Work) -> Kept:
+    """Return what the nodes' shadows cover, node by node; ``polygon`` is room to work in."""
+    most = PIECES + scene.nodes.shape[0] * scene.surfaces.shape[0]
+    kept, corners, of = np.empty((most, CORNERS, 2)), np.empty(most, np.int64), np.empty((most, 2), np.int64)
+    first, last = scene.first, all_parts(scene.occluders)
+    pieces, cutting, number = work.pieces, work.cutting, NONE[0]
+    for s in range(scene.surfaces.shape[0]):
+        facet = scene.surfaces[s]
+        n = above(facet, polygon, cutting.lines, cutting.spare[0])
+        for q in range(scene.nodes.shape[0] if n else 0):
+            cones = Cones(scene.from_lamps.spaces[q], scene.from_lamps.counts[q])
+            count = covered(facet, polygon, n, cones, scene.target, pieces, NONE[0], cutting)
+            count = cleared(facet, first + s, pieces, count, cones, first, last, cutting)
+            if count < 0:
+                return Kept(kept, corners, of, -ONE[0])
+            if number + count > len(kept):
+                most = 2 * (number + count)
+                more = np.empty((most, CORNERS, 2)), np.empty(most, np.int64), np.empty((most, 2), np.int64)
+                more[0][:number], more[1][:number], more[2][:number] = kept[:number], corners[:number], of[:number]
+                kept, corners, of = more
+            for p in range(count):
+                corners[number], of[number, 0], of[number, 1] = pieces.corners[p], s, q
+                copy(pieces.polygons[p], corners[number], kept[number])
+                number += 1
+    return Kept(kept, corners, of, number)
+
+
+@jit
+def _sorted(walls: Floats, kept: Kept, scene: Scene, lines: Floats) -> tuple[Floats, Floats]:
     """Say of which nodes' shadows all of a panel sees everything, and which w's own shadow may overlap somewhere."""
-    every, flat, balls, _ = occluders
-    last = every.shape[0] + balls.shape[0]
-    ends = np.empty((4, *no_cones(occluders)[0].shape))
-    end_counts = np.empty((4, last), dtype=np.int64)
-    for e in range(4):
-        all_hidden(walls[walls.shape[0] - 4 + e], occluders, (ends[e], end_counts[e]))
-    outside = np.empty(ends.shape[2], dtype=np.bool_)
-    lines = work[3]
-    together = np.ones(number, dtype=np.bool_)
-    apart = np.full(number, balls.shape[0] > 0)  # a sphere's outline differs from point to point
-    for p in range(number):
-        facet = room[of[p, 0]]
+    occluders, target, last = scene.occluders, scene.first, all_parts(scene.occluders)
+    flat = occluders.flat
+    ends = hidden_from_each(walls[walls.shape[0] - 4 :], occluders)
+    outside = np.empty(ends.spaces.shape[2], dtype=np.bool_)
+    together = np.ones(kept.number, dtype=np.bool_)
+    apart = np.full(kept.number, flat < target)  # a sphere's outline differs from point to point
+    for p in range(kept.number):
+        s = kept.of[p, 0]
+        facet = scene.surfaces[s]
         for part in range(last):
-            if part == target + of[p, 0] or flat <= part < target or (apart[p] if part < flat else not together[p]):
+            if part == target + s or flat <= part < target or (apart[p] if part < flat else not together[p]):
                 continue
-            if may_meet(facet, kept[p], corners[p], (ends, end_counts), part, lines, outside):
+            if may_meet(facet, kept.polygons[p], kept.corners[p], ends, part, lines, outside):
                 if part < flat:
                     apart[p] = True
                 else:
@@ -279,47 +239,45 @@ def _sorted(
     return together, apart
 
 
+@jit_in_place
+def _send(found: Floats, count: int, facet: Floats, node: Floats, tint: Floats, sent: Floats, filled: int) -> None:
+    """Write points of a facet as elements (groups, 6, n) of `kernel.radiance`, lit by a point of the patch."""
+    level = height_of(facet, node[0], node[1])
+    for k in range(count):
+        u, v = found[k, 0] - node[0], found[k, 1] - node[1]
+        near = u * u + v * v + found[k, 2] ** 2
+        # The sign of ``level`` turns the normal to the side that is lit.
+        strength = found[k, AREA] * node[2] * level * found[k, 2] / (near * near)
+        for g in range(tint.shape[0]):
+            for r in range(3):
+                sent[g, r, filled + k] = found[k, r]
+                sent[g, 3 + r, filled + k] = facet[NORMAL + r] * strength * tint[g]
+
+
 @jit
 def _add_together(
-    walls: Floats,
-    kept: Floats,
-    corners: Floats,
-    of: Floats,
-    number: int,
-    together: Floats,
-    room: Floats,
-    tint: Floats,
-    nodes: Floats,
-    rules: Rules,
-    work: Work,
-    total: Floats,
+    walls: Floats, kept: Kept, together: Floats, scene: Scene, tint: Floats, work: Work, total: Floats
 ) -> None:
     """Add the light of nodes' shadows that nothing keeps from any point of a panel: one sum for all of its points."""
-    _, patch, gauss, digits = rules
-    centre, radius = _around(walls)
-    found, filled = np.empty((256, 5)), 0
-    sent = np.empty((tint.shape[1], 6, 256))
-    for p in range(number):
+    disc, summing = _around(walls), work.summing
+    sent, filled = np.empty((tint.shape[1], 6, 256)), 0
+    for p in range(kept.number):
         if not together[p]:
             continue
-        s, q = of[p, 0], of[p, 1]
-        facet = room[s]
-        found, n = spread(kept[p], corners[p], facet, centre, radius, patch, gauss, digits, work[4], found, NONE[0])
-        level = facet[9] * nodes[0, q] + facet[10] * nodes[1, q] - facet[12]
-        if filled + n > sent.shape[2]:
-            grown = np.empty((sent.shape[0], 6, 2 * (filled + n)))
-            grown[:, :, :filled] = sent[:, :, :filled]
-            sent = grown
-        for k in range(n):
-            u, v = found[k, 0] - nodes[0, q], found[k, 1] - nodes[1, q]
-            near = u * u + v * v + found[k, 2] ** 2
-            # The sign of ``level`` turns the normal to the side that is lit.
-            strength = found[k, 3] * nodes[2, q] * level * found[k, 2] / (near * near)
-            for g in range(tint.shape[1]):
-                for r in range(3):
-                    sent[g, r, filled] = found[k, r]
-                    sent[g, 3 + r, filled] = facet[9 + r] * strength * tint[s, g]
-            filled += 1
+        s, n = kept.of[p, 0], kept.corners[p]
+        facet, node = scene.surfaces[s], scene.nodes[kept.of[p, 1]]
+        middle0, middle1, start, end = fan(kept.polygons[p], n)
+        for k in range(start, end):
+            start_triangle(kept.polygons[p], n, k, middle0, middle1, summing.stack[0])
+            top = 1
+            while top > 0:
+                top, count = next_points(facet, disc, scene.rules, summing, top)
+                if filled + count > sent.shape[2]:
+                    grown = np.empty((sent.shape[0], 6, 2 * (filled + count)))
+                    grown[:, :, :filled] = sent[:, :, :filled]
+                    sent = grown
+                _send(summing.found, count, facet, node, tint[s], sent, filled)
+                filled += count
     a, b = np.ascontiguousarray(walls[:, 0]), np.ascontiguousarray(walls[:, 1])
     for g in range(tint.shape[1]):
         kernel.radiance(a, b, sent[g], filled, 0.0, total[g, 0])
@@ -327,75 +285,52 @@ def _add_together(
 
 @jit_released
 def received_panels(
-    start: int,
-    stop: int,
-    owner: Floats,
-    walls: Floats,
-    flat: Floats,
-    turns: Floats,
-    places: Floats,
-    room: Floats,
-    tint: Floats,
-    hiders: Floats,
-    orders: Floats,
-    whole: Floats,
-    patch: Floats,
-    gauss: Floats,
-    digits: float,
-    values: Floats,
+    start: int, stop: int, panels: Panels, cells: Target, poses: Poses, room: Room, rules: Rules, values: Floats
 ) -> None:
     """Evaluate `shaded.reflected` on panels, for flat cells that may hide each other and be hidden by the room.
 
-    Parameters are those of `hidden_panels`; ``tint`` is the cells'.
+    Parameters are those of `hidden_panels`, but that the light comes by way of ``cells``.
     """
-    rules = (whole, patch, gauss, digits)
     for item in range(start, stop):
-        pose = owner[item]
-        parts, none = _placed(flat, np.empty((0, elements.WIDTH)), turns[pose], places[pose])
-        every = np.concatenate((parts, room[: hiders[pose]]))
-        nodes = np.ascontiguousarray(whole[orders[pose], :, : orders[pose] ** 2])
+        pose = panels.owner[item]
+        parts, spheres = _placed(cells, poses.turns[pose], poses.places[pose])
+        every = np.concatenate((parts, room.facets[: poses.hiders[pose]]))
+        occluders = Occluders(every, every.shape[0], spheres, np.empty((1, 2)))
+        nodes, lamps = _lamps(rules, poses.orders[pose])
+        hidden = hidden_from_each(lamps, occluders)
+        scene = Scene(
+            occluders,
+            parts,
+            NONE[0],
+            TargetShadows(NONE[0], room.disjoint),
+            poses.places[pose],
+            nodes,
+            lamps,
+            hidden,
+            rules,
+        )
         values[item] = 0.0
-        occluders = (every, every.shape[0], none, np.empty((1, 2)))
-        _received_panel(walls[item], parts, occluders, tint, nodes, rules, values[item])
+        _received_panel(panels.walls[item], scene, cells.albedo, values[item])
 
 
 @jit
-def _received_panel(
-    walls: Floats, parts: Floats, occluders: Occluders, tint: Floats, nodes: Floats, rules: Rules, total: Floats
-) -> None:
-    last = occluders[1]
-    from_wall, from_nodes = no_cones(occluders), hidden_from_nodes(nodes, occluders)
-    work, pieces = room_to_work(from_wall), no_pieces()
-    _, left, spare, lines, _ = work
-    found, light, at = np.empty((256, 5)), np.zeros(1), np.zeros(3)
+def _received_panel(walls: Floats, scene: Scene, tint: Floats, total: Floats) -> None:
+    last = all_parts(scene.occluders)
+    from_wall = no_cones(scene.occluders)
+    work = room_to_work(from_wall)
+    pieces, cutting, light = work.pieces, work.cutting, np.zeros(1)
     for w in range(walls.shape[0]):
         wall = walls[w]
-        all_hidden(wall, occluders, from_wall)
-        for s in range(parts.shape[0]):
-            facet = parts[s]
-            if facet[34] == 1.0 and facet[9] * wall[0] + facet[10] * wall[1] < facet[12]:
+        all_hidden(wall, scene.occluders, from_wall)
+        eye = View(wall, from_wall)
+        for s in range(scene.surfaces.shape[0]):
+            facet = scene.surfaces[s]
+            if facet[SIDED] == 1.0 and height_of(facet, wall[0], wall[1]) < 0.0:
                 continue
-            pieces[1][0] = above(facet, pieces[0][0], lines, spare[0])
-            count = ONE[0] if pieces[1][0] else NONE[0]
-            count = cleared(facet, s, pieces, count, from_wall, NONE[0], last, left, work)
+            pieces.corners[0] = above(facet, pieces.polygons[0], cutting.lines, cutting.spare[0])
+            count = ONE[0] if pieces.corners[0] else NONE[0]
+            count = cleared(facet, s, pieces, count, from_wall, NONE[0], last, cutting)
             light[:] = 0.0 if count >= 0 else np.nan
-            found = add_seen(
-                light,
-                facet,
-                s,
-                wall,
-                pieces,
-                count,
-                nodes,
-                from_nodes,
-                NONE[0],
-                last,
-                occluders,
-                from_wall,
-                at,
-                rules,
-                work,
-                found,
-            )
+            add_seen(light, s, eye, pieces, count, scene, work)
             for g in range(tint.shape[1]):
                 total[g, 0, w] += light[0] * tint[s, g]
