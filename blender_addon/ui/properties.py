@@ -22,8 +22,11 @@ from bpy.props import (
     StringProperty,
 )
 
+from generator.model.described import range_of, sentence_for
 from generator.model.engines import AUTO, AUTO_HELP, ENGINES
+from generator.model.grid import VoxelGrid
 from generator.model.presets import preset
+from generator.model.scene import Scene, Spot, Target
 from generator.model.settings import Sweep
 
 from ..draft import PRESETS, ROOM, fill
@@ -32,6 +35,11 @@ from ..view import live, overlay
 
 def _sentence(words: str) -> str:
     return words[0].upper() + words[1:]
+
+
+def _range(kind: type, name: str) -> dict[str, Any]:
+    low, high = range_of(kind, name)
+    return {"min": low, "max": high}
 
 
 _KINDS = (
@@ -77,8 +85,7 @@ class NlosSettings(bpy.types.PropertyGroup):
     )
     target_size: FloatProperty(
         name="Size",
-        description="Edge of the sheet, diameter of the sphere, longest edge of the mesh's bounding box; "
-        "for a mesh, 0 keeps the file's own size",
+        description=sentence_for(Target, "size"),
         default=ROOM.target.size,
         min=0.0,
         soft_max=10.0,
@@ -89,7 +96,7 @@ class NlosSettings(bpy.types.PropertyGroup):
     )
     target_albedo: FloatProperty(
         name="Albedo",
-        description="Fraction of the light that the target reflects, alike in all directions (Lambertian)",
+        description=sentence_for(Target, "albedo"),
         default=ROOM.target.albedo,
         min=0.0,
         max=1.0,
@@ -99,8 +106,7 @@ class NlosSettings(bpy.types.PropertyGroup):
     target_mesh: StringProperty(name="File", description="Mesh file: OBJ, PLY or STL", subtype="FILE_PATH")
     light_power: FloatProperty(
         name="Power",
-        description="Power of the spot lamp. Its radiant intensity is power / 4 pi inside the cone, whatever the "
-        "cone's angle; radiance grows in proportion",
+        description=sentence_for(Spot, "power"),
         default=ROOM.spot.power,
         min=0.0,
         soft_max=1e5,
@@ -109,7 +115,7 @@ class NlosSettings(bpy.types.PropertyGroup):
     )
     light_half_angle: FloatProperty(
         name="Half Angle",
-        description="Between the lamp's axis and the edge of its cone: how wide a patch of wall it lights",
+        description=sentence_for(Spot, "half_angle"),
         default=math.radians(ROOM.spot.half_angle),
         min=math.radians(0.001),
         max=math.radians(89.0),
@@ -125,7 +131,7 @@ class NlosSettings(bpy.types.PropertyGroup):
     )
     ambient_radiance: FloatProperty(
         name="Radiance",
-        description="Radiance of the surroundings, W/m²/sr. The hidden object's signal is usually far weaker",
+        description=sentence_for(Scene, "ambient"),
         default=0.01,
         min=0.0,
         soft_max=10.0,
@@ -134,8 +140,7 @@ class NlosSettings(bpy.types.PropertyGroup):
     )
     grid_counts: IntVectorProperty(
         name="Voxels",
-        description="How many voxels the hidden volume is cut into along each axis. They are named A, B, C and so "
-        "on, along X first, then Y, then Z",
+        description=sentence_for(VoxelGrid, "shape"),
         size=3,
         default=ROOM.grid.shape,
         min=1,
@@ -144,7 +149,7 @@ class NlosSettings(bpy.types.PropertyGroup):
     )
     grid_lo: FloatVectorProperty(
         name="From",
-        description="Corner of the hidden volume with the smallest coordinates",
+        description=sentence_for(VoxelGrid, "lo"),
         size=3,
         default=ROOM.grid.lo,
         step=1,
@@ -154,7 +159,7 @@ class NlosSettings(bpy.types.PropertyGroup):
     )
     grid_hi: FloatVectorProperty(
         name="To",
-        description="Corner of the hidden volume with the largest coordinates",
+        description=sentence_for(VoxelGrid, "hi"),
         size=3,
         default=ROOM.grid.hi,
         step=1,
@@ -164,30 +169,26 @@ class NlosSettings(bpy.types.PropertyGroup):
     )
     reflection_order: IntProperty(
         name="Reflections",
-        description="How many diffuse reflections light may make on its way. "
-        "Three are: wall, hidden object, wall again",
+        description=sentence_for(Scene, "reflection_order"),
         default=ROOM.reflection_order,
-        min=1,
-        max=1024,
         soft_max=8,
+        **_range(Scene, "reflection_order"),
     )
     engine: EnumProperty(name="Engine", description="How the light is followed", items=_ENGINES, default=AUTO)
     samples: IntProperty(
         name="Samples",
-        description="Rays per pixel. Four times as many halve the noise",
-        default=512,
-        min=1,
-        max=2**24,
+        description=sentence_for(Sweep, "samples"),
+        default=Sweep().samples,
         soft_max=8192,
+        **_range(Sweep, "samples"),
     )
     accuracy: FloatProperty(
         name="Accuracy",
-        description="Error of the integral's picture, relative to the hidden object's light",
+        description=sentence_for(Sweep, "accuracy"),
         default=1e-2,
-        min=1e-8,
-        max=0.3,
         soft_min=1e-4,
         precision=4,
+        **_range(Sweep, "accuracy"),
     )
     quality: EnumProperty(
         name="Data Set",
@@ -217,16 +218,15 @@ class NlosSettings(bpy.types.PropertyGroup):
     )
     resolution: IntVectorProperty(
         name="Resolution",
-        description="Width and height of the picture in pixels; pixels must be square on the wall",
+        description=sentence_for(Scene, "resolution"),
         size=2,
         default=ROOM.resolution,
-        min=1,
-        max=65536,
         soft_max=512,
+        **_range(Scene, "resolution"),
     )
     seed: IntProperty(
         name="Seed",
-        description="Of the noise: the same seed gives the same picture",
+        description=sentence_for(Sweep, "seed"),
         default=0,
         min=0,
     )
@@ -262,15 +262,14 @@ class NlosSettings(bpy.types.PropertyGroup):
     )
     poses: IntProperty(
         name="Poses",
-        description="Pictures per voxel, each with the object at another place in it, turned another way",
+        description=sentence_for(Sweep, "poses"),
         default=Sweep().poses,
-        min=1,
-        max=1_000_000,
         soft_max=1000,
+        **_range(Sweep, "poses"),
     )
     inside: EnumProperty(
         name="Inside",
-        description="What of the object must lie in its voxel",
+        description=sentence_for(Sweep, "inside"),
         items=(
             ("whole", "Whole Object", "Every point of it"),
             ("centre", "Its Centre", "Its origin only: it may reach into the next voxel"),

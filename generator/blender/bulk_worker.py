@@ -31,7 +31,8 @@ from generator.model import poses
 from generator.model.errors import NlosError
 from generator.model.poses import PoseRecord
 from generator.sets import bulk_set, links
-from generator.sets.bulk_set import Bulk, Settings
+from generator.sets.bulk_set import Bulk
+from generator.sets.bulk_settings import Settings
 from generator.sets.manifest import SCENE, scene_hash
 from generator.sets.unknown_objects import unknown_object
 from generator.transport import Transport
@@ -153,7 +154,7 @@ def render(found: Bulk, parts: Iterable[int], *, threads: int = 0) -> None:
     draw = _poses(scene, found.plan)
     renderer = Engine(found, threads=threads)
     for number in parts:
-        found.write_part(number, draw, renderer)
+        found.part(number).write(draw, renderer)
         answer(part=number)
 
 

@@ -11,11 +11,13 @@ from generator.cli.options import (
     add_links_option,
     add_pose_options,
     add_probe_option,
+    add_setting,
     chosen_settings,
     farm_of,
 )
 from generator.cli.terminal import progress_bar, report
 from generator.jobs.request import BulkRequest
+from generator.sets.bulk_settings import Settings
 
 
 def add_parsers(commands: Commands) -> None:
@@ -31,20 +33,12 @@ def add_parsers(commands: Commands) -> None:
     )
     parser.add_argument("scene", type=Path, help="the .blend file")
     parser.add_argument("-o", "--output", type=Path, required=True, metavar="SET", help="folder of the set")
-    parser.add_argument("--pictures", type=int, metavar="N", help="in all voxels together; needed for a new set")
-    add_pose_options(parser, "of all poses")
-    parser.add_argument("--accuracy", type=float, metavar="A", help="relative error of a picture (default: 0.001)")
-    parser.add_argument(
-        "--compress",
-        action=argparse.BooleanOptionalAction,
-        help="smaller files, several times slower to write and to read (default: off)",
-    )
-    parser.add_argument(
-        "--unknown",
-        action=argparse.BooleanOptionalAction,
-        help="at every pose another box or sheet in place of the target, for an unknown object",
-    )
-    parser.add_argument("--part", type=int, metavar="N", help="pictures per file (default: about 64 MiB)")
+    add_setting(parser, "pictures", Settings, default="none; needed for a new set", type=int, metavar="N")
+    add_pose_options(parser)
+    add_setting(parser, "accuracy", Settings, type=float, metavar="A")
+    add_setting(parser, "compress", Settings)
+    add_setting(parser, "unknown", Settings)
+    add_setting(parser, "part", Settings, type=int, metavar="N")
     parser.add_argument("--shard", default="0/1", metavar="i/n", help="make the i-th of n shares only (from 0)")
     parser.add_argument("--workers", type=int, default=0, metavar="W", help="processes (default: one per core)")
     add_force_option(parser)
@@ -56,12 +50,11 @@ def add_parsers(commands: Commands) -> None:
 def run_bulk(options: argparse.Namespace) -> int:
     """Make a bulk set, or what is missing of it."""
     from generator.jobs import bulk
-    from generator.sets import bulk_set
 
     request = BulkRequest(
         scene=options.scene,
         path=options.output,
-        chosen=chosen_settings(options, bulk_set.Settings, pictures=1),
+        chosen=chosen_settings(options, Settings, pictures=1),
         force=options.force,
         probe=options.probe,
         trust_links=options.trust_links,

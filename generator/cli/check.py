@@ -10,9 +10,9 @@ from generator.cli.options import (
     add_engine_options,
     add_links_option,
     add_pose_options,
+    add_setting,
     chosen_settings,
 )
-from generator.model.settings import Sweep
 
 
 def add_parsers(commands: Commands) -> None:
@@ -27,9 +27,9 @@ def add_parsers(commands: Commands) -> None:
         formatter_class=argparse.RawDescriptionHelpFormatter,
     )
     parser.add_argument("scene", type=Path, help="the .blend file")
-    parser.add_argument("--poses", type=int, metavar="N", help=f"per voxel (default: {Sweep().poses})")
+    add_setting(parser, "poses", type=int, metavar="N")
     add_engine_options(parser)
-    add_pose_options(parser, "of all poses and all noise")
+    add_pose_options(parser)
     add_links_option(parser)
     parser.set_defaults(run=run_check)
 

@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import Any, TypeAlias
 
 from generator.files.toml import from_dict
+from generator.model.described import default_of, words_for
 from generator.model.engines import AUTO, AUTO_HELP, ENGINES
 from generator.model.errors import NlosError
 from generator.model.quantities import fraction, parse_resolution, parse_shard
@@ -20,19 +21,42 @@ FRAMES = 200
 """Of a trajectory, if none are named."""
 
 
+def add_setting(
+    parser: argparse.ArgumentParser, name: str, kind: type = Sweep, default: str | None = None, **how: Any
+) -> None:
+    """Add an option that sets a field of some settings; its help is the field's description.
+
+    Parameters
+    ----------
+    parser : argparse.ArgumentParser
+    name : str
+        Of the field, and with two dashes of the option.
+    kind : type
+        The dataclass.
+    default : str, optional
+        What is taken if the option is not given, in words; without, the field's default.
+    **how
+        As `argparse.ArgumentParser.add_argument` takes it.
+    """
+    value = default_of(kind, name)
+    if isinstance(value, bool):
+        how["action"] = argparse.BooleanOptionalAction
+        value = "on" if value else "off"
+    taken = default or (f"{value:g}" if isinstance(value, float) else value)
+    words = words_for(kind, name).replace("%", "%%")
+    parser.add_argument(f"--{name.replace('_', '-')}", help=f"{words} (default: {taken})", **how)
+
+
 def add_sweep_options(parser: argparse.ArgumentParser, *, frames: bool = False) -> None:
     """Add the options of a sweep, or of a trajectory's frames."""
-    default = Sweep()
     parser.add_argument("-o", "--output", type=Path, required=True, metavar="DATASET", help="folder of the data set")
     if frames:
-        parser.add_argument("--frames", type=int, metavar="N", help=f"in all (default: {FRAMES})")
-        parser.add_argument(
-            "--pace", type=float, metavar="M", help=f"metres from frame to frame (default: {default.pace:g})"
-        )
+        add_setting(parser, "frames", default=str(FRAMES), type=int, metavar="N")
+        add_setting(parser, "pace", type=float, metavar="M")
     else:
-        parser.add_argument("--poses", type=int, metavar="N", help=f"per voxel (default: {default.poses})")
+        add_setting(parser, "poses", type=int, metavar="N")
     add_engine_options(parser)
-    add_pose_options(parser, "of all poses and all noise", inside=not frames)
+    add_pose_options(parser, inside=not frames)
     parser.add_argument("--shard", default="0/1", metavar="i/n", help="render the i-th of n parts only (from 0)")
     add_force_option(parser)
     add_probe_option(parser)
@@ -81,58 +105,26 @@ def option(read: Callable[[str], float]) -> Callable[[str], float]:
 
 def add_engine_options(parser: argparse.ArgumentParser) -> None:
     """Add what says how a picture is rendered."""
-    default = Sweep()
     parser.add_argument(
         "--engine",
         choices=[AUTO, *ENGINES],
         help="; ".join([*(f"{name}: {of.help}" for name, of in ENGINES.items()), f"{AUTO}: {AUTO_HELP} (default)"]),
     )
-    parser.add_argument(
-        "--samples", type=int, metavar="N", help=f"rays per pixel, of path and patch (default: {default.samples})"
-    )
-    parser.add_argument(
-        "--device",
-        choices=["cpu", "gpu"],
-        help=f"that path and patch render on; gpu takes what Cycles finds (default: {default.device})",
-    )
-    parser.add_argument(
-        "--accuracy",
-        type=option(fraction),
-        metavar="A",
-        help=f"error relative to what the object changes, 0.01 or 1%%, of surfel (default: {default.accuracy:g}); "
-        "with sweep, of path and patch too, which then take as many samples as that needs",
-    )
-    parser.add_argument(
-        "--denoise",
-        action=argparse.BooleanOptionalAction,
-        help="clean what path and patch render with Open Image Denoise: smooth, and biased (default: off)",
-    )
-    parser.add_argument(
-        "--paired",
-        action=argparse.BooleanOptionalAction,
-        help="render each pose's background with the pose's own noise, which then cancels; twice the time, "
-        "far less noise in the difference (default: on)",
-    )
+    add_setting(parser, "samples", type=int, metavar="N")
+    add_setting(parser, "device", choices=["cpu", "gpu"])
+    add_setting(parser, "accuracy", type=option(fraction), metavar="A")
+    add_setting(parser, "denoise")
+    add_setting(parser, "paired")
 
 
-def add_pose_options(parser: argparse.ArgumentParser, seed: str, *, inside: bool = True) -> None:
+def add_pose_options(parser: argparse.ArgumentParser, *, inside: bool = True) -> None:
     """Add what says where the target is put, and the pictures' size."""
-    default = Sweep()
-    parser.add_argument("--seed", type=int, metavar="N", help=f"{seed} (default: {default.seed})")
-    parser.add_argument("--resolution", metavar="R", help="64 or 64x48 (default: the scene's)")
+    add_setting(parser, "seed", type=int, metavar="N")
+    add_setting(parser, "resolution", default="the scene's", metavar="64|64x48")
     if inside:
-        parser.add_argument(
-            "--inside",
-            choices=["whole", "centre"],
-            help=f"what of the target must lie in its voxel (default: {default.inside})",
-        )
-    parser.add_argument(
-        "--rotation",
-        type=float,
-        nargs=3,
-        metavar=("X", "Y", "Z"),
-        help="largest angles, degrees (default: 15 15 90, and none for a sphere)",
-    )
+        add_setting(parser, "inside", choices=["whole", "centre"])
+    free = "15 15 90, and none for a sphere"
+    add_setting(parser, "rotation", default=free, type=float, nargs=3, metavar=("X", "Y", "Z"))
 
 
 def batch_parser() -> argparse.ArgumentParser:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import argparse
 from pathlib import Path
 
-from generator.cli.options import Commands
+from generator.cli.options import Commands, add_setting
 from generator.files.toml import dump_toml, from_dict, merge, read_toml, set_field, to_dict
 from generator.model.errors import NlosError
 from generator.model.presets import preset
@@ -35,12 +35,7 @@ def add_parsers(commands: Commands) -> None:
         metavar="NAME=VALUE",
         help="one figure, e.g. grid.shape=[3,3,3]; repeatable",
     )
-    parser.add_argument(
-        "--ambient",
-        type=float,
-        metavar="RADIANCE",
-        help="uniform ambient light, W/m^2/sr; a closed room loses its ceiling, so that light can enter",
-    )
+    add_setting(parser, "ambient", Scene, default="the preset's", type=float, metavar="RADIANCE")
     parser.add_argument("--show", action="store_true", help="print every figure as TOML (to edit, for --config)")
     parser.set_defaults(run=run_scene)
 

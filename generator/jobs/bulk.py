@@ -17,7 +17,8 @@ from generator.model.arrays import Array
 from generator.model.errors import NlosError
 from generator.model.quantities import Progress
 from generator.sets import links
-from generator.sets.bulk_set import Bulk, Pictures, check_free
+from generator.sets.bulk_part import Pictures
+from generator.sets.bulk_set import Bulk, check_free
 from generator.sets.resume import check_same
 from generator.sets.unknown_objects import unknown_object
 from generator.transport.caching import compiling_words

@@ -38,8 +38,8 @@ class SetRequest:
     path : Path
         Folder of the set: new, empty, or holding the same set.
     chosen : mapping
-        Settings that the user chose, `Sweep`'s or `generator.sets.bulk_set.Settings`'. What is left out follows from
-        the set if there is one, else from the scene and the defaults. The engine of a sweep may be ``auto``: the
+        Settings that the user chose, `Sweep`'s or `generator.sets.bulk_settings.Settings`'. What is left out follows
+        from the set if there is one, else from the scene and the defaults. The engine of a sweep may be ``auto``: the
         set's, or the cheapest that the scene allows. ``resolution`` may be text.
     workers : int
         Processes; 0 is one per core, or four that share a GPU.

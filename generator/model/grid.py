@@ -10,24 +10,22 @@ import numpy as np
 from numpy.typing import NDArray
 
 from generator.model.arrays import Array, Vector
+from generator.model.described import described, documented
 from generator.model.errors import require
 
 
+@documented
 @dataclass(frozen=True, kw_only=True)
 class VoxelGrid:
-    """The hidden volume, cut into equal boxes; x runs fastest, then y, then z.
+    """The hidden volume, cut into equal boxes; x runs fastest, then y, then z."""
 
-    Attributes
-    ----------
-    lo, hi : (float, float, float)
-        Opposite corners, metres.
-    shape : (int, int, int)
-        Number of voxels along x, y, z.
-    """
-
-    lo: Vector
-    hi: Vector
-    shape: tuple[int, int, int] = (3, 3, 1)
+    lo: Vector = described("corner of the hidden volume with the smallest coordinates, metres")
+    hi: Vector = described("corner of the hidden volume with the largest coordinates, metres")
+    shape: tuple[int, int, int] = described(
+        "how many voxels the hidden volume is cut into along x, y and z; they are named A, B, C and so on, along x "
+        "first, then y, then z",
+        (3, 3, 1),
+    )
 
     def __post_init__(self) -> None:
         require(all(n >= 1 for n in self.shape), f"grid.shape: {self.shape} has a count below 1")

@@ -14,6 +14,7 @@ from typing import Any, Literal
 import numpy as np
 
 from generator.model.arrays import Range, Vector
+from generator.model.described import check_ranges, described, documented
 from generator.model.errors import require
 from generator.model.grid import VoxelGrid
 
@@ -23,86 +24,59 @@ FACES = {"floor": ("z", 0), "ceiling": ("z", 1), "back": ("y", 1), "left": ("x",
 TARGET_KINDS = ("sheet", "sphere", "mesh")
 
 
+@documented
 @dataclass(frozen=True, kw_only=True)
 class Wall:
-    """The relay wall: a rectangle in the plane y = 0.
+    """The relay wall: a rectangle in the plane y = 0."""
 
-    Attributes
-    ----------
-    x, z : (float, float)
-        Extent, metres.
-    albedo : float, optional
-        Fraction of light reflected, Lambertian, 0 to 1; None (here and below) if read from a file where the
-        material is not plainly Lambertian.
-    """
-
-    x: Range
-    z: Range
-    albedo: float | None = 0.8
+    x: Range = described("extent, metres")
+    z: Range = described("extent, metres")
+    albedo: float | None = described(
+        "fraction of light reflected, Lambertian, 0 to 1; None (here and below) if read from a file where the "
+        "material is not plainly Lambertian",
+        0.8,
+    )
 
 
+@documented
 @dataclass(frozen=True, kw_only=True)
 class Room:
-    """The surfaces that close the room, apart from the relay wall.
+    """The surfaces that close the room, apart from the relay wall."""
 
-    Attributes
-    ----------
-    x, y, z : (float, float)
-        Extent, metres; y starts at the relay wall.
-    albedo : float
-        Of every surface, Lambertian.
-    surfaces : tuple of str
-        Which of floor, ceiling, back, left, right are there.
-    """
-
-    x: Range
-    y: Range
-    z: Range
-    albedo: float | None = 0.8
-    surfaces: tuple[str, ...] = ROOM_SURFACES
+    x: Range = described("extent, metres")
+    y: Range = described("extent, metres, which starts at the relay wall")
+    z: Range = described("extent, metres")
+    albedo: float | None = described("of every surface, Lambertian", 0.8)
+    surfaces: tuple[str, ...] = described("which of floor, ceiling, back, left, right are there", ROOM_SURFACES)
 
 
+@documented
 @dataclass(frozen=True, kw_only=True)
 class Partition:
-    """The screen in a plane of constant x that hides the object from lamp and camera.
+    """The screen in a plane of constant x that hides the object from lamp and camera."""
 
-    Attributes
-    ----------
-    x : float
-        Where its plane stands, metres.
-    depth : float
-        How far it reaches towards +x, metres: 0 is a thin screen, more is a solid corner.
-    y, z : (float, float)
-        Extent, metres.
-    albedo : float
-        0 is matt black.
-    """
-
-    x: float
-    y: Range
-    z: Range
-    depth: float = 0.0
-    albedo: float | None = 0.0
+    x: float = described("where its plane stands, metres")
+    y: Range = described("extent, metres")
+    z: Range = described("extent, metres")
+    depth: float = described("how far it reaches towards +x, metres: 0 is a thin screen, more is a solid corner", 0.0)
+    albedo: float | None = described("0 is matt black", 0.0)
 
 
+@documented
 @dataclass(frozen=True, kw_only=True)
 class Spot:
-    """The spot lamp.
+    """The spot lamp."""
 
-    Attributes
-    ----------
-    location, aim : (float, float, float)
-        The lamp and w1, the centre of the patch that it lights on the relay wall, metres.
-    half_angle : float
-        Of its cone, degrees.
-    power : float
-        Blender's watts: radiant intensity I = power / (4 pi) W/sr inside the cone, whatever its angle.
-    """
-
-    location: Vector
-    aim: Vector
-    half_angle: float
-    power: float = 1000.0
+    location: Vector = described("the lamp, metres")
+    aim: Vector = described("w1, the centre of the patch that it lights on the relay wall, metres")
+    half_angle: float = described(
+        "between the lamp's axis and the edge of its cone, degrees: how wide a patch of wall it lights"
+    )
+    power: float = described(
+        "power of the spot lamp, Blender's watts: its radiant intensity is power / (4 pi) W/sr inside the cone, "
+        "whatever the cone's angle",
+        1000.0,
+    )
 
     @property
     def intensity(self) -> float:
@@ -116,6 +90,7 @@ class Spot:
         return self.intensity * max(0.0, float(to_lamp @ np.asarray(normal))) / distance**3
 
 
+@documented
 @dataclass(frozen=True, kw_only=True)
 class Camera:
     """The camera and the rectangle of the relay wall that it watches.
@@ -123,43 +98,33 @@ class Camera:
     The camera looks straight at the wall; the lens is shifted so that the picture is exactly the watched
     rectangle, without keystone. Facing the wall, the camera's right is -x: column 0 of a picture is the
     largest x, row 0 the largest z.
-
-    Attributes
-    ----------
-    location : (float, float, float)
-        Metres.
-    x, z : (float, float)
-        The watched rectangle, metres.
-    projection : {"perspective", "orthographic"}
     """
 
-    location: Vector
-    x: Range
-    z: Range
-    projection: Literal["perspective", "orthographic"] = "perspective"
+    location: Vector = described("where it stands, metres")
+    x: Range = described("of the watched rectangle, metres")
+    z: Range = described("of the watched rectangle, metres")
+    projection: Literal["perspective", "orthographic"] = described("how it looks at it", "perspective")
 
 
+@documented
 @dataclass(frozen=True, kw_only=True)
 class Target:
-    """The hidden object.
+    """The hidden object."""
 
-    Attributes
-    ----------
-    kind : {"sheet", "sphere", "mesh"}
-        A square sheet (two-sided, normal along y when unrotated), a sphere, or a mesh from a file.
-    size : float
-        Edge of the sheet, diameter of the sphere, longest edge of the mesh's bounding box, metres; for a mesh
-        0 keeps the file's own size.
-    albedo : float
-        Lambertian; 1 is the paper's "perfectly reflecting" sphere.
-    mesh : str
-        File of a mesh target (.obj, .ply or .stl), else empty.
-    """
-
-    kind: Literal["sheet", "sphere", "mesh"] = "sheet"
-    size: float = 0.5
-    albedo: float | None = 0.9
-    mesh: str = ""
+    kind: Literal["sheet", "sphere", "mesh"] = described(
+        "a square sheet (two-sided, its normal along y when unrotated), a sphere, or a mesh from a file", "sheet"
+    )
+    size: float = described(
+        "edge of the sheet, diameter of the sphere, longest edge of the mesh's bounding box, metres; for a mesh, 0 "
+        "keeps the file's own size",
+        0.5,
+    )
+    albedo: float | None = described(
+        "fraction of the light that the target reflects, alike in all directions (Lambertian); 1 is the paper's "
+        "perfectly reflecting sphere",
+        0.9,
+    )
+    mesh: str = described("file of a mesh target (.obj, .ply or .stl), else empty", "")
 
     @classmethod
     def named(cls, name: str, scale: float = 1.0) -> Target:
@@ -178,23 +143,12 @@ class Target:
 MESH_SUFFIXES = (".obj", ".ply", ".stl")
 
 
+@documented
 @dataclass(frozen=True, kw_only=True)
 class Scene:
-    """A whole scene.
+    """A whole scene."""
 
-    Attributes
-    ----------
-    preset : str
-        The preset it started from.
-    ambient : float
-        Uniform radiance of the world, W/m^2/sr; 0 is off.
-    reflection_order : int
-        How many diffuse reflections a picture may hold; three is lamp, w1, object, w2, camera.
-    resolution : (int, int)
-        Width and height of a picture, pixels.
-    """
-
-    preset: str
+    preset: str = described("the preset that it started from")
     wall: Wall
     spot: Spot
     camera: Camera
@@ -202,9 +156,20 @@ class Scene:
     target: Target = field(default_factory=Target)
     room: Room | None = None
     partition: Partition | None = None
-    ambient: float = 0.0
-    reflection_order: int = 3
-    resolution: tuple[int, int] = (64, 64)
+    ambient: float = described(
+        "uniform ambient light: radiance of the surroundings, W/m²/sr; 0 is off, and a closed room loses its ceiling "
+        "for it, so that light can enter",
+        0.0,
+    )
+    reflection_order: int = described(
+        "how many diffuse reflections light may make on its way; three are: wall, hidden object, wall again",
+        3,
+        lo=1,
+        hi=1024,
+    )
+    resolution: tuple[int, int] = described(
+        "width and height of a picture, pixels, which must be square on the wall", (64, 64), lo=1, hi=65536
+    )
 
     def __post_init__(self) -> None:
         for name, value in _leaves(self):
@@ -235,14 +200,7 @@ class Scene:
         require(self.ambient >= 0, f"ambient: {self.ambient} must not be negative")
         require(self.target.size >= 0, f"target.size: {self.target.size} must not be negative")
         require(self.target.size > 0 or self.target.kind == "mesh", "target.size: must be above 0")
-        require(
-            1 <= self.reflection_order <= 1024,
-            f"reflection_order: {self.reflection_order} must be from 1 to 1024",
-        )
-        require(
-            all(1 <= n <= 65536 for n in self.resolution),
-            f"resolution: {self.resolution} must be from 1 to 65536",
-        )
+        check_ranges(self)
         if self.room:
             unknown = set(self.room.surfaces) - set(ROOM_SURFACES)
             require(

@@ -7,62 +7,66 @@ from dataclasses import dataclass
 from typing import Literal
 
 from generator.model.arrays import Vector
+from generator.model.described import check_ranges, described, documented
 from generator.model.engines import ENGINES, traits_of
 from generator.model.errors import require
 
 
+@documented
 @dataclass(frozen=True, kw_only=True)
 class Sweep:
-    """What a sweep renders: all that decides the pixels of a data set besides the scene itself.
+    """What a sweep renders: all that decides the pixels of a data set besides the scene itself."""
 
-    Attributes
-    ----------
-    engine : {"path", "patch", "surfel"}
-    samples : int
-        Camera rays per pixel, of `path` and `patch`.
-    device : {"cpu", "gpu"}
-        That `path` and `patch` render on. A GPU's pixels are its own to the last bit, so it is part of the settings.
-    denoise : bool
-        Clean what `path` and `patch` render with Open Image Denoise: smooth, and biased.
-    paired : bool
-        Render each pose's background with the pose's own noise and keep only the difference of the two on top of
-        the common background: unbiased, twice the cost, and a far smaller error where the object changes little.
-    resolution : (int, int)
-        Width and height, pixels.
-    poses : int
-        Per voxel.
-    seed : int
-        Of the sweep; every pose's own follows from it.
-    inside : {"whole", "centre"}
-        What stays inside the voxel: all of the target, or its origin only.
-    rotation : (float, float, float)
-        Largest angles about x, y, z, degrees; each is drawn between minus and plus that.
-    accuracy : float
-        Of `surfel`: root mean square error over the pixels, relative to what the target adds.
-    frames : int
-        Of a trajectory, one after the other, in place of poses in every voxel; 0 is none.
-    pace : float
-        Of a trajectory, metres from frame to frame.
-    leave_out : tuple of str
-        Pieces of the scene (`generator.blender.engines.simplify`) and parts of `surfel` (`transport.left_out`) that
-        are not modelled.
-    """
-
-    engine: Literal["path", "patch", "surfel"] = "patch"
-    """Of a sweep that is made; where its user names none, it is the cheapest that the scene allows (`AUTO`)."""
-    samples: int = 512
-    device: Literal["cpu", "gpu"] = "cpu"
-    denoise: bool = False
-    paired: bool = True
-    resolution: tuple[int, int] = (64, 64)
-    poses: int = 100
-    seed: int = 0
-    inside: Literal["whole", "centre"] = "whole"
-    rotation: Vector = (0.0, 0.0, 0.0)
-    accuracy: float = 1e-3
-    frames: int = 0
-    pace: float = 0.03
-    leave_out: tuple[str, ...] = ()
+    engine: Literal["path", "patch", "surfel"] = described(
+        "how the light is followed; of a sweep whose user names none, the cheapest that the scene allows", "patch"
+    )
+    samples: int = described(
+        "rays per pixel, of path and patch; four times as many halve the noise", 512, lo=1, hi=2**24
+    )
+    device: Literal["cpu", "gpu"] = described(
+        "that path and patch render on; gpu takes what Cycles finds, and its pixels are its own to the last bit",
+        "cpu",
+    )
+    denoise: bool = described(
+        "clean what path and patch render with Open Image Denoise: smooth, and biased by about half a percent", False
+    )
+    paired: bool = described(
+        "render each pose's background with the pose's own noise, which then cancels: unbiased, twice the time, far "
+        "less noise in the difference",
+        True,
+    )
+    resolution: tuple[int, int] = described(
+        "width and height of the picture, pixels, which must be square on the wall", (64, 64), lo=1, hi=65536
+    )
+    poses: int = described(
+        "pictures per voxel, each with the object at another place in it, turned another way", 100, lo=1, hi=1_000_000
+    )
+    seed: int = described("of all that is random: the same seed gives the same pictures", 0, lo=0, hi=2**63 - 1)
+    inside: Literal["whole", "centre"] = described(
+        "what of the target must lie in its voxel: all of it, or its origin only", "whole"
+    )
+    rotation: Vector = described(
+        "largest angles about x, y and z, degrees; each is drawn between minus and plus that",
+        (0.0, 0.0, 0.0),
+        lo=0,
+        hi=180,
+    )
+    accuracy: float = described(
+        "root mean square error over the pixels, relative to what the target adds (0.01 or 1%), of surfel; with "
+        "sweep, of path and patch too, which then take as many samples as that needs",
+        1e-3,
+        lo=1e-8,
+        hi=0.3,
+    )
+    frames: int = described(
+        "of a trajectory, one after the other, in place of poses in every voxel; 0 is none", 0, lo=0, hi=1_000_000
+    )
+    pace: float = described("of a trajectory, metres from frame to frame", 0.03)
+    leave_out: tuple[str, ...] = described(
+        "pieces of the scene (`generator.blender.engines.simplify`) and parts of surfel "
+        "(`generator.transport.left_out`) that are not modelled",
+        (),
+    )
 
     @classmethod
     def idle(cls, engine: str) -> tuple[str, ...]:
@@ -83,16 +87,8 @@ class Sweep:
         return (*self.idle(self.engine), *kind, *(() if self.leave_out else ("leave_out",)))
 
     def __post_init__(self) -> None:
-        require(1e-8 <= self.accuracy <= 0.3, f"accuracy: {self.accuracy:g} must be from 1e-08 to 0.3")
-        require(1 <= self.samples <= 2**24, f"samples: {self.samples} must be from 1 to {2**24}")
-        require(0 <= self.frames <= 1_000_000, f"frames: {self.frames} must be from 1 to 1000000")
+        check_ranges(self)
         require(0.0 < self.pace < math.inf, f"pace: {self.pace:g} must be positive, metres from frame to frame")
-        require(1 <= self.poses <= 1_000_000, f"poses: {self.poses} must be from 1 to 1000000")
-        require(0 <= self.seed < 2**63, f"seed: {self.seed} must be from 0 to 2^63 - 1")
-        require(
-            all(1 <= n <= 65536 for n in self.resolution), f"resolution: {self.resolution} must be from 1 to 65536"
-        )
-        require(all(0 <= a <= 180 for a in self.rotation), f"rotation: {self.rotation} must be from 0 to 180 degrees")
 
 
 BACKGROUND_FACTOR = 16

@@ -23,6 +23,9 @@ _ABOUT = {
 
 OPENED = 128
 
+VERSIONS = ("v110", "v110")
+"""Files that HDF5 1.10 can read, the first that knows virtual datasets, whatever is newest here."""
+
 
 class Parts(Protocol):
     """A set whose rows are spread over parts."""

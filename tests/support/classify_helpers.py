@@ -18,6 +18,7 @@ from generator.model.presets import preset
 from generator.model.scene import Scene
 from generator.model.settings import Sweep
 from generator.sets import bulk_set
+from generator.sets.bulk_settings import Settings
 from generator.sets.dataset import Dataset
 from generator.sets.manifest import BACKGROUND
 from generator.transport import Sphere, Transport
@@ -108,7 +109,7 @@ def make_bulk(
     lo, hi = (tuple(scale * x for x in corner) for corner in ((0.3, 0.5, -0.4), (1.5, 1.7, 0.6)))
     grid = VoxelGrid(lo=lo, hi=hi, shape=shape)
     chosen = {"pictures": pictures, "resolution": resolution, "seed": seed, "rotation": rotation, "inside": inside}
-    plan = bulk_set.Settings(**chosen, accuracy=1e-3)
+    plan = Settings(**chosen, accuracy=1e-3)
     scene = {**to_dict(preset("room", "sphere" if radius else "sheet")), "grid": to_dict(grid)}
     transport = Transport(world, accuracy=1e-3)
     meta = {"scene": scene, "reference_radiance": 1.0, "software": {"blender": "none"}}
@@ -120,7 +121,7 @@ def make_bulk(
     draw = poses.Sampler(grid, plan.sweep, hull).draw
     engine = UnderLight(Engine(found), ambient)
     for number in found.missing():
-        found.write_part(number, draw, engine)
+        found.part(number).write(draw, engine)
     found.finish()
     return bulk_set.Bulk.open(path)
 

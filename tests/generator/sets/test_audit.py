@@ -22,7 +22,7 @@ from generator.files.pictures import read_picture, write_picture
 from generator.files.toml import dump_toml, merge, read_toml
 from generator.model.errors import NlosError
 from generator.model.presets import preset
-from generator.sets import audit, bulk_set, seal, simulated
+from generator.sets import audit, bulk_part, bulk_set, seal, simulated
 from generator.sets.dataset import Dataset
 from generator.sets.manifest import BACKGROUND, MANIFEST, POSES, SCENE
 
@@ -460,8 +460,10 @@ def test_parts_are_read_once_and_again_after_a_change(simulated_set, tmp_path, m
     """A million pictures are not read whole whenever a set is opened."""
     path = shutil.copytree(simulated_set, tmp_path / "set")
     looked = []
-    fault = bulk_set.Bulk._fault
-    monkeypatch.setattr(bulk_set.Bulk, "_fault", lambda self, n, *more: looked.append(n) or fault(self, n, *more))
+    fault = bulk_part.Part.fault
+    monkeypatch.setattr(
+        bulk_part.Part, "fault", lambda self, *more: looked.append(self._number) or fault(self, *more)
+    )
     found = simulated.open_set(path)
     assert looked == list(range(bulk_set.Bulk.open(path).parts))
     looked.clear()
@@ -479,7 +481,7 @@ def test_simulated_pictures_of_nothing_are_a_fault(tmp_path):
     """A black ball before a bare wall that it takes no light from changes nothing; the same picture twice is told."""
     made = make_bulk(tmp_path / "set", pictures=8, resolution=(8, 8))
     background = made.background
-    look = bulk_set._Alike(made)
+    look = bulk_part.Alike(made.layout, made.background)
     pictures = np.array([made.pictures[i] for i in range(8)])
     pictures[3] = background[..., 0]
     pictures[6] = pictures[5]

@@ -27,8 +27,9 @@ from generator.model.arrays import rotation_matrix
 from generator.model.errors import NlosError
 from generator.model.presets import preset
 from generator.model.settings import Sweep
-from generator.sets import bulk_set
-from generator.sets.bulk_set import Bulk, Settings
+from generator.sets import bulk_part, bulk_set
+from generator.sets.bulk_set import Bulk
+from generator.sets.bulk_settings import Settings
 from generator.sets.dataset import Dataset
 from generator.transport.world import LitPatch, Mesh, Sphere, Watched, World
 from generator.transport.world_file import load_world, save_world, world_hash
@@ -80,7 +81,7 @@ def render_missing(path, delay=0.0):
     """Make all parts that are missing, as a worker does but with the stand-in; run by killed processes too."""
     found = Bulk.open(path)
     for number in found.missing():
-        found.write_part(number, sampler(found).draw, Fake(delay=delay))
+        found.part(number).write(sampler(found).draw, Fake(delay=delay))
     found.finish()
     return Bulk.open(path)
 
@@ -159,7 +160,7 @@ def test_reading_one_picture_opens_one_part(whole, monkeypatch):
         opened.append(Path(path).name)
         return real(path, *arguments, **options)
 
-    monkeypatch.setattr(bulk_set.h5py, "File", file)
+    monkeypatch.setattr(bulk_part.h5py, "File", file)
     found = Bulk.open(whole.path)
     assert len(found.pictures) == 40
     found.pictures[16]
@@ -187,7 +188,7 @@ def test_a_reader_can_be_sent_to_other_processes(whole):
 def test_colours_are_kept_where_there_are_any(tmp_path):
     found = new_set(tmp_path / "set", world=small_world(RED), pictures=9)
     for number in found.missing():
-        found.write_part(number, sampler(found).draw, Fake(colour=(1.0, 0.5, 0.25)))
+        found.part(number).write(sampler(found).draw, Fake(colour=(1.0, 0.5, 0.25)))
     assert found.pictures.shape == (9, 8, 8, 3)
     np.testing.assert_array_equal(found.pictures[4][..., 1], 0.5 * found.pictures[4][..., 0])
 
@@ -242,7 +243,7 @@ def wait_for_parts(path, count, process, timeout=120):
 
 def test_an_unfinished_set_can_be_read_as_far_as_it_goes(tmp_path):
     found = new_set(tmp_path / "set")
-    found.write_part(0, sampler(found).draw, Fake())
+    found.part(0).write(sampler(found).draw, Fake())
     assert found.missing() == [1, 2, 3, 4, 5]
     assert np.isfinite(found.pictures[:7]).all()
     with pytest.raises(NlosError, match=r"part-.*-000001\.h5: is not there yet; run the same command again"):
@@ -317,7 +318,7 @@ def test_pictures_that_cannot_be_are_refused(tmp_path):
         (Fake(colour=(1.0, 1.0)), r"the renderer made \(7, 8, 8, 2\)"),
     ):
         with pytest.raises(NlosError, match=words):
-            found.write_part(0, draw, renderer)
+            found.part(0).write(draw, renderer)
     assert found.missing() == list(range(6))
 
 
@@ -329,7 +330,7 @@ def test_a_full_disk_is_one_sentence(tmp_path, monkeypatch):
 
     monkeypatch.setattr(Path, "write_bytes", full)
     with pytest.raises(NlosError, match=r"part-.*-000000\.h5: cannot be written \(No space left on device\)$"):
-        found.write_part(0, sampler(found).draw, Fake())
+        found.part(0).write(sampler(found).draw, Fake())
     monkeypatch.undo()
     assert not list(found.path.glob("*.tmp"))
     assert not list(found.path.glob("*.h5"))
@@ -340,7 +341,7 @@ def test_an_unwritable_folder_is_one_sentence(tmp_path):
     found = new_set(tmp_path / "set")
     found.path.chmod(0o500)
     with pytest.raises(NlosError, match="cannot be written"):
-        found.write_part(0, sampler(found).draw, Fake())
+        found.part(0).write(sampler(found).draw, Fake())
 
 
 @pytest.mark.parametrize(

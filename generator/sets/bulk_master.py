@@ -1,0 +1,105 @@
+"""The master of a bulk set: one HDF5 file that shows all parts as one (virtual datasets)."""
+
+from __future__ import annotations
+
+import io
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import h5py
+import numpy as np
+
+from generator.files.limits import MUCH, check_heaps, limited
+from generator.files.pictures import Picture
+from generator.files.toml import to_dict
+from generator.sets.bulk_part import PART_FORMAT
+from generator.sets.bulk_settings import Layout
+from generator.sets.hdf5 import VERSIONS, describe_file
+
+
+@dataclass(frozen=True)
+class Master:
+    """What it holds.
+
+    Attributes
+    ----------
+    layout : Layout
+    background : ndarray of shape (height, width, 3), float32
+        W/m^2/sr.
+    reference_radiance : float
+        W/m^2/sr.
+    """
+
+    layout: Layout
+    background: Picture
+    reference_radiance: float
+
+    def image(self) -> bytes:
+        """Return the file's bytes."""
+        with h5py.File("set", "w", driver="core", backing_store=False, libver=VERSIONS) as file:
+            self._describe(file)
+            file.flush()
+            image: bytes = file.id.get_file_image()
+        return image
+
+    def _describe(self, file: Any) -> None:
+        layout = self.layout
+        columns = {
+            "pictures": (layout.picture_shape, "<f4", np.nan),
+            "position": ((3,), "<f8", np.nan),
+            "rotation": ((3,), "<f8", np.nan),
+            "voxel": ((), "<i8", -1),
+            "index": ((), "<i8", -1),
+        }
+        # A part that is taken away later reads as the fill value: NaN, which nobody takes for a picture.
+        for name, (shape, dtype, fill) in columns.items():
+            layout = h5py.VirtualLayout((layout.plan.pictures, *shape), dtype)
+            for number in range(layout.parts):
+                rows = layout.part_range(number)
+                source = h5py.VirtualSource(layout.part_path(number).name, name, (len(rows), *shape), dtype)
+                layout[rows.start : rows.stop] = source
+            file.create_virtual_dataset(name, layout, fillvalue=fill)
+        describe_file(file)
+        file["background"] = self.background
+        file["background"].attrs["units"] = "W/m^2/sr"
+        file.create_dataset("label", data=layout.grid.labels, dtype=h5py.string_dtype())
+        file["label"].attrs["about"] = "names of the voxels: row v is voxel v's"
+        file.attrs.update(
+            format=PART_FORMAT,
+            fingerprint=layout.fingerprint,
+            reference_radiance=self.reference_radiance,
+            **{f"grid_{name}": value for name, value in to_dict(layout.grid).items()},
+        )
+
+    def is_in(self, path: Path) -> bool:
+        """Whether a file is there, and says this."""
+        try:
+            check_heaps(path)
+            with (
+                h5py.File(path, "r") as file,
+                h5py.File(io.BytesIO(self.image()), "r") as wanted,
+                limited(MUCH),
+            ):
+                return set(file) == set(wanted) and all(
+                    _told(file, name) == _told(wanted, name) for name in ("/", *wanted)
+                )
+        except Exception:  # HDF5's and h5py's, of many kinds
+            return False
+
+
+def _told(file: Any, name: str) -> Any:
+    """The attributes of an HDF5 dataset or group, and what a dataset holds, or where it says that it lies."""
+    if name != "/" and not isinstance(file.get(name, getlink=True), h5py.HardLink):
+        return None
+    thing = file[name]
+    attributes = {name: np.asarray(value).tolist() for name, value in thing.attrs.items()}
+    if not isinstance(thing, h5py.Dataset) or thing.external:
+        return attributes
+    if not thing.is_virtual:
+        return attributes, thing.shape, thing.dtype.str, np.asarray(thing[()]).tolist()
+    places = [
+        (m.file_name, m.dset_name, m.vspace.get_select_bounds(), m.src_space.get_select_type())
+        for m in thing.virtual_sources()
+    ]
+    return attributes, thing.shape, thing.dtype.str, repr(thing.fillvalue), sorted(places)

@@ -1,0 +1,281 @@
+"""A part of a bulk set: some thousand pictures and their poses in one HDF5 file."""
+
+from __future__ import annotations
+
+import hashlib
+from collections import Counter
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any, Protocol
+
+import h5py
+import numpy as np
+from numpy.typing import NDArray
+
+from generator.files.limits import MUCH, check_heaps, exceeds_limit, limited
+from generator.model.arrays import Array
+from generator.model.errors import NlosError
+from generator.model.poses import Pose
+from generator.sets.bulk_settings import Layout
+from generator.sets.hdf5 import VERSIONS, describe_file, short_size, write_image
+
+COLUMNS = ("position", "rotation", "voxel", "index")
+PART_FORMAT = 1
+
+_SMALL = 2**24
+"""Bytes of a part that is looked through before it is opened; to read more would take longer than to use it."""
+_BATCH = 16 * 1024**2
+
+Pictures = NDArray[np.float32]
+
+
+class Renderer(Protocol):
+    """What renders the pictures: `Engine`, or a stand-in."""
+
+    def pictures(self, numbers: NDArray[np.int64], positions: Array, rotations: Array) -> Pictures:
+        """Return pictures (n, height, width, 3), given their numbers (n,), in order, and poses.
+
+        Positions (n, 3) are in metres, rotations (n, 3) in degrees.
+        """
+
+
+class Part:
+    """A part.
+
+    Parameters
+    ----------
+    layout : Layout
+    number : int
+    """
+
+    def __init__(self, layout: Layout, number: int) -> None:
+        self._layout, self._number = layout, number
+
+    @property
+    def path(self) -> Path:
+        """Its file."""
+        return self._layout.part_path(self._number)
+
+    @property
+    def numbers(self) -> range:
+        """The numbers of its pictures."""
+        return self._layout.part_range(self._number)
+
+    @property
+    def state(self) -> list[int]:
+        """What of its file tells that it was not changed since."""
+        found = self.path.stat()
+        return [found.st_size, found.st_mtime_ns]
+
+    @property
+    def is_there(self) -> bool:
+        """Whether its file is there and is this part; one that was renamed into place is believed to be whole."""
+        try:
+            self.open().close()
+        except NlosError:
+            return False
+        return True
+
+    def _columns(self) -> tuple[NDArray[np.int64], NDArray[np.int64], NDArray[np.int64]]:
+        """The numbers of its pictures, which voxel each shows, and which of its poses."""
+        numbers = np.array(self.numbers, dtype=np.int64)
+        return numbers, numbers % self._layout.grid.n_voxels, numbers // self._layout.grid.n_voxels
+
+    def open(self) -> Any:
+        """Open its file.
+
+        Returns
+        -------
+        h5py.File
+
+        Raises
+        ------
+        NlosError
+            It is not there, broken, or of another set.
+        """
+        path, layout = self.path, self._layout
+        if not path.is_file():
+            raise NlosError(f"{path}: is not there yet; run the same command again to make it")
+        try:
+            if path.stat().st_size <= _SMALL:
+                check_heaps(path)
+            file = h5py.File(path, "r")
+        except (OSError, ValueError) as error:
+            raise NlosError(
+                f"{path}: is broken ({short_size(error)}); run the same command again to make it"
+            ) from None
+        count = len(self.numbers)
+        try:
+            with limited(MUCH):
+                fingerprint_there, number_there = (file.attrs.get(name) for name in ("fingerprint", "part"))
+            if fingerprint_there != layout.fingerprint or number_there != self._number:
+                raise ValueError("is of another set")
+            claimed = 0
+            for name in ("pictures", *COLUMNS):
+                if not isinstance(file.get(name, getlink=True), h5py.HardLink):
+                    raise ValueError(f"has no {name} of its own")
+                if file[name].external or file[name].is_virtual:  # HDF5 would read any file that is named there
+                    raise ValueError(f"keeps {name} in another file, which is not followed")
+                inner = layout.picture_shape if name == "pictures" else (3,) if name in COLUMNS[:2] else ()
+                if file[name].shape != (count, *inner):
+                    raise ValueError(f"holds {name} of shape {file[name].shape}, not {(count, *inner)}")
+                if file[name].dtype.kind != ("i" if name in COLUMNS[2:] else "f"):
+                    raise ValueError(f"holds {name} as {file[name].dtype}")
+                claimed += file[name].nbytes
+            if exceeds_limit(claimed, path.stat().st_size):
+                raise ValueError(f"claims {claimed} bytes in {path.stat().st_size}")
+        except Exception as error:  # HDF5's and h5py's, of many kinds
+            file.close()
+            raise NlosError(f"{path}: {short_size(error)}; run the same command again to make it anew") from None
+        return file
+
+    def write(self, draw: Callable[[int, int], Pose], renderer: Renderer) -> None:
+        """Render its pictures and put it in place.
+
+        Parameters
+        ----------
+        draw : callable
+            Returns the pose of (voxel, index).
+        renderer : Renderer
+
+        Raises
+        ------
+        NlosError
+            A picture is not finite or of the wrong shape, or the part cannot be written.
+        """
+        layout, plan = self._layout, self._layout.plan
+        numbers, voxel, index = self._columns()
+        drawn = [draw(v, i) for v, i in zip(voxel.tolist(), index.tolist(), strict=True)]
+        position = np.array([p for p, _ in drawn], dtype=np.float64)
+        rotation = np.array([r for _, r in drawn], dtype=np.float64)
+        digest = hashlib.sha256()
+        batch = max(1, min(1024, _BATCH // plan.picture_bytes(3)))
+        chunk = min(plan.chunk(layout.channels), len(numbers))
+        # In memory first: HDF5 that finds the disk full in the middle of a file ends the process, not the call.
+        with h5py.File(f"part {self._number}", "w", driver="core", backing_store=False, libver=VERSIONS) as file:
+            packed = {"compression": "gzip", "compression_opts": 1, "shuffle": True} if plan.compress else {}
+            shape = (len(numbers), *layout.picture_shape)
+            pictures = file.create_dataset("pictures", shape, "<f4", chunks=(chunk, *layout.picture_shape), **packed)
+            for start in range(0, len(numbers), batch):
+                some = slice(start, start + batch)
+                made = renderer.pictures(numbers[some], position[some], rotation[some])
+                made = self._checked(made, numbers[some])
+                digest.update(made.tobytes())
+                pictures[some] = made
+            for name, column in zip(COLUMNS, (position, rotation, voxel, index), strict=True):
+                file.create_dataset(name, data=column, dtype=column.dtype.newbyteorder("<"))
+                digest.update(file[name][()].tobytes())
+            describe_file(file)
+            file.attrs.update(
+                format=PART_FORMAT, fingerprint=layout.fingerprint, part=self._number, first=int(numbers[0])
+            )
+            file.attrs["sha256"] = digest.hexdigest()
+            write_image(self.path, file)
+
+    def _checked(self, made: Pictures, numbers: NDArray[np.int64]) -> NDArray[Any]:
+        """Return pictures as they are stored, once they are known to be sound."""
+        path, (width, height) = self._layout.path, self._layout.plan.resolution
+        if made.shape != (len(numbers), height, width, 3):
+            raise NlosError(f"{path}: the renderer made {made.shape}, not {(len(numbers), height, width, 3)}")
+        whole = np.isfinite(made).all(axis=(1, 2, 3))
+        if not whole.all():
+            raise NlosError(f"{path}: picture {numbers[~whole][0]} holds NaN or infinite pixels")
+        if self._layout.channels == 1:
+            if not ((made[..., 0] == made[..., 1]) & (made[..., 0] == made[..., 2])).all():
+                raise NlosError(f"{path}: the scene is grey, but the renderer made coloured pictures of it")
+            made = made[..., 0]
+        return np.ascontiguousarray(made, dtype="<f4")
+
+    def fault(self, alike: Alike | None = None) -> str:
+        """Read all of it; return what is wrong, or nothing. Its pictures are shown to ``alike``."""
+        path, layout = self.path, self._layout
+        try:
+            file = self.open()
+        except NlosError as error:
+            return str(error)
+        digest, finite = hashlib.sha256(), True
+        numbers, voxels, indices = self._columns()
+        batch = max(1, _BATCH // layout.plan.picture_bytes(layout.channels))
+        try:
+            with file:
+                for start in range(0, len(numbers), batch):
+                    pictures = np.ascontiguousarray(file["pictures"][start : start + batch], dtype="<f4")
+                    finite &= bool(np.isfinite(pictures).all())
+                    digest.update(pictures.tobytes())
+                    if alike:
+                        alike.look(numbers[start : start + batch], pictures)
+                for name in COLUMNS:
+                    digest.update(file[name][()].tobytes())
+                order = np.array_equal(file["voxel"][()], voxels)
+                order &= np.array_equal(file["index"][()], indices)
+                placed = self._stand_right(file["position"][()], file["rotation"][()], voxels)
+                with limited(MUCH):
+                    told = str(file.attrs.get("sha256"))
+        except Exception as error:  # HDF5's and h5py's, of many kinds
+            return f"{path}: is broken ({short_size(error)}); take it away and run the same command again"
+        if digest.hexdigest() != told:
+            return f"{path}: its contents differ from their hash; take it away and run the same command again"
+        if not finite:
+            return f"{path}: holds NaN or infinite pixels"
+        if not order:
+            return f"{path}: its voxels and indices are not those of this part"
+        return "" if placed else f"{path}: its poses are not in their voxels, or turned by more than the set allows"
+
+    def _stand_right(self, positions: Array, rotations: Array, voxels: NDArray[np.int64]) -> bool:
+        """Whether poses are such as the settings allow, as far as that can be told without the object."""
+        plan, grid = self._layout.plan, self._layout.grid
+        turned = plan.unknown or bool((np.abs(rotations) <= np.array(plan.rotation) * (1 + 1e-9)).all())
+        if plan.inside == "whole":  # the origin of an object may lie beside it
+            return turned
+        lo, hi = np.array([grid.bounds(v) for v in range(grid.n_voxels)]).transpose(1, 0, 2)
+        slack = 1e-9 * np.abs([grid.lo, grid.hi]).max()
+        return turned and bool(((lo[voxels] - slack <= positions) & (positions <= hi[voxels] + slack)).all())
+
+
+class Alike:
+    """Looks for pictures of a set that equal its background to the bit, or each other.
+
+    Parameters
+    ----------
+    layout : Layout
+    background : ndarray of shape (height, width, 3), float32
+        Or of no pixels, if it cannot be read.
+    """
+
+    def __init__(self, layout: Layout, background: NDArray[np.float32]) -> None:
+        self._layout = layout
+        self._empty: list[int] = []
+        self._same: list[tuple[int, int]] = []
+        self._first: dict[bytes, int] = {}
+        grey = background if layout.channels == 3 else background[..., 0]
+        self._background = np.ascontiguousarray(grey, dtype="<f4").tobytes()
+
+    def look(self, numbers: NDArray[np.int64], pictures: Pictures) -> None:
+        """Take note of pictures."""
+        for number, picture in zip(numbers.tolist(), pictures, strict=True):
+            if (data := picture.tobytes()) == self._background:
+                self._empty.append(number)
+                continue
+            digest = hashlib.blake2b(data, digest_size=16).digest()
+            if (first := self._first.setdefault(digest, number)) != number:
+                self._same.append((first, number))
+
+    def faults(self) -> list[str]:
+        """Return a sentence per voxel whose pictures are the background, and one for those that equal each other."""
+        layout, found = self._layout, []
+        n, labels = layout.grid.n_voxels, layout.grid.labels
+        for voxel, count in sorted(Counter(number % n for number in self._empty).items()):
+            first = next(number for number in self._empty if number % n == voxel)
+            found.append(
+                f"{self._named(first)} equals the background to the bit, as {count} of "
+                f"{len(range(voxel, layout.plan.pictures, n))} pictures of voxel {labels[voxel]} do: the object "
+                "changes nothing there, so it is in full shadow or hidden by something"
+            )
+        if self._same:
+            first, second = self._same[0]
+            more = f"; so do {len(self._same) - 1} more" if len(self._same) > 1 else ""
+            found.append(f"{self._named(second)} equals picture {first} to the bit, though the poses differ{more}")
+        return found
+
+    def _named(self, number: int) -> str:
+        return f"{self._layout.part_path(number // self._layout.plan.part)}: picture {number}"

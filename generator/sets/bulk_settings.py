@@ -1,0 +1,116 @@
+"""Settings of a bulk set, and where its parts lie."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Literal
+
+from generator.model.arrays import Vector
+from generator.model.described import borrowed, check_ranges, described, documented
+from generator.model.errors import NlosError
+from generator.model.grid import VoxelGrid
+from generator.model.settings import Sweep
+
+_CHUNK = 64 * 1024
+_PART = 64 * 1024**2
+_LARGEST_PART = 1024**3
+_MOST_PARTS = 512
+"""HDF5 holds every part open that it has read through the master, and a process may have 1024 files open."""
+
+
+@documented
+@dataclass(frozen=True, kw_only=True)
+class Settings:
+    """All that decides a bulk set besides the scene."""
+
+    pictures: int = described("in all voxels together", lo=1, hi=10**9)
+    seed: int = borrowed(Sweep, "seed")
+    resolution: tuple[int, int] = borrowed(Sweep, "resolution")
+    accuracy: float = described("relative error of a picture", 1e-3, lo=1e-9, hi=0.5)
+    inside: Literal["whole", "centre"] = borrowed(Sweep, "inside")
+    rotation: Vector = borrowed(Sweep, "rotation")
+    part: int = described("pictures per file; 0 takes about 64 MiB", 0)
+    compress: bool = described(
+        "smaller files (gzip, which every HDF5 reader knows), several times slower to write and to read", False
+    )
+    unknown: bool = described(
+        "at every pose another box or sheet in place of the target (`generator.sets.unknown_objects`), for an "
+        "unknown object",
+        False,
+    )
+
+    def __post_init__(self) -> None:
+        check_ranges(self)
+        if self.part < 0:
+            raise NlosError(f"part: {self.part} must be 1 or more, or 0 to choose")
+        self.sweep  # noqa: B018 (refuses what a sweep refuses)
+
+    @property
+    def sweep(self) -> Sweep:
+        """The sweep whose poses these are."""
+        return Sweep(seed=self.seed, resolution=self.resolution, inside=self.inside, rotation=self.rotation)
+
+    def chunk(self, channels: int) -> int:
+        """Pictures per HDF5 chunk: what is read from the disk to see one picture, about 64 KiB."""
+        return max(1, min(1024, _CHUNK // self.picture_bytes(channels)))
+
+    def picture_bytes(self, channels: int) -> int:
+        """Bytes of one picture."""
+        return math.prod(self.resolution) * channels * 4
+
+    def with_part(self, channels: int) -> Settings:
+        """Return the settings with a size of part chosen, if there is none yet.
+
+        About 64 MiB, but enough parts to share among workers, and not so many that they cannot all be open at once.
+        """
+        if self.part:
+            return self
+        size = self.picture_bytes(channels)
+        wanted = min(4096, _PART // size, max(64, math.ceil(self.pictures / 64)))
+        wanted = max(1, min(max(wanted, math.ceil(self.pictures / _MOST_PARTS)), _LARGEST_PART // size))
+        chunk = self.chunk(channels)
+        return replace(self, part=math.ceil(wanted / chunk) * chunk)
+
+
+@dataclass(frozen=True)
+class Layout:
+    """What parts of a set look like.
+
+    Attributes
+    ----------
+    path : Path
+        Folder of the set.
+    fingerprint : str
+        The set's.
+    plan : Settings
+    channels : int
+        1 or 3, of a stored picture.
+    grid : VoxelGrid
+    """
+
+    path: Path
+    fingerprint: str
+    plan: Settings
+    channels: int
+    grid: VoxelGrid
+
+    @property
+    def parts(self) -> int:
+        """How many parts there are when the set is finished."""
+        return math.ceil(self.plan.pictures / self.plan.part)
+
+    @property
+    def picture_shape(self) -> tuple[int, ...]:
+        """Shape of a stored picture: (height, width), or (height, width, 3) where the scene has colours."""
+        width, height = self.plan.resolution
+        return (height, width) if self.channels == 1 else (height, width, 3)
+
+    def part_path(self, number: int) -> Path:
+        """Return the file of a part."""
+        return self.path / f"part-{self.fingerprint[:8]}-{number:06d}.h5"
+
+    def part_range(self, number: int) -> range:
+        """Return the numbers of a part's pictures."""
+        return range(number * self.plan.part, min((number + 1) * self.plan.part, self.plan.pictures))
