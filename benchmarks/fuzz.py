@@ -42,7 +42,7 @@ with atheris.instrument_imports(
     include=["generator", "classify", "skops"], exclude=[f"generator.transport.{name}" for name in _COMPILED]
 ):
     from classify.classifiers import models
-    from classify.inference import atlas, posterior
+    from classify.inference import atlas_build, atlas_file, posterior
     from classify.pictures import feature_table
     from classify.pictures.features import FeatureSettings
     from classify.pictures.sensor import Sensor
@@ -131,7 +131,7 @@ def read_atlas(data: bytes) -> None:
     """Read an atlas, and locate something by it."""
     _spoil_hdf5("atlas", data)
     with contextlib.suppress(NlosError):
-        found = atlas.load(_FILE)
+        found = atlas_file.load(_FILE)
         picture = np.repeat(found.background[..., None] * 1.01, 3, axis=2).astype(np.float32)
         with np.errstate(all="ignore"):
             posterior.locate(found, found.code(picture))
@@ -313,7 +313,7 @@ def _seed_structured(target: str) -> None:
         return
     made = classify_helpers.make_bulk(_FILE.parent / "sound-bulk", pictures=80, resolution=(8, 8))
     if target == "atlas":
-        atlas.save(_FILE, atlas.build(made, Sensor(frames=10)))
+        atlas_file.save(_FILE, atlas_build.build(made, Sensor(frames=10)))
         _SOUND["atlas"] = _FILE.read_bytes()
 
 

@@ -12,7 +12,7 @@ from pathlib import Path
 
 import numpy as np
 
-from classify.inference import atlas as atlases
+from classify.inference import atlas_file
 from classify.inference.posterior import locate
 from classify.inference.two_objects import locate_two
 from classify.intervals import wilson
@@ -31,7 +31,7 @@ def main() -> None:
     parser.add_argument("--count", type=int, default=300)
     parser.add_argument("--seed", type=int, default=0)
     options = parser.parse_args()
-    found, bulk = atlases.load(options.atlas).at(options.frames), Bulk.open(options.simulated)
+    found, bulk = atlas_file.load(options.atlas).at(options.frames), Bulk.open(options.simulated)
     world = bulk.world().seen_by(*bulk.plan.resolution)
     ball = world.target[0]
     assert isinstance(ball, Sphere), "the set must be of a sphere"

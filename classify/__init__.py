@@ -44,9 +44,9 @@ if TYPE_CHECKING:
     from classify.classifiers.models import load as load_model
     from classify.classifiers.models import save as save_model
     from classify.inference.atlas import Atlas
-    from classify.inference.atlas import build as build_atlas
-    from classify.inference.atlas import load as load_atlas
-    from classify.inference.atlas import save as save_atlas
+    from classify.inference.atlas_build import build as build_atlas
+    from classify.inference.atlas_file import load as load_atlas
+    from classify.inference.atlas_file import save as save_atlas
     from classify.inference.bound import reachable as bound
     from classify.inference.detect import Detector, evidence
     from classify.inference.evaluation import run as evaluate
@@ -66,16 +66,16 @@ _EXPORTS = {
     "Model": "classify.classifiers.models:Model",
     "Sensor": "classify.pictures.sensor:Sensor",
     "bound": "classify.inference.bound:reachable",
-    "build_atlas": "classify.inference.atlas:build",
+    "build_atlas": "classify.inference.atlas_build:build",
     "compare": "classify.classifiers.evaluate:compare",
     "evaluate": "classify.inference.evaluation:run",
     "evidence": "classify.inference.detect:evidence",
     "extract": "classify.pictures.feature_table:extract",
-    "load_atlas": "classify.inference.atlas:load",
+    "load_atlas": "classify.inference.atlas_file:load",
     "load_model": "classify.classifiers.models:load",
     "locate": "classify.inference.posterior:locate",
     "read_features": "classify.pictures.feature_table:read",
-    "save_atlas": "classify.inference.atlas:save",
+    "save_atlas": "classify.inference.atlas_file:save",
     "save_model": "classify.classifiers.models:save",
     "track": "classify.inference.sequence:run",
     "train": "classify.classifiers.models:train",

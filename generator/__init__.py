@@ -20,8 +20,8 @@ import importlib
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from generator.blender.check import Finding
     from generator.blender.check import check_scene as check
+    from generator.blender.finding import Finding
     from generator.blender.render_poses import render
     from generator.blender.scene.blend_file import open_file as open_scene
     from generator.blender.scene.blend_file import save_file as save_scene
@@ -36,7 +36,7 @@ if TYPE_CHECKING:
 
 _EXPORTS = {
     "BulkRequest": "generator.jobs.request:BulkRequest",
-    "Finding": "generator.blender.check:Finding",
+    "Finding": "generator.blender.finding:Finding",
     "NlosError": "generator.model.errors:NlosError",
     "Scene": "generator.model.scene:Scene",
     "SweepRequest": "generator.jobs.request:SweepRequest",

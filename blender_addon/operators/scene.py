@@ -8,6 +8,7 @@ import bpy
 from bpy.props import EnumProperty, IntProperty, StringProperty
 
 from generator.blender import check
+from generator.blender.finding import ERROR, FIXES, Finding
 from generator.blender.scene import adopt, build, roles
 from generator.blender.scene.description import lamp_power, read_scene
 from generator.files.pictures import read_picture
@@ -154,7 +155,7 @@ class NLOS_OT_check(_Task, bpy.types.Operator):
         """Find; return what to report."""
         _forget_checks()
         state.findings[:] = check.findings(scene, engine=scene.nlos.engine)
-        worst = [f for f in state.findings if f.level == check.ERROR]
+        worst = [f for f in state.findings if f.level == ERROR]
         if worst:
             return "WARNING", worst[0].text
         state.checking = True
@@ -174,9 +175,9 @@ def _forget_checks() -> None:
 def _checked(task: background.Task) -> None:
     state.checking = False
     if task.error:
-        state.findings.insert(0, check.Finding(check.ERROR, task.error))
+        state.findings.insert(0, Finding(ERROR, task.error))
     else:
-        state.findings[:] = [check.Finding(**fields) for fields in task.result["findings"]]
+        state.findings[:] = [Finding(**fields) for fields in task.result["findings"]]
 
 
 class NLOS_OT_fix(_Task, bpy.types.Operator):
@@ -192,7 +193,7 @@ class NLOS_OT_fix(_Task, bpy.types.Operator):
         _forget_checks()
         check.mend(scene, self.fix)
         state.findings[:] = check.findings(scene, engine=scene.nlos.engine)
-        return "INFO", f"{check.FIXES[self.fix]}: done"
+        return "INFO", f"{FIXES[self.fix]}: done"
 
 
 class NLOS_OT_select(_Task, bpy.types.Operator):

@@ -8,7 +8,7 @@ from typing import Any
 
 import bpy
 
-from generator.blender.check import Finding
+from generator.blender.finding import Finding
 from generator.files.pictures import Picture
 
 

@@ -7,7 +7,7 @@ from typing import Any
 import bpy
 from bl_ui.utils import PresetPanel
 
-from generator.blender import check
+from generator.blender.finding import ERROR, FIXES, GOOD, NOTE, WARNING
 from generator.blender.scene import roles
 from generator.model.engines import AUTO, traits_of
 
@@ -16,7 +16,7 @@ from ..session import state
 from ..view import live
 from . import menus
 
-_ICONS = {check.GOOD: "CHECKMARK", check.NOTE: "INFO", check.WARNING: "ERROR", check.ERROR: "CANCEL"}
+_ICONS = {GOOD: "CHECKMARK", NOTE: "INFO", WARNING: "ERROR", ERROR: "CANCEL"}
 _LETTER = 6.3
 """Width of a letter, on average and at Blender's own scale, pixels."""
 
@@ -240,7 +240,7 @@ class NLOS_PT_check(_Tab, bpy.types.Panel):
                         "nlos.select", text=found.object, translate=False, icon="RESTRICT_SELECT_OFF"
                     ).name = found.object
                 if found.fix:
-                    row.operator("nlos.fix", text=check.FIXES[found.fix], icon="TOOL_SETTINGS").fix = found.fix
+                    row.operator("nlos.fix", text=FIXES[found.fix], icon="TOOL_SETTINGS").fix = found.fix
         if state.checking:
             layout.label(text="Measuring signal and noise ...", icon="SORTTIME")
 

@@ -54,14 +54,14 @@ def add_parsers(commands: Commands) -> None:
 
 def run_atlas(options: argparse.Namespace) -> int:
     """Make an atlas from a bulk set."""
-    from classify.inference import atlas
+    from classify.inference import atlas_build, atlas_file
     from generator.sets.bulk_set import Bulk
 
     sensor = sensor_of(options)
     check_output(options.output)
     first, *others = map(Bulk.open, options.simulated)
     with progress_bar("compressing", "pictures") as progress:
-        made = atlas.build(
+        made = atlas_build.build(
             first,
             sensor,
             *others,
@@ -70,7 +70,7 @@ def run_atlas(options: argparse.Namespace) -> int:
             unknown=options.unknown,
             progress=lambda done, total: progress(done, total, ""),
         )
-    atlas.save(options.output, made)
+    atlas_file.save(options.output, made)
     n, k = made.codes.shape
     print(
         f"{options.output}: {n} pictures of a {' or a '.join(made.about['targets'])}, {k} numbers each; what they "

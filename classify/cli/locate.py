@@ -294,7 +294,7 @@ def _gap(text: str) -> tuple[int, int]:
 def run_detect(options: argparse.Namespace) -> int:
     """Print how often something is found, at a rate of false alarms."""
     from classify.classifiers import models
-    from classify.inference import atlas, detect
+    from classify.inference import atlas_file, detect
     from classify.report import page
     from generator.files.writing import csv_text, write_text
 
@@ -303,7 +303,7 @@ def run_detect(options: argparse.Namespace) -> int:
         raise NlosError(f"--count {options.count}: must be 1 or more")
     if options.output:
         check_output(options.output, folder=True)
-    found = atlas.load(options.atlas)
+    found = atlas_file.load(options.atlas)
     most = found.sensor.frames
     exposures = options.exposures or sorted({n for n in (*_LADDER, most) if n <= most})
     with progress_bar("looking", "exposures") as progress:

@@ -83,9 +83,9 @@ def progress_bar(what: str, unit: str) -> Iterator[Callable[[int, int, str], Non
 
 def loaded(options: argparse.Namespace) -> Atlas:
     """The atlas that was named, for as many frames and cut into the voxels that were asked for."""
-    from classify.inference import atlas
+    from classify.inference import atlas_file
 
-    found = atlas.load(options.atlas)
+    found = atlas_file.load(options.atlas)
     found = found if options.frames is None else found.at(options.frames)
     voxels = getattr(options, "voxels", None)
     return found if voxels is None else found.cut(tuple(voxels))

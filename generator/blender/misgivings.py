@@ -7,6 +7,7 @@ from dataclasses import dataclass, field
 import bpy
 
 from generator.blender import check
+from generator.blender.finding import ERROR, WARNING
 from generator.model.engines import AUTO
 from generator.model.errors import NlosError
 
@@ -38,7 +39,7 @@ class Misgivings:
 def look(scene: bpy.types.Scene) -> Misgivings:
     """Return what is wrong with a scene, whatever the engine: one that cannot honour it says so itself."""
     found = check.findings(scene, engine=AUTO)
-    return Misgivings(*([f.text for f in found if f.level == level] for level in (check.ERROR, check.WARNING)))
+    return Misgivings(*([f.text for f in found if f.level == level] for level in (ERROR, WARNING)))
 
 
 def refuse(found: Misgivings) -> None:

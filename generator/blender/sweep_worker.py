@@ -88,10 +88,10 @@ def plan(
     # What cannot be honoured is said before any work is done; what is left out may be just that, and is no matter.
     survey.survey(scene, resolution=sweep.resolution, ambient=True).check("path" if sweep.leave_out else sweep.engine)
     described = read_scene(scene, sweep.resolution)
-    idle = Sweep.idle(sweep.engine)
-    if chosen.get("engine", AUTO) != AUTO and any(name in chosen for name in idle):
-        name = next(name for name in idle if name in chosen)
-        raise NlosError(f"{name}: means nothing to the engine {sweep.engine!r}; leave it out")
+    if chosen.get("engine", AUTO) != AUTO:
+        for name in Sweep.idle(sweep.engine):
+            if name in chosen:
+                raise NlosError(f"{name}: means nothing to the engine {sweep.engine!r}; leave it out")
     found = doubted(scene, sweep, force=force)
     for words in found.notes:
         tell(words)
@@ -99,21 +99,9 @@ def plan(
     simplify.apply(scene, sweep.leave_out)
     with renderers.opened(scene, sweep.engine, **renderers.settings(sweep)) as renderer:
         pass  # refuses now what it could not honour later
-    meta = {
-        "sweep": {
-            **{name: value for name, value in to_dict(sweep).items() if name not in sweep.unused},
-            "scene_sha256": scene_hash(source),
-        },
-        "engine_reasons": reasons,
-        "reference_radiance": described.reference_radiance,
-        "colour_space": colour_space(),
-        "scene": to_dict(described),
-        "extra_objects": roles.others(scene),
-        "replaced": [replaced.told(scene, setting) for setting in replaced.replaced(scene)],
-        **({"forced": found.errors} if found.errors else {}),
-        **({"links": linked} if linked else {}),
-        "software": {"nlos-lab": version(), "blender": bpy.app.version_string, "numpy": np.__version__},
-    }
+    meta = _described(scene, described, sweep, source)
+    meta["engine_reasons"] = reasons
+    meta |= {name: value for name, value in (("forced", found.errors), ("links", linked)) if value}
     with start_check.withdrawn(path, SCENE):
         blend_file.save_file(path / SCENE)
         if probe:
@@ -130,6 +118,22 @@ def plan(
     if not sweep.noisy:
         _background(renderer, dataset, sweep)  # needs no scene, and far less time than a process of its own to start
     return dataset
+
+
+def _described(scene: bpy.types.Scene, described: Scene, sweep: Sweep, source: Path) -> dict[str, Any]:
+    """Return what a manifest says of a scene and a sweep."""
+    return {
+        "sweep": {
+            **{name: value for name, value in to_dict(sweep).items() if name not in sweep.unused},
+            "scene_sha256": scene_hash(source),
+        },
+        "reference_radiance": described.reference_radiance,
+        "colour_space": colour_space(),
+        "scene": to_dict(described),
+        "extra_objects": roles.others(scene),
+        "replaced": [replaced.told(scene, setting) for setting in replaced.replaced(scene)],
+        "software": {"nlos-lab": version(), "blender": bpy.app.version_string, "numpy": np.__version__},
+    }
 
 
 def doubted(scene: bpy.types.Scene, sweep: Sweep, *, force: bool) -> misgivings.Misgivings:

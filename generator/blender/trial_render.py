@@ -20,6 +20,9 @@ from generator.model.poses import PoseRecord
 from generator.model.settings import Sweep
 
 SAMPLES = (8, 48)
+"""Of the two rounds, in pictures of `_PIXELS`; of smaller ones, as many more: the time of a few rays is all overhead,
+of which no sweep can be told the length."""
+_PIXELS = 64 * 64
 ACCURACIES = (1e-1, 1e-3)
 
 
@@ -56,8 +59,15 @@ def trial_render(
         work = (1.0 / ACCURACIES[0], 1.0 / ACCURACIES[1])
         return TrialResult(sweep.engine, described.grid.n_voxels, work, _exact(scene, sweep, mine, threads), [])
     seconds, noise = _noisy(scene, sweep, mine, threads)
-    work = (float(SAMPLES[0]), float(SAMPLES[1]))
+    few, many = samples_of(sweep.resolution)
+    work = (float(few), float(many))
     return TrialResult(sweep.engine, described.grid.n_voxels, work, seconds, noise)
+
+
+def samples_of(resolution: tuple[int, int]) -> tuple[int, int]:
+    """Return the samples of the two rounds for pictures of a width and height."""
+    more = max(1, round(_PIXELS / (resolution[0] * resolution[1])))
+    return more * SAMPLES[0], more * SAMPLES[1]
 
 
 def _exact(scene: bpy.types.Scene, sweep: Sweep, mine: list[PoseRecord], threads: int) -> tuple[float, float]:
@@ -77,14 +87,15 @@ def _exact(scene: bpy.types.Scene, sweep: Sweep, mine: list[PoseRecord], threads
 def _noisy(
     scene: bpy.types.Scene, sweep: Sweep, mine: list[PoseRecord], threads: int
 ) -> tuple[tuple[float, float], list[float]]:
-    share = 1.0 / SAMPLES[0] - 1.0 / SAMPLES[1]
+    rounds = few, many = samples_of(sweep.resolution)
+    share = 1.0 / few - 1.0 / many
     took, noise = np.zeros(2), []
     with renderers.opened(scene, sweep.engine, threads=threads, **renderers.settings(sweep)) as renderer:
         renderer.render(samples=1, seed=0)
         for pose in mine:
             posing.move_target(scene, pose.position, pose.rotation)
             seen: list[Array] = []
-            for round_, samples in enumerate(SAMPLES):
+            for round_, samples in enumerate(rounds):
                 start = time.perf_counter()
                 picture = renderer.render(samples=samples, seed=pose.seed).astype(np.float64)
                 if sweep.paired:
@@ -93,9 +104,9 @@ def _noisy(
                 seen.append(picture.mean(axis=2))
             variance = float(((seen[1] - seen[0]) ** 2).mean()) / share
             if not sweep.paired:
-                seen[1] = seen[1] - renderer.render(samples=SAMPLES[1], seed=pose.seed, target=False).mean(axis=2)
-            signal = float((seen[1] ** 2).mean()) - variance / SAMPLES[1]
+                seen[1] = seen[1] - renderer.render(samples=many, seed=pose.seed, target=False).mean(axis=2)
+            signal = float((seen[1] ** 2).mean()) - variance / many
             # Where noise hides the signal, all that is known is that it is smaller.
-            noise.append(variance / max(signal, 0.1 * variance / SAMPLES[1]) if variance else 0.0)
+            noise.append(variance / max(signal, 0.1 * variance / many) if variance else 0.0)
     each = took / max(1, len(mine))
     return (float(each[0]), float(each[1])), noise

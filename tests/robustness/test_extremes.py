@@ -9,8 +9,7 @@ import pytest
 from classify_helpers import colour, make_bulk, plain_atlas
 
 from classify.classifiers import curves, evaluate, models
-from classify.inference import atlas as atlases
-from classify.inference import bound, detect, posterior, tracker
+from classify.inference import atlas_build, bound, detect, posterior, tracker
 from classify.pictures import feature_table
 from classify.pictures.features import FeatureSettings, describe
 from classify.pictures.physics import PhysicsFeatures, Setup
@@ -34,7 +33,7 @@ def answers(found, pictures, background=None, seed=0):
 @pytest.mark.parametrize("factor", [1e-20, 1e20])
 def test_any_level_of_light_gives_the_same_answers(simulated, factor, tmp_path):
     """A camera is exposed for its scene: only ratios of light count."""
-    usual = atlases.build(simulated, Sensor(), measured_background=False)
+    usual = atlas_build.build(simulated, Sensor(), measured_background=False)
     scaled = dataclasses.replace(
         usual,
         background=usual.background * factor,
@@ -52,7 +51,7 @@ def test_any_size_of_scene_gives_the_same_answers(simulated, scale, tmp_path):
     found = make_bulk(tmp_path / "scaled", pictures=400, scale=scale)
     np.testing.assert_allclose(found.positions, scale * simulated.positions, rtol=1e-9)
     np.testing.assert_allclose(found.pictures[:20], simulated.pictures[:20], rtol=1e-4)
-    usual, scaled = (atlases.build(s, Sensor(), measured_background=False) for s in (simulated, found))
+    usual, scaled = (atlas_build.build(s, Sensor(), measured_background=False) for s in (simulated, found))
     some = simulated.pictures[:12]
     for one, other in zip(answers(usual, some), answers(scaled, some), strict=True):
         assert one.voxels.argmax() == other.voxels.argmax()
@@ -62,14 +61,14 @@ def test_any_size_of_scene_gives_the_same_answers(simulated, scale, tmp_path):
 def test_zero_light_is_one_sentence(tmp_path):
     dark = make_bulk(tmp_path / "dark", pictures=16, power=0.0)
     with pytest.raises(NlosError, match="pictures without light; give it in electrons"):
-        atlases.build(dark, Sensor())
+        atlas_build.build(dark, Sensor())
 
 
 def test_ambient_light_a_million_times_the_signal_leaves_nothing_to_tell(simulated, tmp_path):
     """Photons of ambient light drown the signal: every voxel is as likely as before, and nothing is found."""
     signal = float((simulated.pictures[:] - simulated.background[..., 0]).max())
     lit = make_bulk(tmp_path / "lit", pictures=100, ambient=1e6 * signal)
-    found = atlases.build(lit, Sensor(), measured_background=False)
+    found = atlas_build.build(lit, Sensor(), measured_background=False)
     for place in answers(found, lit.pictures[:20]):
         np.testing.assert_allclose(place.voxels, 0.25, atol=0.01)
         assert abs(place.evidence) < 0.1
@@ -79,7 +78,7 @@ def test_ambient_light_a_million_times_the_signal_leaves_nothing_to_tell(simulat
 
 def test_light_that_nobody_counted_on_is_refused_or_told(simulated):
     """Pictures far beyond the sensor's full well saturate alike, and stay finite."""
-    found = atlases.build(simulated, Sensor(), measured_background=False)
+    found = atlas_build.build(simulated, Sensor(), measured_background=False)
     glaring = simulated.pictures[:4] * 1e20
     for place in answers(found, glaring):
         assert np.isfinite(place.voxels).all()
@@ -165,7 +164,7 @@ def test_a_ball_wider_than_its_voxel(tmp_path):
     """Its centre alone is inside. Answers are as true as elsewhere."""
     found = make_bulk(tmp_path / "wide", pictures=640, shape=(5, 5, 1), radius=0.13, inside="centre")
     assert found.grid.size[0] < 0.26
-    atlas = atlases.build(found, Sensor(full_well=100.0), measured_background=False)
+    atlas = atlas_build.build(found, Sensor(full_well=100.0), measured_background=False)
     held = [
         posterior.holds(p, t) for p, t in zip(answers(atlas, found.pictures[:100]), found.positions, strict=False)
     ]

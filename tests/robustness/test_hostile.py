@@ -25,7 +25,7 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from classify.classifiers import models
-from classify.inference import atlas, posterior
+from classify.inference import atlas_build, atlas_file, posterior
 from classify.pictures import feature_table
 from classify.pictures.features import FeatureSettings
 from classify.pictures.sensor import Sensor
@@ -46,7 +46,7 @@ def sound(tmp_path_factory):
     for name in ("LDA", "CART", "KNN", "SVM"):
         models.save(folder / f"{name}.skops", models.train(features, name, "paper"))
     made = make_bulk(folder / "bulk", pictures=80, resolution=(8, 8))
-    atlas.save(folder / "a.atlas", atlas.build(made, Sensor(frames=10)))
+    atlas_file.save(folder / "a.atlas", atlas_build.build(made, Sensor(frames=10)))
     made.close()
     return folder
 
@@ -118,7 +118,7 @@ def rebuilt(path, change):
     ("reader", "name"),
     [
         (feature_table.read, "f.h5"),
-        (atlas.load, "a.atlas"),
+        (atlas_file.load, "a.atlas"),
         (models.load, "LDA.skops"),
         (load_world, "bulk/world.npz"),
         (lambda path: bulk_set.Bulk.open(path).pictures[0], "bulk"),
@@ -289,10 +289,10 @@ def test_spoilt_atlases_are_refused(copied, spoil, words):
     with h5py.File(path, "r+") as file:
         spoil(file)
     if words is None:
-        assert atlas.load(path).sensor == Sensor()
+        assert atlas_file.load(path).sensor == Sensor()
         return
     with pytest.raises(NlosError, match=rf"a\.atlas: .*{words}"):
-        atlas.load(path)
+        atlas_file.load(path)
 
 
 def test_an_atlas_whose_codes_mean_nothing_gives_a_sentence(copied):
@@ -300,7 +300,7 @@ def test_an_atlas_whose_codes_mean_nothing_gives_a_sentence(copied):
     with h5py.File(path, "r+") as file:
         file["codes"][0] = 9e14
         file["positions"][:] = file["positions"][0]
-    found = atlas.load(path)
+    found = atlas_file.load(path)
     picture = np.repeat(found.background[..., None], 3, axis=2).astype(np.float32)
     try:
         place = posterior.locate(found, found.code(picture))

@@ -49,91 +49,109 @@ def read_surfaces(scene: bpy.types.Scene) -> Reading:
         reading = Reading(reasons=list(layers), layers=layers)
         layer = scene.view_layers[depsgraph.view_layer.name]
         _read_world(getattr(layer, "world_override", None) or depsgraph.scene.world, reading)
-        known: dict[tuple[int, ...], Shape] = {}
+        reader = _Reader(played, parts[0], layer, reading)
         for instance in depsgraph.object_instances:
-            _read_instance(instance, played, parts[0], layer, reading, known)
+            reader.read(instance)
         return reading
 
     return geometry.as_rendered(scene, look)
 
 
-def _read_instance(
-    instance: Any,
-    played: dict[bpy.types.Object, str],
-    target: bpy.types.Object,
-    layer: bpy.types.ViewLayer,
-    reading: Reading,
-    known: dict[tuple[int, ...], Shape],
-) -> None:
-    obj = instance.object
-    owner = (instance.parent if instance.is_instance else obj).original
-    role = played.get(owner, "room")
-    matrix = numbers(instance.matrix_world)
-    if not instance.is_instance and obj.original in played:
-        reading.places[role if role != "target" or obj.original == target else obj.name] = matrix
-    if instance.show_self and _has_empty_slot(obj.original):
-        words = (
-            f"{obj.name!r} has a material slot of its own that is empty, which Blender's versions fill differently"
+class _Reader:
+    """Reads what a render will see, object by object.
+
+    Parameters
+    ----------
+    played : dict
+        The role of each object that has one.
+    target : bpy.types.Object
+        What moves the target.
+    layer : bpy.types.ViewLayer
+    reading : Reading, added to
+    """
+
+    def __init__(
+        self, played: dict[bpy.types.Object, str], target: bpy.types.Object, layer: Any, reading: Reading
+    ) -> None:
+        self._played, self._target, self._layer, self._reading = played, target, layer, reading
+        self._shapes: dict[tuple[int, ...], Shape] = {}
+
+    def read(self, instance: Any) -> None:
+        """Add an instance of the evaluated scene."""
+        obj, reading = instance.object, self._reading
+        owner = (instance.parent if instance.is_instance else obj).original
+        role = self._played.get(owner, "room")
+        matrix = numbers(instance.matrix_world)
+        if not instance.is_instance and obj.original in self._played:
+            reading.places[role if role != "target" or obj.original == self._target else obj.name] = matrix
+        if instance.show_self and _has_empty_slot(obj.original):
+            words = f"{obj.name!r} has an empty material slot of its own, which Blender's versions fill differently"
+            reading.layers += [words] * (words not in reading.layers)
+            reading.reasons += [words] * (words not in reading.reasons)
+        if obj.type == "LIGHT":
+            _read_lamp(instance, self._played.get(obj.original, "room"), matrix, reading)
+            return
+        hair = [s for s in obj.particle_systems if s.settings.type == "HAIR" and s.settings.render_type == "PATH"]
+        if hair and instance.show_particles:
+            reading.reasons.append(f"{obj.name!r} carries hair")
+            _read_substance(instance, role, matrix, reading)
+        if not instance.show_self:
+            return
+        if obj.type in _NOT_MESH:
+            reading.reasons.append(f"{obj.name!r} is {_NOT_MESH[obj.type]}, and surfel knows only faces")
+            _read_substance(instance, role, matrix, reading)
+        elif isinstance(obj.data, bpy.types.Mesh):  # a curve or text comes a second time, as the mesh made of it
+            shape = self._shape(obj)
+            if len(shape.corners):
+                self._add_surface(instance, role, matrix, shape)
+
+    def _shape(self, obj: bpy.types.Object) -> Shape:
+        # Objects that share a mesh may differ in their materials.
+        made_of = [slot.material.as_pointer() if slot.material else 0 for slot in obj.material_slots]
+        key = (obj.data.as_pointer(), *made_of)
+        if key not in self._shapes:
+            self._shapes[key] = shape_of(obj)
+        return self._shapes[key]
+
+    def _label(self, obj: bpy.types.Object, role: str) -> str:
+        if role == "relay_wall":
+            return f"the relay wall {obj.name!r}"
+        if role == "target" and obj.original == self._target:
+            return f"the target {obj.name!r}"
+        return f"{obj.name!r}, which moves with the target," if role == "target" else f"{obj.name!r}"
+
+    def _add_surface(self, instance: Any, role: str, matrix: Array, shape: Shape) -> None:
+        obj, reading = instance.object, self._reading
+        label = self._label(obj, role)
+        triangles = shape.corners @ matrix[:3, :3].T + matrix[:3, 3]
+        flaws = [*shape.flaws, *_visibility_flaws(instance, role, self._layer)]
+        if not np.isfinite(triangles).all():
+            flaws.append("has a corner that is not a finite number")
+            triangles = np.nan_to_num(triangles, nan=0.0, posinf=0.0, neginf=0.0)
+        reading.surfaces.append(
+            Surface(
+                name=obj.name,
+                label=label,
+                role=role if role in ("relay_wall", "target") else "room",
+                triangles=triangles,
+                albedo=shape.albedo,
+                closed=shape.closed,
+                smooth=shape.lean > SMOOTH,
+                faces=shape.faces,
+                seen=obj.visible_camera,
+                flaws=tuple(f"{label} {flaw}" for flaw in flaws),
+                kinds=shape.kinds,
+                unseen_by=frozenset(_unseen_by(instance)),
+                softened=shape.lean > COARSE and softening(obj.original) > 0.0,
+            )
         )
-        reading.layers += [words] * (words not in reading.layers)
-        reading.reasons += [words] * (words not in reading.reasons)
-    if obj.type == "LIGHT":
-        _read_lamp(instance, played.get(obj.original, "room"), matrix, reading)
-        return
-    hair = [s for s in obj.particle_systems if s.settings.type == "HAIR" and s.settings.render_type == "PATH"]
-    if hair and instance.show_particles:
-        reading.reasons.append(f"{obj.name!r} carries hair")
-        _read_substance(instance, role, matrix, reading)
-    if not instance.show_self:
-        return
-    if obj.type in _NOT_MESH:
-        reading.reasons.append(f"{obj.name!r} is {_NOT_MESH[obj.type]}, and surfel knows only faces")
-        _read_substance(instance, role, matrix, reading)
-        return
-    if not isinstance(obj.data, bpy.types.Mesh):
-        return  # a curve or text comes a second time, as the mesh made of it
-    # Objects that share a mesh may differ in their materials.
-    made_of = [slot.material.as_pointer() if slot.material else 0 for slot in obj.material_slots]
-    key = (obj.data.as_pointer(), *made_of)
-    if key not in known:
-        known[key] = shape_of(obj)
-    shape = known[key]
-    if not len(shape.corners):
-        return
-    label = f"{obj.name!r}"
-    if role == "relay_wall":
-        label = f"the relay wall {label}"
-    elif role == "target":
-        label = f"the target {label}" if obj.original == target else f"{label}, which moves with the target,"
-    triangles = shape.corners @ matrix[:3, :3].T + matrix[:3, 3]
-    flaws = [*shape.flaws, *_visibility_flaws(instance, role, layer)]
-    if not np.isfinite(triangles).all():
-        flaws.append("has a corner that is not a finite number")
-        triangles = np.nan_to_num(triangles, nan=0.0, posinf=0.0, neginf=0.0)
-    reading.surfaces.append(
-        Surface(
-            name=obj.name,
-            label=label,
-            role=role if role in ("relay_wall", "target") else "room",
-            triangles=triangles,
-            albedo=shape.albedo,
-            closed=shape.closed,
-            smooth=shape.lean > SMOOTH,
-            faces=shape.faces,
-            seen=obj.visible_camera,
-            flaws=tuple(f"{label} {flaw}" for flaw in flaws),
-            kinds=shape.kinds,
-            unseen_by=frozenset(_unseen_by(instance)),
-            softened=shape.lean > COARSE and softening(obj.original) > 0.0,
-        )
-    )
-    reading.kinds[obj.name] = reading.kinds.get(obj.name, frozenset()) | shape.kinds
-    if nodes.VOLUME in shape.kinds:
-        reading.volumes.append(f"{obj.name!r} is filled with a volume")
-    if shape.glowing.any() or shape.fire:
-        kind = "SURFACE" if shape.glowing.any() else "VOLUME"
-        shining = triangles[shape.glowing] if shape.glowing.any() else triangles
-        reading.lights.append(Light(obj.name, kind, role, instance.is_instance, matrix, corners=shining))
+        reading.kinds[obj.name] = reading.kinds.get(obj.name, frozenset()) | shape.kinds
+        if nodes.VOLUME in shape.kinds:
+            reading.volumes.append(f"{obj.name!r} is filled with a volume")
+        if shape.glowing.any() or shape.fire:
+            kind = "SURFACE" if shape.glowing.any() else "VOLUME"
+            shining = triangles[shape.glowing] if shape.glowing.any() else triangles
+            reading.lights.append(Light(obj.name, kind, role, instance.is_instance, matrix, corners=shining))
 
 
 def _has_empty_slot(obj: bpy.types.Object) -> bool:

@@ -21,6 +21,7 @@ from generator.blender.engines.planes import (
 from generator.blender.engines.surface import CORNERS, EDGE, FLAT, Reading
 from generator.blender.scene import roles
 from generator.blender.scene.words import numbers
+from generator.model.arrays import Array
 from generator.transport.world import Watched
 
 
@@ -50,35 +51,13 @@ def read_watched(
     frame, eye = matrix[:3, :3] / np.linalg.norm(matrix[:3, :3], axis=0), matrix[:3, 3]
     if (eye - point) @ normal < 0:
         normal = -normal
-    height = float((eye - point) @ normal)
-    right_top, _, left_bottom, left_top = (
-        frame @ np.asarray(c, dtype=np.float64) for c in lens.view_frame(scene=scene)
-    )
-    across, down = right_top - left_top, left_bottom - left_top
+    corners = [frame @ np.asarray(c, dtype=np.float64) for c in lens.view_frame(scene=scene)]
     forward = -frame[:, 2]
-    beyond = f"{name} sees beyond the plane of the relay wall {wall.name!r}"
-    # Where a ray meets the plane is homogeneous: the ray's own slope towards the wall is the last component.
-    to_wall = np.zeros((4, 3))
-    if lens.type == "ORTHO":
-        slope = float(-forward @ normal)
-        if slope <= 1e-9:
-            return None, [*reasons, beyond]
-        # The frame's corners lie before the camera; only where they are across its axis counts.
-        start = np.column_stack([across, down, eye + left_top])
-        start_height = normal @ start - np.array([0.0, 0.0, normal @ point])
-        to_wall[:3] = start + np.outer(forward, start_height / slope)
-        to_wall[3] = 0.0, 0.0, 1.0
-        middle = to_wall[:3] @ np.array([0.5, 0.5, 1.0])
-        seen_from = np.append(-forward * float((middle - eye) @ forward), 0.0)
-    else:
-        rays = np.column_stack([across, down, left_top])
-        rays = rays / np.abs(rays).max()
-        slopes = -normal @ rays
-        to_wall[:3] = height * rays + np.outer(eye, slopes)
-        to_wall[3] = slopes
-        seen_from = np.append(eye, 1.0)
-        if (np.column_stack([CORNERS, np.ones(4)]) @ slopes <= 1e-9).any() or height <= 1e-9 * size:
-            return None, [*reasons, beyond]
+    project = _parallel if lens.type == "ORTHO" else _central
+    projected = project(corners, forward, eye, normal, point, size)
+    if projected is None:
+        return None, [*reasons, f"{name} sees beyond the plane of the relay wall {wall.name!r}"]
+    to_wall, seen_from = projected
     watched = Watched(
         to_wall=to_wall,
         eye=seen_from,
@@ -111,3 +90,41 @@ def read_watched(
     if not covered(surfaces, sides, point, normal, outline, slack):
         reasons.append(f"{name} sees beyond the edge of the relay wall {wall.name!r}")
     return watched, list(dict.fromkeys(reasons))
+
+
+def _parallel(
+    corners: list[Array], forward: Array, eye: Array, normal: Array, point: Array, _: float
+) -> tuple[Array, Array] | None:
+    """Return the map from a picture, (u, v, 1), to the wall and the eye, both homogeneous, of an orthographic camera;
+    None if it sees beyond the wall's plane.
+
+    ``corners`` (3,) of its frame are relative to the eye, as Blender orders them; ``normal`` and ``point`` are the
+    wall's.
+    """
+    slope = float(-forward @ normal)
+    if slope <= 1e-9:
+        return None
+    right_top, _bottom, left_bottom, left_top = corners
+    # The frame's corners lie before the camera; only where they are across its axis counts.
+    start = np.column_stack([right_top - left_top, left_bottom - left_top, eye + left_top])
+    start_height = normal @ start - np.array([0.0, 0.0, normal @ point])
+    to_wall = np.zeros((4, 3))
+    to_wall[:3] = start + np.outer(forward, start_height / slope)
+    to_wall[3] = 0.0, 0.0, 1.0
+    middle = to_wall[:3] @ np.array([0.5, 0.5, 1.0])
+    return to_wall, np.append(-forward * float((middle - eye) @ forward), 0.0)
+
+
+def _central(
+    corners: list[Array], _: Array, eye: Array, normal: Array, point: Array, size: float
+) -> tuple[Array, Array] | None:
+    """As `_parallel`, of a perspective camera; ``size`` is the wall's."""
+    right_top, _bottom, left_bottom, left_top = corners
+    height = float((eye - point) @ normal)
+    rays = np.column_stack([right_top - left_top, left_bottom - left_top, left_top])
+    rays = rays / np.abs(rays).max()
+    # Where a ray meets the plane is homogeneous: the ray's own slope towards the wall is the last component.
+    slopes = -normal @ rays
+    if (np.column_stack([CORNERS, np.ones(4)]) @ slopes <= 1e-9).any() or height <= 1e-9 * size:
+        return None
+    return np.concatenate([height * rays + np.outer(eye, slopes), [slopes]]), np.append(eye, 1.0)

@@ -9,8 +9,7 @@ import pytest
 from classify_helpers import make_bulk, plain_atlas
 from scipy.stats import norm
 
-from classify.inference import atlas as atlases
-from classify.inference import bound
+from classify.inference import atlas_build, bound
 from classify.inference.posterior import Synthesis
 from classify.pictures.sensor import Sensor
 from generator.model.errors import NlosError
@@ -51,7 +50,7 @@ def test_two_pictures_are_told_apart_as_two_normal_variables(distance):
 def test_strength_is_known_to_the_root_of_the_photons(simulated, frames):
     """With photons alone, and nothing but the object's light, no estimate beats 1 / sqrt(N): all photons count."""
     sensor = Sensor(read_noise=0.0, bits=0, frames=frames)
-    synthesis = Synthesis(atlases.build(simulated, sensor, measured_background=False), simulated.world())
+    synthesis = Synthesis(atlas_build.build(simulated, sensor, measured_background=False), simulated.world())
     made = Transport(simulated.world(), accuracy=1e-3).difference(PLACE, TURN)
     photons = frames * synthesis.atlas.sensor.electrons(made).sum()
     assert bound.limits(synthesis, PLACE, TURN).strength * math.sqrt(photons) == pytest.approx(1.0, rel=0.02)
@@ -59,7 +58,7 @@ def test_strength_is_known_to_the_root_of_the_photons(simulated, frames):
 
 def test_the_code_keeps_the_pictures_information(simulated):
     """The bound on the position is that of all pixels, by the engine's derivatives and the sensor's variance."""
-    synthesis = Synthesis(atlases.build(simulated, Sensor(), measured_background=False), simulated.world())
+    synthesis = Synthesis(atlas_build.build(simulated, Sensor(), measured_background=False), simulated.world())
     sensor = synthesis.atlas.sensor
     for place in (PLACE, np.array([1.2, 1.4, -0.1])):
         made = Transport(simulated.world(), accuracy=1e-2).render(place, TURN, derivatives=True)
@@ -70,7 +69,7 @@ def test_the_code_keeps_the_pictures_information(simulated):
 
 def test_a_ball_that_turns_is_not_seen_to(simulated):
     """Within the engine's accuracy: a turn shows far less than the shift of the rim by as much."""
-    synthesis = Synthesis(atlases.build(simulated, Sensor(), measured_background=False), simulated.world())
+    synthesis = Synthesis(atlas_build.build(simulated, Sensor(), measured_background=False), simulated.world())
     found = bound.limits(synthesis, PLACE, TURN)
     assert (found.rotation > 5.0 * found.position / 0.15).all()
     assert (found.turned >= found.position * 0.999).all()
@@ -97,7 +96,7 @@ def test_rates_that_cannot_be_are_one_sentence(simulated):
 
 def test_the_map_holds_the_bounds_of_its_places(simulated, tmp_path):
     """Each field of the map is the bound there; a picture of it is drawn."""
-    synthesis = Synthesis(atlases.build(simulated, Sensor()), simulated.world())
+    synthesis = Synthesis(atlas_build.build(simulated, Sensor()), simulated.world())
     found = bound.over_volume(synthesis, across=3)
     grid = synthesis.atlas.grid
     assert found.presence.shape == (len(found.y), 3)

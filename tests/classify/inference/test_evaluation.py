@@ -13,8 +13,7 @@ from classify_helpers import make_bulk, make_dataset, make_seen, plain_atlas
 from scipy import stats
 
 from classify.cli.main import main
-from classify.inference import atlas as atlases
-from classify.inference import evaluation
+from classify.inference import atlas_build, atlas_file, evaluation
 from classify.inference.detect import Detector, detections, evidence
 from classify.pictures.sensor import Sensor
 from generator.model.errors import NlosError
@@ -39,7 +38,7 @@ def seen(tmp_path_factory):
 
 def test_a_wall_of_another_albedo_is_exposed_for(simulated, tmp_path):
     """All light goes over the relay wall twice: half the albedo is a quarter of the light, in every picture."""
-    atlas = atlases.build(simulated, DIM)
+    atlas = atlas_build.build(simulated, DIM)
     usual, dark = (
         make_seen(tmp_path / name, make_bulk(tmp_path / f"b{name}", pictures=80, room=(FLOOR,), seed=3, wall=wall))
         for name, wall in (("usual", 0.8), ("dark", 0.4))
@@ -54,7 +53,7 @@ def test_a_wall_of_another_albedo_is_exposed_for(simulated, tmp_path):
 @pytest.mark.parametrize("rate", [0.01, 0.1])
 def test_false_alarms_are_as_many_as_asked_for(simulated, rate):
     """On empty scenes that the threshold was not chosen on."""
-    atlas = atlases.build(simulated, DIM)
+    atlas = atlas_build.build(simulated, DIM)
     detector = Detector.at(atlas, rate)
     empty = np.random.default_rng(7).normal(size=(20_000, atlas.codes.shape[1])).astype(np.float32)
     low, high = stats.binom.interval(0.999, len(empty), rate)
@@ -79,7 +78,7 @@ def test_the_evidence_is_the_best_test():
 
 def test_a_data_set_is_answered(simulated, seen):
     """Voxel, position and presence of every picture, and rates that agree with what is stated."""
-    answers = evaluation.run(atlases.build(simulated, DIM), seen, seed=1)
+    answers = evaluation.run(atlas_build.build(simulated, DIM), seen, seed=1)
     assert answers.accuracy().value > 0.6
     held = int(answers.inside.sum())
     assert answers.calibration(np.array([0.95]))[0] == pytest.approx(held / len(answers.records))
@@ -91,7 +90,7 @@ def test_a_data_set_is_answered(simulated, seen):
     written = list(csv.DictReader(answers.csv().splitlines()))
     assert len(written) == len(seen.records)
     assert {row["voxel"] for row in written} <= set(seen.grid.labels)
-    again = evaluation.run(atlases.build(simulated, DIM), seen, seed=1)
+    again = evaluation.run(atlas_build.build(simulated, DIM), seen, seed=1)
     assert again.csv() == answers.csv()
 
 
@@ -102,7 +101,7 @@ def test_the_command_line(simulated, seen, tmp_path, command):
     made = command("classify", "atlas", simulated.path, "-o", file, "--sensor", tmp_path / "dim.toml", "--frames", 2)
     assert made.returncode == 0, made.stderr
     assert "1200 pictures of a sphere" in made.stdout
-    assert atlases.load(file).sensor.frames == 2
+    assert atlas_file.load(file).sensor.frames == 2
     located = command("classify", "locate", file, seen.path, "-o", tmp_path / "answers")
     assert located.returncode == 0, located.stderr
     assert "in empty scenes, something is found in" in located.stdout
@@ -135,7 +134,7 @@ def test_the_command_line(simulated, seen, tmp_path, command):
 def test_bad_input_is_one_sentence(simulated, seen, tmp_path, command, arguments, words):
     """Exit code 2, one line, nothing left behind."""
     (tmp_path / "bad.toml").write_text('colour = "red"\n')
-    atlases.save(tmp_path / "a.atlas", atlases.build(simulated, DIM))
+    atlas_file.save(tmp_path / "a.atlas", atlas_build.build(simulated, DIM))
     places = {
         "missing": tmp_path / "missing",
         "out": tmp_path / "out.atlas",
@@ -162,7 +161,7 @@ def test_an_unfinished_set_makes_no_atlas(simulated, tmp_path):
     shutil.copytree(simulated.path, copy)
     next(copy.glob("part-*.h5")).unlink()
     with pytest.raises(NlosError, match=r"1 of \d+ parts are missing; finish the set first"):
-        atlases.build(type(simulated).open(copy), DIM)
+        atlas_build.build(type(simulated).open(copy), DIM)
 
 
 def test_longer_exposures_find_what_short_ones_miss_as_two_normal_variables_would():
@@ -210,4 +209,4 @@ def test_sets_of_other_scenes_do_not_make_one_atlas(tmp_path):
     darker = worlds.quad((-2.0, 0.0, -1.0), (4.0, 0.0, 0.0), (0.0, 3.0, 0.0), 0.3)
     one, other = (make_bulk(tmp_path / name, pictures=8, room=(f,)) for name, f in (("a", floor), ("b", darker)))
     with pytest.raises(NlosError, match="show different scenes; only the object may differ"):
-        atlases.build(one, Sensor(), other)
+        atlas_build.build(one, Sensor(), other)

@@ -7,8 +7,7 @@ import pytest
 from classify_helpers import colour, make_bulk
 from scipy import stats
 
-from classify.inference import atlas as atlases
-from classify.inference import posterior, unknown_object
+from classify.inference import atlas_build, atlas_file, posterior, unknown_object
 from classify.pictures.sensor import Sensor
 from generator.model.errors import NlosError
 
@@ -40,7 +39,7 @@ def test_an_empty_scene_has_a_code_of_unit_noise(tmp_path, measured):
     floor = worlds.quad((-2.0, 0.0, -1.0), (4.0, 0.0, 0.0), (0.0, 3.0, 0.0), 0.5)
     found = make_bulk(tmp_path / "set", pictures=64, room=(floor,))
     sensor = Sensor(background_frames=2)
-    atlas = atlases.build(found, sensor, measured_background=measured)
+    atlas = atlas_build.build(found, sensor, measured_background=measured)
     rng = np.random.default_rng(1)
     codes = []
     for _ in range(400):
@@ -59,7 +58,7 @@ DIM = Sensor(full_well=40.0, bits=8)
 @pytest.mark.parametrize("sensor", [DIM, Sensor(full_well=1000.0, bits=10), Sensor()], ids=["dim", "some", "bright"])
 def test_stated_uncertainty_is_true(simulated, unseen, sensor):
     """95 % regions hold the truth in 95 % of the cases, voxels are right as often as they say they are."""
-    atlas = atlases.build(simulated, sensor, measured_background=False)
+    atlas = atlas_build.build(simulated, sensor, measured_background=False)
     found = places(atlas, unseen)
     apart = np.array([p.position for p in found]) - unseen.positions
     distance = [d @ np.linalg.solve(p.covariance, d) for d, p in zip(apart, found, strict=True)]
@@ -78,7 +77,7 @@ def test_the_engines_fit_reaches_the_bound(simulated, unseen, tmp_path, turning)
         angles = (20.0, 20.0, 20.0)
         simulated = make_bulk(tmp_path / "set", radius=0.0, rotation=angles)
         unseen = make_bulk(tmp_path / "unseen", radius=0.0, rotation=angles, pictures=32, seed=9)
-    atlas = atlases.build(simulated, Sensor(frames=100), measured_background=False)
+    atlas = atlas_build.build(simulated, Sensor(frames=100), measured_background=False)
     synthesis = posterior.Synthesis(atlas, unseen.world())
     rng = np.random.default_rng(4)
     apart = []
@@ -92,7 +91,7 @@ def test_the_engines_fit_reaches_the_bound(simulated, unseen, tmp_path, turning)
 
 def test_evidence_speaks_for_what_is_there(simulated, unseen):
     """A picture with the object is evidence for it, one without against it."""
-    atlas = atlases.build(simulated, Sensor(), measured_background=False)
+    atlas = atlas_build.build(simulated, Sensor(), measured_background=False)
     rng = np.random.default_rng(3)
     dark = np.zeros((16, 16, 3), dtype=np.float32)
     empty = posterior.locate(atlas, atlas.code(atlas.sensor.measure(dark, rng)))
@@ -102,9 +101,9 @@ def test_evidence_speaks_for_what_is_there(simulated, unseen):
 
 def test_an_atlas_is_kept_in_a_file(simulated, tmp_path):
     """What was written is read."""
-    atlas = atlases.build(simulated, Sensor())
-    atlases.save(tmp_path / "a.h5", atlas)
-    again = atlases.load(tmp_path / "a.h5")
+    atlas = atlas_build.build(simulated, Sensor())
+    atlas_file.save(tmp_path / "a.h5", atlas)
+    again = atlas_file.load(tmp_path / "a.h5")
     assert np.array_equal(again.codes, atlas.codes)
     assert (again.sensor, again.grid, again.about) == (atlas.sensor, atlas.grid, atlas.about)
 
@@ -113,10 +112,10 @@ def test_bad_input_is_one_sentence(simulated, tmp_path):
     """Other files, other sizes, NaN."""
     (tmp_path / "a.h5").write_text("no")
     with pytest.raises(NlosError, match=r"a\.h5: is not an atlas file of this software"):
-        atlases.load(tmp_path / "a.h5")
+        atlas_file.load(tmp_path / "a.h5")
     with pytest.raises(NlosError, match="no such atlas file"):
-        atlases.load(tmp_path / "b.h5")
-    atlas = atlases.build(simulated, Sensor())
+        atlas_file.load(tmp_path / "b.h5")
+    atlas = atlas_build.build(simulated, Sensor())
     with pytest.raises(NlosError, match="has 8 x 8 pixels, but the atlas is of 16 x 16"):
         atlas.code(np.ones((8, 8, 3), dtype=np.float32))
     with pytest.raises(NlosError, match="holds NaN or infinite values"):
@@ -131,8 +130,8 @@ def test_an_atlas_serves_fewer_frames_than_it_was_made_for(tmp_path, frames):
     floor = worlds.quad((-2.0, 0.0, -1.0), (4.0, 0.0, 0.0), (0.0, 3.0, 0.0), 0.5)
     found = make_bulk(tmp_path / "set", pictures=256, room=(floor,))
     drifts = {"lamp_drift": 0.01, "ambient_drift": 0.02}
-    derived = atlases.build(found, Sensor(frames=40), **drifts).at(frames)
-    made = atlases.build(found, Sensor(frames=frames, exposure=derived.sensor.exposure), **drifts)
+    derived = atlas_build.build(found, Sensor(frames=40), **drifts).at(frames)
+    made = atlas_build.build(found, Sensor(frames=frames, exposure=derived.sensor.exposure), **drifts)
     assert derived.sensor == made.sensor
     assert derived.spread == pytest.approx(made.spread)
     picture = derived.sensor.measure(colour(found.pictures[7]), np.random.default_rng(5))
@@ -140,12 +139,12 @@ def test_an_atlas_serves_fewer_frames_than_it_was_made_for(tmp_path, frames):
     # Each leaves out directions that move a logarithm by a few hundredths of the noise.
     assert np.abs(ours - theirs).max() < 0.1 + 0.005 * np.abs(theirs).max()
     with pytest.raises(NlosError, match="frames 41: must be from 1 to the 40"):
-        atlases.build(found, Sensor(frames=40)).at(41)
+        atlas_build.build(found, Sensor(frames=40)).at(41)
 
 
 def test_a_dim_scene_needs_an_atlas_of_its_own(simulated):
     """Where photons are few, noise changes its form, and nothing is derived."""
-    atlas = atlases.build(simulated, Sensor(frames=10))  # before a bare wall, the empty scene is dark
+    atlas = atlas_build.build(simulated, Sensor(frames=10))  # before a bare wall, the empty scene is dark
     with pytest.raises(NlosError, match="electrons in the darkest pixel"):
         atlas.at(1)
 
@@ -159,7 +158,7 @@ def test_what_could_be_a_change_of_light_is_no_evidence(tmp_path):
     lit = found.background * 1.03 + 0.03 * found.background.mean()
     told = {}
     for drift in (0.0, 0.05):
-        atlas = atlases.build(found, Sensor(frames=10), lamp_drift=drift, ambient_drift=drift)
+        atlas = atlas_build.build(found, Sensor(frames=10), lamp_drift=drift, ambient_drift=drift)
         told[drift] = posterior.locate(atlas, atlas.code(lit.astype(np.float32), found.background)).evidence
     assert told[0.0] > 5.0
     assert told[0.05] < 1.0
@@ -198,7 +197,7 @@ def test_an_object_of_another_size_and_albedo_is_found(tmp_path):
     sensor = Sensor(frames=1000, background_frames=100_000)
     rights = {}
     for unknown in (False, True):
-        atlas = atlases.build(found, sensor, unknown=unknown)
+        atlas = atlas_build.build(found, sensor, unknown=unknown)
         answers = places(atlas, other)
         rights[unknown] = np.mean([p.voxels.argmax() for p in answers] == other.voxels)
     assert rights[True] > 0.9

@@ -13,8 +13,7 @@ from scipy.linalg import expm
 from scipy.spatial import cKDTree
 from scipy.stats import binom, multivariate_normal
 
-from classify.inference import atlas as atlases
-from classify.inference import sequence
+from classify.inference import atlas_build, sequence
 from classify.inference.posterior import holds, locate
 from classify.inference.tracker import Filter
 from classify.pictures.sensor import Sensor
@@ -218,7 +217,7 @@ def test_a_sequence_that_grows_is_waited_for(tmp_path):
     (frames.path / frames.records[30].file).unlink()
     frames = type(frames).open(frames.path)
     frames.gather()
-    atlas = atlases.build(simulated, Sensor(full_well=300.0, bits=10))
+    atlas = atlas_build.build(simulated, Sensor(full_well=300.0, bits=10))
     followed = sequence.run(atlas, frames, step=0.3, patience=0.05)
     assert len(followed.steps) == 30
 

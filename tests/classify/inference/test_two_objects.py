@@ -9,7 +9,7 @@ import pytest
 from classify_helpers import make_bulk, plain_atlas
 from scipy.stats import multivariate_normal
 
-from classify.inference import atlas as atlases
+from classify.inference import atlas_build
 from classify.inference.two_objects import locate_two
 from classify.pictures.sensor import Sensor
 from generator.model.errors import NlosError
@@ -39,7 +39,7 @@ def test_the_pairs_are_weighed_by_their_likelihood():
 
 def test_two_spheres_of_the_engine_are_found(tmp_path):
     simulated = make_bulk(tmp_path / "set", pictures=1200, radius=0.1, ambient=LIGHT)
-    found = atlases.build(simulated, Sensor(frames=100, background_frames=10000), measured_background=False)
+    found = atlas_build.build(simulated, Sensor(frames=100, background_frames=10000), measured_background=False)
     world, rng = simulated.world(), np.random.default_rng(1)
     right = 0
     for _ in range(30):
@@ -55,13 +55,13 @@ def test_two_spheres_of_the_engine_are_found(tmp_path):
 
 
 def test_what_outshines_its_scene_is_one_sentence(tmp_path):
-    found = atlases.build(make_bulk(tmp_path / "set", pictures=64), Sensor())
+    found = atlas_build.build(make_bulk(tmp_path / "set", pictures=64), Sensor())
     with pytest.raises(NlosError, match="adds up only where it is faint"):
         locate_two(found, np.zeros(found.codes.shape[1], dtype=np.float32))
 
 
 def test_size_must_be_known(tmp_path):
     simulated = make_bulk(tmp_path / "set", pictures=64)
-    found = atlases.build(simulated, Sensor(), unknown=True)
+    found = atlas_build.build(simulated, Sensor(), unknown=True)
     with pytest.raises(NlosError, match="by an atlas of a known object only"):
         locate_two(found, np.zeros(found.codes.shape[1], dtype=np.float32))

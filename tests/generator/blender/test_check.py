@@ -10,9 +10,9 @@ import pytest
 from mathutils import Matrix
 from numpy.testing import assert_allclose
 
-from generator.blender import check, sweep_worker
-from generator.blender.check import ERROR, GOOD, NOTE, WARNING
+from generator.blender import check, check_signal, sweep_worker
 from generator.blender.engines import renderers
+from generator.blender.finding import ERROR, GOOD, NOTE, WARNING
 from generator.blender.measure import experiment
 from generator.blender.scene import adopt, blend_file, build, roles
 from generator.blender.scene.description import read_scene
@@ -131,7 +131,7 @@ def test_the_probe_foretells_signal_and_noise():
     scene = built()
     size = (16, 16)
     sweep = Sweep(engine="patch", samples=64, resolution=size, poses=3, seed=0)
-    found = check.probe(scene, sweep)
+    found = check_signal.probe(scene, sweep)
     with renderers.opened(scene, "surfel", resolution=size, accuracy=1e-3) as renderer:
         wall, without = renderer.render(), renderer.render(target=False)
     truth = wall - without
@@ -145,7 +145,7 @@ def test_the_probe_foretells_signal_and_noise():
     assert ratio / 1.6 < found.signal_to_noise < ratio * 1.6
     assert found.seconds > 0
     assert found.bytes == pytest.approx(3.7 * 3 * 256 * 27)
-    exact = check.probe(scene, Sweep(engine="surfel", resolution=size, accuracy=1e-2, rotation=(0, 0, 0)))
+    exact = check_signal.probe(scene, Sweep(engine="surfel", resolution=size, accuracy=1e-2, rotation=(0, 0, 0)))
     assert exact.signal_to_noise == pytest.approx(100.0)
 
 
@@ -510,14 +510,14 @@ PROBED = {"samples": 64, "resolution": (16, 16), "poses": 3, "seed": 0}
 def test_an_object_that_the_noise_hides_changes_what_surfel_says(scale, engine, missed):
     """By 0.4 % to 0.00004 %: never "nothing", though no sample of path meets its light."""
     scene = small(scale)
-    found = check.probe(scene, Sweep(engine=engine, **PROBED))
+    found = check_signal.probe(scene, Sweep(engine=engine, **PROBED))
     with renderers.opened(scene, "surfel", resolution=(16, 16), accuracy=1e-4) as renderer:
         wall, without = renderer.render(), renderer.render(target=False)
     assert found.share == pytest.approx((wall - without).mean() / wall.mean(), rel=0.03)
     assert bool(found.missed) == missed
     [signal, _] = found.findings()
     assert signal.level == WARNING
-    assert f"The object adds {check._share(found.share)} to the picture" in signal.text
+    assert f"The object adds {check_signal._share(found.share)} to the picture" in signal.text
     assert "or the engine 'surfel'" in signal.text
 
 
@@ -526,7 +526,7 @@ def test_where_surfel_cannot_be_asked_a_range_is_told():
     with renderers.opened(scene, "surfel", resolution=(16, 16), accuracy=1e-3) as renderer:
         wall, without = renderer.render(), renderer.render(target=False)
     rough_target(scene)  # which changes what it adds by less than the noise hides
-    found = check.probe(scene, Sweep(engine="patch", **PROBED))
+    found = check_signal.probe(scene, Sweep(engine="patch", **PROBED))
     [signal, _] = found.findings()
     assert signal.level == WARNING
     assert "(95 %), which the noise of 'patch' hides; more samples would tell" in signal.text
@@ -537,7 +537,7 @@ def test_where_surfel_cannot_be_asked_a_range_is_told():
 def test_what_no_sample_met_is_bounded_and_no_error():
     scene = small(0.02)
     rough_target(scene)
-    found = check.probe(scene, Sweep(engine="path", **PROBED))
+    found = check_signal.probe(scene, Sweep(engine="path", **PROBED))
     [signal, _] = found.findings()
     assert found.missed >= 16 * 256
     assert signal.level == WARNING
@@ -550,7 +550,7 @@ def test_an_object_that_nothing_lights_changes_nothing():
     with Overrides() as overrides:
         overrides.set(roles.find(scene, "spot").data, "energy", 0.0)
         for engine in ("surfel", "patch"):
-            [signal, _] = check.probe(scene, Sweep(engine=engine, **PROBED)).findings()
+            [signal, _] = check_signal.probe(scene, Sweep(engine=engine, **PROBED)).findings()
             assert (signal.level, "changes nothing" in signal.text) == (ERROR, True)
 
 

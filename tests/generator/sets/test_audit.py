@@ -13,7 +13,7 @@ import pytest
 from classify_helpers import make_bulk, make_dataset, plain_atlas
 
 from classify.cli import main as classify_cli
-from classify.inference import atlas as atlases
+from classify.inference import atlas_build, atlas_file
 from classify.pictures import feature_table
 from classify.pictures.features import FeatureSettings
 from generator.cli import main as cli
@@ -38,7 +38,7 @@ def any_atlas(tmp_path_factory):
     path = tmp_path_factory.mktemp("atlas") / "a.atlas"
     grid = preset("room").grid
     middles = [np.mean(grid.bounds(voxel), axis=0) for voxel in range(9)]
-    atlases.save(path, plain_atlas(np.eye(9), middles, np.arange(9), grid))
+    atlas_file.save(path, plain_atlas(np.eye(9), middles, np.arange(9), grid))
     return path
 
 
@@ -524,10 +524,10 @@ def test_an_atlas_is_of_one_space(tmp_path):
     from classify.pictures.sensor import Sensor
 
     simulated_set = make_bulk(tmp_path / "bulk", pictures=60, resolution=(12, 12))
-    atlas = atlases.build(simulated_set, Sensor(full_well=300.0, bits=10))
+    atlas = atlas_build.build(simulated_set, Sensor(full_well=300.0, bits=10))
     assert atlas.colour_space == "Rec.709"
-    atlases.save(tmp_path / "a", atlas)
-    assert atlases.load(tmp_path / "a").colour_space == "Rec.709"
+    atlas_file.save(tmp_path / "a", atlas)
+    assert atlas_file.load(tmp_path / "a").colour_space == "Rec.709"
     wide = make_dataset(tmp_path / "wide", n=1, grid=simulated_set.grid, colour_space="Rec.2020")
     with pytest.raises(NlosError, match=r"linear Rec\.2020, and those of the atlas linear Rec\.709"):
         evaluation.run(atlas, wide)

@@ -14,6 +14,7 @@ from mathutils import Matrix
 
 from generator.blender import check, sweep_worker
 from generator.blender.engines import renderers, survey
+from generator.blender.finding import ERROR
 from generator.blender.scene import blend_file, build, geometry, posing, roles
 from generator.blender.scene.clearance import Solid, clearance
 from generator.blender.scene.description import read_scene
@@ -112,7 +113,7 @@ def test_check_and_plan_refuse_it_too_before_any_work(name, tmp_path):
     blend_file.save_file(tmp_path / "held.blend")
     blender = blend_file.open_file(tmp_path / "held.blend")
     found = check.findings(blender, engine="auto")
-    assert any(f.level == check.ERROR and "does not go where it is put" in f.text for f in found)
+    assert any(f.level == ERROR and "does not go where it is put" in f.text for f in found)
     with pytest.raises(NlosError, match="does not go where it is put"):
         sweep_worker.plan(blender, tmp_path / "held.blend", tmp_path / "set", {"poses": 1, "samples": 4})
     assert not (tmp_path / "set").exists()
@@ -310,7 +311,7 @@ def test_so_it_is_in_a_file_that_was_saved_like_that(role, tmp_path):
     with renderers.opened(blender, "surfel", resolution=(8, 8)) as renderer:
         posing.move_target(blender, POSITION, ROTATION)
         assert renderer.render().mean() == pytest.approx(plain.mean(), rel=0.1)
-    assert not any(f.level == check.ERROR for f in check.findings(blender, engine="auto"))
+    assert not any(f.level == ERROR for f in check.findings(blender, engine="auto"))
 
 
 def test_a_cupboard_that_the_viewport_hides_is_kept_clear_of():
@@ -572,6 +573,6 @@ def test_an_instanced_collection_can_be_the_target():
     is_free = clearance(blender, read_scene(blender), engine="patch")
     assert is_free(POSITION, ROTATION)
     assert not is_free((1.5, 0.1, 1.2), (0.0, 0.0, 80.0))
-    assert not any(f.level == check.ERROR for f in check.findings(blender))
+    assert not any(f.level == ERROR for f in check.findings(blender))
     np.testing.assert_allclose(picture(blender, samples=64), plain, rtol=0.3)
     assert picture(blender, samples=64).mean() == pytest.approx(plain.mean(), rel=0.02)

@@ -5,10 +5,10 @@ from __future__ import annotations
 import bpy
 import pytest
 
-from generator.blender import check
-from generator.blender.check import ERROR, NOTE
+from generator.blender import check, check_signal
 from generator.blender.engines import survey
 from generator.blender.engines.settings import TURNS, settled
+from generator.blender.finding import ERROR, NOTE
 from generator.blender.scene import adopt, blend_file, build, clearance, roles
 from generator.blender.scene.description import read_scene
 from generator.files.toml import from_dict, to_dict
@@ -107,7 +107,7 @@ def test_a_target_in_a_collection_that_is_not_rendered(how):
 
 def test_an_object_that_changes_nothing_is_an_error():
     """If it is known: never "infinitely far above the noise", and never since no sample met it."""
-    probe = check.Probe(engine="surfel", share=0.0, signal_to_noise=0.0, seconds=1.0, bytes=1.0, exact=True)
+    probe = check_signal.Probe(engine="surfel", share=0.0, signal_to_noise=0.0, seconds=1.0, bytes=1.0, exact=True)
     assert [f.level for f in probe.findings()] == [ERROR, NOTE]
 
 

@@ -1,0 +1,205 @@
+"""Making an atlas: simulated pictures compressed to their codes."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+
+import numpy as np
+from numpy.typing import NDArray
+from sklearn.utils.extmath import randomized_svd
+
+from classify.inference.atlas import LEFT_OUT, Atlas, noise_of
+from classify.pictures.sensor import Sensor
+from generator.files.pictures import Picture
+from generator.jobs.bulk import Engine
+from generator.model.arrays import Array
+from generator.model.errors import NlosError
+from generator.sets.bulk_set import Bulk
+from generator.sets.readable import check_colours
+
+_FOR_BASIS = 4096
+_FIRST = 64
+_BLOCK = 2048
+
+
+def build(
+    bulk: Bulk,
+    sensor: Sensor,
+    *others: Bulk,
+    lamp_drift: float = 0.0,
+    ambient_drift: float = 0.0,
+    measured_background: bool = True,
+    unknown: bool = False,
+    progress: Callable[[int, int], None] = lambda done, total: None,
+) -> Atlas:
+    """Compress simulated sets to the codes of their pictures.
+
+    Parameters
+    ----------
+    bulk : Bulk
+        Finished.
+    *others : Bulk
+        The same scene with other objects: what is looked for may be any of them.
+    sensor : Sensor
+        Without an exposure, the brightest pixel of the background and of some thousand pictures fills it.
+    lamp_drift : float
+        Standard deviation of the lamp's strength since the background was taken, relative.
+    ambient_drift : float
+        Standard deviation of uniform light on the watched wall since then, in units of the background's mean.
+    measured_background : bool
+        Whether the background that pictures come with is measured too, and hence has noise of its own.
+    unknown : bool
+        Whether the object's size and albedo count as unknown.
+    progress : callable
+        Is told how many pictures are done, and of how many.
+
+    Raises
+    ------
+    NlosError
+        A set is not finished, or has no light, or they are not of one scene.
+    """
+    bulks = [bulk, *others]
+    if unknown and (many := [b for b in bulks if b.plan.unknown]):
+        raise NlosError(f"--unknown: {many[0].path} is of objects of all sizes and albedos already; leave it out")
+    _check_alike(bulks)
+    background = bulk.background
+    blacks = [_Black(b) for b in bulks] if unknown else []
+    share = math.ceil(_FOR_BASIS / len(bulks))
+    some = [np.unique(np.linspace(0, b.planned - 1, min(b.planned, share)).astype(np.int64)) for b in bulks]
+    samples = [_colour(b.pictures[numbers]) for b, numbers in zip(bulks, some, strict=True)]
+    sample = np.concatenate(samples)
+    difference = _Difference(sensor.exposed([background, sample.reshape(-1, sample.shape[-2], 3)]), background)
+    sensor, seen = difference.sensor, difference(sample)
+    if blacks:
+        black = [d(numbers, pictures) for d, numbers, pictures in zip(blacks, some, samples, strict=True)]
+        hidden = difference(np.concatenate(black))
+        seen = np.concatenate([seen - hidden, hidden])
+    basis, left_out = _basis(seen)
+    # What cannot be told from a change of the light, and the background's own noise, make the rest less certain.
+    spread = 1.0 + (sensor.frames / sensor.background_frames if measured_background else 0.0)
+    drifts = [background * (1.0 + lamp_drift)] if lamp_drift else []
+    drifts += [background + ambient_drift * background.mean()] if ambient_drift else []
+    nuisances = np.array([basis @ difference.of(lit) for lit in drifts])
+    nuisances = nuisances.reshape(len(drifts), len(basis)).astype(np.float32)
+    whitened = np.linalg.solve(np.linalg.cholesky(noise_of(spread, nuisances)), basis).astype(np.float32)
+    codes, hiding = _codes(bulks, blacks, difference, whitened, progress)
+    return Atlas(
+        codes=codes,
+        basis=whitened,
+        background=background.mean(axis=2, dtype=np.float64),
+        nuisances=nuisances,
+        spread=spread,
+        positions=np.concatenate([b.positions for b in bulks]),
+        rotations=np.concatenate([b.rotations for b in bulks]),
+        voxels=np.concatenate([b.voxels for b in bulks]),
+        kinds=np.repeat(np.arange(len(bulks)), [b.planned for b in bulks]),
+        grid=bulk.grid,
+        sensor=sensor,
+        left_out=left_out,
+        about=_about(bulks) | {"lamp_drift": lamp_drift, "ambient_drift": ambient_drift},
+        hiding=hiding,
+    )
+
+
+def _about(bulks: list[Bulk]) -> dict[str, object]:
+    return {
+        "targets": [b.target_kind for b in bulks],
+        "sets": [b.path.resolve().name for b in bulks],
+        "fingerprints": [b.meta["fingerprint"] for b in bulks],
+        "colour_space": bulks[0].colour_space,
+    }
+
+
+class _Difference:
+    """Pictures on the scale of a sensor's unit noise, less the empty scene."""
+
+    def __init__(self, sensor: Sensor, background: Picture) -> None:
+        self.sensor = sensor
+        self._empty = sensor.stabilised_mean(background)
+
+    def of(self, picture: Picture) -> Array:
+        """Return one picture's, (pixels,)."""
+        seen: Array = (self.sensor.stabilised_mean(picture) - self._empty).ravel()
+        return seen
+
+    def __call__(self, pictures: NDArray[np.float32]) -> NDArray[np.float32]:
+        """Return those of pictures (n, height, width, 3), (n, pixels)."""
+        return np.asarray([self.of(p) for p in pictures], dtype=np.float32)
+
+
+def _codes(
+    bulks: list[Bulk],
+    blacks: list[_Black],
+    difference: _Difference,
+    basis: NDArray[np.float32],
+    progress: Callable[[int, int], None],
+) -> tuple[NDArray[np.float32], NDArray[np.float32] | None]:
+    """Codes (n, k) of all pictures, and of what a black object hides, if ``blacks`` say so."""
+    count, done = sum(b.planned for b in bulks), 0
+    codes: list[NDArray[np.float32]] = []
+    hiding: list[NDArray[np.float32]] = []
+    for number, one in enumerate(bulks):
+        for start in range(0, one.planned, _BLOCK):
+            block = slice(start, min(start + _BLOCK, one.planned))
+            pictures = _colour(one.pictures[block])
+            codes.append(difference(pictures) @ basis.T)
+            if blacks:
+                rows = np.arange(block.start, block.stop)
+                hiding.append(difference(blacks[number](rows, pictures)) @ basis.T)
+            done += len(pictures)
+            progress(done, count)
+    return np.concatenate(codes), np.concatenate(hiding) if hiding else None
+
+
+def _check_alike(bulks: list[Bulk]) -> None:
+    """Raise NlosError unless all sets are finished and of one scene."""
+    first = bulks[0]
+    for bulk in bulks:
+        bulk.refuse_unfinished()
+        bulk.refuse_changed_parts()
+        check_colours(bulk.path, bulk.colour_space, first.colour_space, str(first.path))
+        if bulk.grid != first.grid or bulk.picture_shape != first.picture_shape:
+            raise NlosError(f"{bulk.path} and {first.path}: have different voxel grids or pictures of another size")
+        if not np.allclose(bulk.background, first.background, rtol=0.02, atol=0.0):
+            raise NlosError(f"{bulk.path} and {first.path}: show different scenes; only the object may differ")
+
+
+class _Black:
+    """The same poses of a black object, which only hides."""
+
+    def __init__(self, bulk: Bulk) -> None:
+        self._engine = Engine(bulk)
+        self._bulk = bulk
+
+    def __call__(self, some: NDArray[np.int64], pictures: NDArray[np.float32]) -> NDArray[np.float32]:
+        """Return the black object's pictures for the white one's, (n, height, width, 3)."""
+        bulk = self._bulk
+        # What an object adds takes the engine far less time than what it hides, which is the rest of its picture.
+        lit = self._engine.pictures(some, bulk.positions[some], bulk.rotations[some], shadows=False)
+        return pictures - (lit - bulk.background)
+
+
+def _basis(sample: NDArray[np.float32]) -> tuple[Array, float]:
+    """The fewest orthonormal directions (k, pixels) that hold pictures (n, pixels), and what they leave out.
+
+    By sampling the pictures' range at random (Halko, Martinsson and Tropp 2011, algorithm 4.4): all directions would
+    take minutes, and but for the first few hundred there is nothing in them.
+    """
+    pictures = sample.astype(np.float64)
+    total, most = float((pictures**2).sum()), min(pictures.shape)
+    count = min(_FIRST, most)
+    while True:
+        _, strengths, directions = randomized_svd(pictures, count, n_iter=4, random_state=0)
+        beyond = max(total - float((strengths**2).sum()), 0.0)
+        rest = np.sqrt((np.cumsum(strengths[::-1] ** 2)[::-1] + beyond) / len(pictures))
+        if count == most or beyond <= len(pictures) * LEFT_OUT**2:
+            break
+        count = min(2 * count, most)
+    kept = max(1, int((rest > LEFT_OUT).sum()))
+    return directions[:kept], float(rest[kept] if kept < len(rest) else math.sqrt(beyond / len(pictures)))
+
+
+def _colour(pictures: NDArray[np.float32]) -> NDArray[np.float32]:
+    """Pictures (..., height, width, 3) of a grey set's (..., height, width)."""
+    return pictures if pictures.shape[-1:] == (3,) and pictures.ndim > 3 else pictures[..., None].repeat(3, axis=-1)
