@@ -5,7 +5,7 @@ from __future__ import annotations
 import argparse
 from pathlib import Path
 
-from classify.cli.options import RAW, Commands, check_output, loaded, progress_bar
+from classify.cli.options import RAW, Commands, add_atlas_options, add_seed, check_output, loaded, progress_bar
 from generator.cli.terminal import print_table
 from generator.model.errors import NlosError
 
@@ -26,17 +26,8 @@ def add_parsers(commands: Commands) -> None:
         "--map", type=Path, metavar="FILE.png", help="draw the bounds over the hidden volume, seen from above"
     )
     parser.add_argument("--count", type=int, default=3000, metavar="N", help="pictures to try (default: 3000)")
-    parser.add_argument("--seed", type=int, default=0, metavar="N", help="of pictures and noise (default: 0)")
-    parser.add_argument(
-        "--frames", type=int, metavar="N", help="to average, no more than the atlas was made for (default: as many)"
-    )
-    parser.add_argument(
-        "--voxels",
-        type=int,
-        nargs=3,
-        metavar=("NX", "NY", "NZ"),
-        help="cut the volume into others than the scene's; for sets with --inside centre, which leave no gaps",
-    )
+    add_seed(parser, "of pictures and noise")
+    add_atlas_options(parser, voxels=True)
     parser.set_defaults(run=run_bound)
 
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import argparse
 from pathlib import Path
 
-from classify.cli.options import RAW, Commands, add_sensor_options, check_output, progress_bar, sensor_of
+from classify.cli.options import RAW, Commands, add_seed, add_sensor_options, check_output, progress_bar, sensor_of
 
 
 def add_parsers(commands: Commands) -> None:
@@ -64,7 +64,7 @@ def add_parsers(commands: Commands) -> None:
     )
     parser.add_argument("--partial", action="store_true", help="take an unfinished data set as it is")
     add_sensor_options(parser, "as clean radiance")
-    parser.add_argument("--seed", type=int, default=0, metavar="N", help="of the sensor's noise (default: 0)")
+    add_seed(parser, "of the sensor's noise")
     parser.set_defaults(run=run_features)
 
 

@@ -7,7 +7,7 @@ import json
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from classify.cli.options import check_output, progress_bar
+from classify.cli.options import add_seed, check_output, progress_bar
 from generator.cli import console
 from generator.cli.terminal import print_table
 from generator.model.errors import NlosError
@@ -39,7 +39,7 @@ def _add_compare(commands: Commands) -> None:
         "-o", "--output", type=Path, required=True, metavar="FOLDER", help="for tables, figures and page"
     )
     parser.add_argument("--folds", type=int, default=10, metavar="N", help="default: 10")
-    parser.add_argument("--seed", type=int, default=0, metavar="N", help="of folds and classifiers (default: 0)")
+    add_seed(parser, "of folds and classifiers")
     parser.add_argument("--settings", choices=["paper", "tuned", "both"], default="both", help="default: both")
     parser.set_defaults(run=run_compare)
 

@@ -5,7 +5,16 @@ from __future__ import annotations
 import argparse
 from pathlib import Path
 
-from classify.cli.options import RAW, Commands, check_output, loaded, progress_bar
+from classify.cli.options import (
+    RAW,
+    Commands,
+    add_atlas_options,
+    add_false_alarm,
+    add_seed,
+    check_output,
+    loaded,
+    progress_bar,
+)
 from generator.cli.terminal import print_table
 from generator.model.errors import NlosError
 
@@ -39,20 +48,9 @@ def _add_locate(commands: Commands) -> None:
         help="take the first N pictures of a simulated set (default: all)",
     )
     parser.add_argument("-o", "--output", type=Path, metavar="FOLDER", help="for report.html and answers.csv")
-    parser.add_argument("--seed", type=int, default=0, metavar="N", help="of the sensor's noise (default: 0)")
-    parser.add_argument(
-        "--false-alarm", type=float, default=0.01, metavar="P", help="share of empty scenes (default: 0.01)"
-    )
-    parser.add_argument(
-        "--frames", type=int, metavar="N", help="to average, no more than the atlas was made for (default: as many)"
-    )
-    parser.add_argument(
-        "--voxels",
-        type=int,
-        nargs=3,
-        metavar=("NX", "NY", "NZ"),
-        help="cut the volume into others than the scene's; for sets with --inside centre, which leave no gaps",
-    )
+    add_seed(parser, "of the sensor's noise")
+    add_false_alarm(parser)
+    add_atlas_options(parser, voxels=True)
     parser.set_defaults(run=run_locate)
 
 
@@ -68,13 +66,9 @@ def _add_tradeoff(commands: Commands) -> None:
     parser.add_argument("folder", type=Path, help="of nlos-generate tradeoff")
     parser.add_argument("atlas", type=Path, metavar="FILE.atlas")
     parser.add_argument("--noises", type=int, default=5, metavar="N", help="looks at each picture (default: 5)")
-    parser.add_argument("--seed", type=int, default=0, metavar="N", help="of the sensor's noise (default: 0)")
-    parser.add_argument(
-        "--false-alarm", type=float, default=0.01, metavar="P", help="share of empty scenes (default: 0.01)"
-    )
-    parser.add_argument(
-        "--frames", type=int, metavar="N", help="to average, no more than the atlas was made for (default: as many)"
-    )
+    add_seed(parser, "of the sensor's noise")
+    add_false_alarm(parser)
+    add_atlas_options(parser)
     parser.set_defaults(run=run_tradeoff)
 
 
@@ -117,10 +111,8 @@ def _add_track(commands: Commands) -> None:
         metavar="S",
         help="while the trajectory is being rendered: wait S seconds for the next frame (default: 0)",
     )
-    parser.add_argument("--seed", type=int, default=0, metavar="N", help="of the sensor's noise (default: 0)")
-    parser.add_argument(
-        "--frames", type=int, metavar="N", help="to average, no more than the atlas was made for (default: as many)"
-    )
+    add_seed(parser, "of the sensor's noise")
+    add_atlas_options(parser)
     parser.set_defaults(run=run_track)
 
 
@@ -145,11 +137,9 @@ def _add_detect(commands: Commands) -> None:
         metavar="N",
         help="frames averaged, no more than the atlas was made for (default: 1, 3, 10, ... up to these)",
     )
-    parser.add_argument(
-        "--false-alarm", type=float, default=0.01, metavar="P", help="share of empty scenes (default: 0.01)"
-    )
+    add_false_alarm(parser)
     parser.add_argument("--count", type=int, default=300, metavar="N", help="pictures in each voxel (default: 300)")
-    parser.add_argument("--seed", type=int, default=0, metavar="N", help="of poses and noise (default: 0)")
+    add_seed(parser, "of poses and noise")
     parser.set_defaults(run=run_detect)
 
 

@@ -38,6 +38,33 @@ def add_sensor_options(parser: argparse.ArgumentParser, otherwise: str = "by the
     parser.add_argument("--frames", type=int, metavar="N", help="that the sensor averages for a picture (default: 1)")
 
 
+def add_atlas_options(parser: argparse.ArgumentParser, *, voxels: bool = False) -> None:
+    """Add what `loaded` reads: the frames, and the voxels."""
+    parser.add_argument(
+        "--frames", type=int, metavar="N", help="to average, no more than the atlas was made for (default: as many)"
+    )
+    if voxels:
+        parser.add_argument(
+            "--voxels",
+            type=int,
+            nargs=3,
+            metavar=("NX", "NY", "NZ"),
+            help="cut the volume into others than the scene's; for sets with --inside centre, which leave no gaps",
+        )
+
+
+def add_false_alarm(parser: argparse.ArgumentParser) -> None:
+    """Add ``--false-alarm``."""
+    parser.add_argument(
+        "--false-alarm", type=float, default=0.01, metavar="P", help="share of empty scenes (default: 0.01)"
+    )
+
+
+def add_seed(parser: argparse.ArgumentParser, words: str) -> None:
+    """Add ``--seed``; the words say of what."""
+    parser.add_argument("--seed", type=int, default=0, metavar="N", help=f"{words} (default: 0)")
+
+
 def sensor_of(options: argparse.Namespace) -> Sensor:
     """Return the sensor that was asked for."""
     from dataclasses import replace
