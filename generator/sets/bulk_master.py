@@ -54,12 +54,12 @@ class Master:
         }
         # A part that is taken away later reads as the fill value: NaN, which nobody takes for a picture.
         for name, (shape, dtype, fill) in columns.items():
-            layout = h5py.VirtualLayout((layout.plan.pictures, *shape), dtype)
+            table = h5py.VirtualLayout((layout.plan.pictures, *shape), dtype)
             for number in range(layout.parts):
                 rows = layout.part_range(number)
                 source = h5py.VirtualSource(layout.part_path(number).name, name, (len(rows), *shape), dtype)
-                layout[rows.start : rows.stop] = source
-            file.create_virtual_dataset(name, layout, fillvalue=fill)
+                table[rows.start : rows.stop] = source
+            file.create_virtual_dataset(name, table, fillvalue=fill)
         describe_file(file)
         file["background"] = self.background
         file["background"].attrs["units"] = "W/m^2/sr"
