@@ -506,7 +506,7 @@ def test_an_empty_slot_of_the_objects_own_is_refused(part):
     """Cycles takes the mesh's material in Blender 5.0 and its own in 5.2, and Python shows the mesh's in both."""
     scene = bare(room=floor_room())
     part(scene).material_slots[0].link = "OBJECT"
-    refused(scene, "material slot of its own that is empty", "patch", "surfel")
+    refused(scene, "empty material slot of its own", "patch", "surfel")
     part(scene).material_slots[0].material = part(scene).data.materials[0]
     bpy.context.view_layer.update()
     survey.survey(scene).check("surfel")
