@@ -1,10 +1,10 @@
 """Learn from pictures of the relay wall: features, classifiers, and answers with their uncertainty.
 
-The public face: arrays in, arrays out, nothing printed. Reads data sets; needs no Blender.
+The public interface: functions take and return arrays, and print nothing. It reads data sets and needs no Blender.
 
 Examples
 --------
-A small set of simulated pictures, an atlas of it, and where the object of one more picture is:
+Simulate a small set of pictures, build an atlas of it, and locate the object of one of the pictures:
 
 >>> import classify, generator
 >>> from pathlib import Path
@@ -25,7 +25,7 @@ A small set of simulated pictures, an atlas of it, and where the object of one m
 >>> atlas.grid.labels[int(place.voxels.argmax())] == pictures.records[4].label
 True
 
-Features of the same pictures, and a classifier:
+Extract features of the same pictures, and train a classifier:
 
 >>> features = classify.extract(pictures, classify.FeatureSettings(set="global"), sensor=sensor)
 >>> model = classify.train(features, "KNN", "paper")
@@ -107,8 +107,8 @@ __all__ = [
 
 
 def __getattr__(name: str) -> Any:
-    # scikit-learn and the compiler take seconds to load.
+    # Imported on first use, since scikit-learn and the compiler take seconds to load.
     if name in _EXPORTS:
-        module, _, own = _EXPORTS[name].partition(":")
-        return getattr(importlib.import_module(module), own)
+        module, _, attribute = _EXPORTS[name].partition(":")
+        return getattr(importlib.import_module(module), attribute)
     raise AttributeError(f"module {__name__!r} has no attribute {name!r}")

@@ -1,4 +1,4 @@
-"""Intervals of shares."""
+"""Values with 95 % confidence intervals."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from scipy import stats
 
 @dataclass(frozen=True)
 class Interval:
-    """A figure with its 95 % confidence interval."""
+    """A value with its 95 % confidence interval."""
 
     value: float
     low: float
@@ -26,5 +26,5 @@ class Interval:
 
 def wilson(successes: int, trials: int) -> Interval:
     """Return a proportion with its 95 % score interval (Wilson 1927)."""
-    found = stats.binomtest(successes, trials).proportion_ci(method="wilson")
-    return Interval(successes / trials, float(found.low), float(found.high))
+    interval = stats.binomtest(successes, trials).proportion_ci(method="wilson")
+    return Interval(successes / trials, float(interval.low), float(interval.high))

@@ -1,4 +1,4 @@
-"""What more pictures to train on are worth: accuracy against their number."""
+"""Learning curves: accuracy against the number of training pictures."""
 
 from __future__ import annotations
 
@@ -22,22 +22,23 @@ from generator.measure import figures
 from generator.model.errors import NlosError
 
 HELD_OUT = 0.2
-"""Of a set that is tested on itself."""
+"""Share of a set that is held out for testing if there is no test set."""
 
 _LADDER = [n * 10**k for k in range(1, 7) for n in (1, 3)]
 
 
 @dataclass(frozen=True)
 class Point:
-    """A classifier, trained on so many pictures.
+    """Result of a classifier that was trained on a given number of pictures.
 
     Attributes
     ----------
     classifier : str
     count : int
+        Number of training pictures.
     accuracy : Interval
     train_seconds, predict_seconds : float
-        Of the fit, and per picture.
+        Time of the fit, and time per predicted picture.
     size : int
         Bytes of the trained model.
     unconverged : bool
@@ -64,28 +65,29 @@ def curves(
     names: tuple[str, str] = ("training set", "test set"),
     progress: Callable[[int, int, str], None] = lambda done, total, what: None,
 ) -> list[Point]:
-    """Train classifiers on more and more pictures of a set, the fewer being among the more, and test each.
+    """Train classifiers on nested subsets of growing size of a set, and test each.
 
     Parameters
     ----------
     train : Features
     test : Features, optional
-        Of other pictures; without it, a fifth of the set is held out.
+        Features of other pictures; without them, a fifth of the training set is held out.
     classifiers : sequence of str
     settings : {"paper", "tuned"}
     counts : sequence of int
-        How many pictures to train on; left out, all of 10, 30, 100, ... that give every class two, and all there are.
+        Numbers of training pictures. Default: those of 10, 30, 100, ... that allow two pictures of every class (three
+        for "tuned"), and the whole set.
     seed : int
-        Of the order of the pictures and of the classifiers.
+        Seed of the order of the pictures and of the classifiers.
     names : (str, str)
-        Of both sets, for messages.
+        Names of both sets, for messages.
     progress : callable
-        Is told how many fits are done, of how many, and which comes next.
+        Called with (done, total, description) after each fit.
 
     Raises
     ------
     NlosError
-        The sets do not belong together, there is but one class, or a number cannot be.
+        If the sets do not belong together, there is only one class, or a number is out of range.
     """
     models.check_seed(seed)
     models.check_varied(train)
@@ -94,8 +96,8 @@ def curves(
         check_comparable(train, test, names)
         if train.provenance.get("fingerprint") == test.provenance.get("fingerprint"):
             raise NlosError(f"{names[1]}: shows the pictures of {names[0]}; leave it out to hold some of them out")
-    order, held = _order(train, seed, hold=test is None)
-    rows = np.arange(len(tested.labels)) if test is not None else held
+    order, held_out = _order(train, seed, hold=test is None)
+    test_rows = np.arange(len(tested.labels)) if test is not None else held_out
     classes = len(np.unique(train.labels))
     need = models.INNER_FOLDS if settings == "tuned" else 2
     if not counts:
@@ -113,21 +115,21 @@ def curves(
                 models.make(name, settings, train.settings.set, count, seed=seed),
                 train.values[order[:count]],
                 train.labels[order[:count]],
-                tested.values[rows],
-                tested.labels[rows],
+                tested.values[test_rows],
+                tested.labels[test_rows],
             )
             for name, count in jobs
         )
         for done, ((name, count), fit) in enumerate(zip(jobs, fits, strict=True)):
             progress(done + 1, len(jobs), f"{name}, {count} pictures")
-            right = int((fit["truth"] == fit["predicted"]).sum())
+            correct = int((fit["truth"] == fit["predicted"]).sum())
             points.append(
                 Point(
                     classifier=name,
                     count=count,
-                    accuracy=wilson(right, len(rows)),
+                    accuracy=wilson(correct, len(test_rows)),
                     train_seconds=fit["train_seconds"],
-                    predict_seconds=fit["predict_seconds"] / len(rows),
+                    predict_seconds=fit["predict_seconds"] / len(test_rows),
                     size=fit["bytes"],
                     unconverged=bool(fit["unconverged"]),
                 )
@@ -136,24 +138,24 @@ def curves(
 
 
 def _order(features: Features, seed: int, *, hold: bool) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
-    """Numbers of the pictures to train on, in an order whose every beginning has all classes, and of those held."""
-    every = np.arange(len(features.labels))
+    """Indices of the training pictures, in an order in which classes take turns, and of those held out."""
+    indices = np.arange(len(features.labels))
     models.check_classes(features.labels, 3)
-    held = every[:0]
+    held_out = indices[:0]
     if hold:
-        count = max(math.ceil(HELD_OUT * len(every)), len(np.unique(features.labels)))  # of every class one at least
-        every, held = train_test_split(every, test_size=count, stratify=features.labels, random_state=seed)
+        count = max(math.ceil(HELD_OUT * len(indices)), len(np.unique(features.labels)))  # at least one of each class
+        indices, held_out = train_test_split(indices, test_size=count, stratify=features.labels, random_state=seed)
     rng = np.random.default_rng([seed, 8])
-    shuffled = rng.permutation(every)
-    turn = np.zeros(len(shuffled), dtype=np.int64)
+    shuffled = rng.permutation(indices)
+    rank = np.zeros(len(shuffled), dtype=np.int64)
     for label in np.unique(features.labels):
-        mine = features.labels[shuffled] == label
-        turn[mine] = np.arange(mine.sum())
-    return shuffled[np.argsort(turn, kind="stable")], held
+        members = features.labels[shuffled] == label
+        rank[members] = np.arange(members.sum())
+    return shuffled[np.argsort(rank, kind="stable")], held_out
 
 
 def rows(points: Sequence[Point]) -> list[tuple[str, ...]]:
-    """Return a table: a row for each classifier and number."""
+    """Return a table with a row for each classifier and number of pictures."""
     ordered = sorted(points, key=lambda point: (list(models.ALL).index(point.classifier), point.count))
     return [
         (
@@ -172,12 +174,12 @@ HEADINGS = ("classifier", "trained on", "right voxel", "training", "answer, each
 
 
 def draw(path: Path, points: Sequence[Point], title: str) -> None:
-    """Write a picture: accuracy against the number of pictures, and against the time that training took."""
+    """Write a figure: accuracy against the number of pictures, and against the training time."""
     figure, axes = plt.subplots(1, 2, figsize=(11.0, 4.4), layout="constrained", sharey=True)
     for name in dict.fromkeys(p.classifier for p in points):
-        own = sorted((p for p in points if p.classifier == name), key=lambda p: p.count)
-        value, low, high = (np.array([100.0 * getattr(p.accuracy, k) for p in own]) for k in ("value", "low", "high"))
-        for axis, x in zip(axes, ([p.count for p in own], [max(p.train_seconds, 1e-4) for p in own]), strict=True):
+        pts = sorted((p for p in points if p.classifier == name), key=lambda p: p.count)
+        value, low, high = (np.array([100.0 * getattr(p.accuracy, k) for p in pts]) for k in ("value", "low", "high"))
+        for axis, x in zip(axes, ([p.count for p in pts], [max(p.train_seconds, 1e-4) for p in pts]), strict=True):
             axis.errorbar(x, value, yerr=[value - low, high - value], marker="o", ms=3, lw=1.2, capsize=2, label=name)
     for axis, label in zip(axes, ("pictures to train on", "seconds that training took"), strict=True):
         axis.set_xscale("log")

@@ -43,15 +43,15 @@ class Result:
     folds : list of float
         Accuracy per fold; one entry where all of one set was tested.
     accuracy, precision, recall, f1 : Interval
-        The last three are means over the classes.
+        All but the accuracy are means over the classes.
     train_seconds : float
-        Per fit, the search included.
+        Mean time per fit, including the search.
     predict_seconds : float
-        Per picture.
+        Time per picture.
     chosen : list of dict
-        What the search settled on, per fit.
+        Settings that the search chose, per fit.
     unconverged : int
-        Fits that ended before they converged.
+        Number of fits that ended before they converged.
     """
 
     train: str
@@ -101,7 +101,7 @@ def macro_scores(confusion: Array) -> Array:
 def intervals(confusion: NDArray[np.int64], seed: int = 0) -> list[Interval]:
     """Return macro precision, recall and F1 with 95 % percentile intervals of a stratified bootstrap.
 
-    Drawing a class's pictures anew is drawing its row of the confusion matrix anew.
+    Resampling the pictures of a class is the same as resampling its row of the confusion matrix.
     """
     rng = np.random.default_rng(seed)
     drawn = np.zeros((_RESAMPLES, *confusion.shape), dtype=np.int64)
@@ -129,24 +129,24 @@ def compare(
     ----------
     sets : sequence of one or two Features
     names : sequence of str
-        Of their files, for messages.
+        File names of the sets, for messages.
     classifiers, settings : sequence of str
     folds : int
-        Stratified; the scaler and the search see the training part of each alone.
+        Number of stratified folds; the scaler and the search see only the training part of each.
     seed : int
-        Of the folds, the classifiers and the bootstrap.
+        Seed of the folds, the classifiers and the bootstrap.
     progress : callable
-        Is told how many classifiers are done, of how many, and which comes next.
+        Called with (done, total, description of the next classifier).
 
     Returns
     -------
     list of Result
-        Each set by itself, cross-validated; then all of one trained on and all of the other tested, both ways.
+        Each set cross-validated; then training on all of one set and testing on all of the other, both ways.
 
     Raises
     ------
     NlosError
-        The sets do not belong together or are the same file, a class has too few samples for the folds, all
+        If the sets do not belong together or are the same file, a class has too few samples for the folds, all
         features are constant, or the seed is out of range.
     """
     models.check_seed(seed)
@@ -171,19 +171,19 @@ def compare(
             progress(done, len(jobs), f"{kinds[i]} -> {kinds[j]}: {classifier}, {setting}")
             train, test = sets[i], sets[j]
             if i == j:
-                folder = StratifiedKFold(folds, shuffle=True, random_state=seed)
-                splits = list(folder.split(train.values, train.labels))
+                splitter = StratifiedKFold(folds, shuffle=True, random_state=seed)
+                splits = list(splitter.split(train.values, train.labels))
             else:
                 splits = [(np.arange(len(train.labels)), np.arange(len(test.labels)))]
             fits = parallel(
                 joblib.delayed(fit_and_test)(
-                    models.make(classifier, setting, train.settings.set, len(a), seed=seed),
-                    train.values[a],
-                    train.labels[a],
-                    test.values[b],
-                    test.labels[b],
+                    models.make(classifier, setting, train.settings.set, len(train_rows), seed=seed),
+                    train.values[train_rows],
+                    train.labels[train_rows],
+                    test.values[test_rows],
+                    test.labels[test_rows],
                 )
-                for a, b in splits
+                for train_rows, test_rows in splits
             )
             results.append(_summarise(fits, kinds[i], kinds[j], classifier, setting, _classes(train, test), seed))
     progress(len(jobs), len(jobs), "done")
@@ -191,7 +191,7 @@ def compare(
 
 
 def target_names(sets: Sequence[Features], names: Sequence[str]) -> list[str]:
-    """Return what to call the sets: their targets, or their files where those are the same."""
+    """Return names for the sets: their targets, or their file names if two targets are the same."""
     kinds = [features.target for features in sets]
     return kinds if len(set(kinds)) == len(kinds) else list(names)
 
@@ -202,19 +202,19 @@ def _classes(*sets: Features) -> list[str]:
 
 
 def fit_and_test(model: Any, x: Array, y: Any, x_test: Array, y_test: Any) -> dict[str, Any]:
-    """Fit a classifier to some pictures and ask it about others; return both, the times, and what the fit chose."""
+    """Fit a classifier, predict other pictures, and return truth, predictions, times, size and chosen settings."""
     with warnings.catch_warnings(record=True) as caught:
         warnings.simplefilter("always")
         start = time.perf_counter()
         model.fit(x, y)
-        fitted = time.perf_counter()
+        fit_end = time.perf_counter()
         predicted = model.predict(x_test)
         end = time.perf_counter()
     return {
         "truth": y_test,
         "predicted": predicted,
-        "train_seconds": fitted - start,
-        "predict_seconds": end - fitted,
+        "train_seconds": fit_end - start,
+        "predict_seconds": end - fit_end,
         "bytes": len(pickle.dumps(model)),
         "chosen": models.chosen(model),
         "unconverged": sum(issubclass(w.category, ConvergenceWarning) for w in caught),

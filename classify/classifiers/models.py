@@ -1,4 +1,4 @@
-"""Seven classifiers and a small neural network: with the paper's settings, and tuned inside the training data."""
+"""Seven classifiers and a small neural network, with the paper's settings or tuned on the training data."""
 
 from __future__ import annotations
 
@@ -48,12 +48,12 @@ NAMES = {
 }
 
 ALL = {**NAMES, "MLP": "small neural network"}
-"""The paper's, and what needs more pictures than the paper had."""
+"""The paper's classifiers, and one that needs more pictures than the paper had."""
 
 FORMAT = 1
 INNER_FOLDS = 3
 _DEPTH = 30
-"""Of what a classifier holds."""
+"""Deepest nesting of objects that is accepted inside a classifier."""
 _MANY = 3000
 
 _SCALERS = [MinMaxScaler(), StandardScaler()]
@@ -82,19 +82,19 @@ _GRIDS: dict[str, dict[str, list[Any]]] = {
 
 
 def make(name: str, settings: Settings, feature_set: str, n_samples: int, *, seed: int = 0) -> Any:
-    """Return an unfitted classifier, its scaler inside.
+    """Return an unfitted classifier that includes its scaler.
 
     Parameters
     ----------
     name : {"LR", "LDA", "KNN", "CART", "RF", "SVM", "NB", "MLP"}
     settings : {"paper", "tuned"}
-        The paper gives an RBF kernel, C = 100 and gamma = 0.001 for the SVM on global features (6) and a linear one
-        on the others (4), after scaling to [0, 1]; for the rest it names none, so they have scikit-learn's defaults.
-        The network, which it has not, has two layers of 64.
-        Tuned is a grid search by 3 stratified folds of whatever it is fitted to.
+        "paper": the SVM has an RBF kernel, C = 100 and gamma = 0.001 on global features (paper, section 6) and a
+        linear kernel on the others (section 4), after scaling to [0, 1]. For the rest the paper states no settings,
+        so they have scikit-learn's defaults. The network is not in the paper and has two layers of 64.
+        "tuned": a grid search by 3 stratified folds of the data that it is fitted to.
     feature_set : {"global", "spatial-hog"}
     n_samples : int
-        How many it will be fitted to; no more neighbours are asked than there are.
+        Number of samples that it will be fitted to; it limits the number of neighbours.
     seed : int
     """
     if name not in ALL:
@@ -108,7 +108,7 @@ def make(name: str, settings: Settings, feature_set: str, n_samples: int, *, see
         "RF": RandomForestClassifier(n_estimators=100, random_state=seed),
         "SVM": SVC(kernel=kernel, C=100.0, gamma=0.001, random_state=seed),
         "NB": GaussianNB(),
-        # Where there are enough pictures, a tenth says when to stop; of fewer it would hold out too much.
+        # With enough pictures, a tenth decides when to stop; with fewer, holding these out would cost too much.
         "MLP": MLPClassifier(
             (64, 64),
             alpha=1.0,
@@ -118,20 +118,20 @@ def make(name: str, settings: Settings, feature_set: str, n_samples: int, *, see
             random_state=seed,
         ),
     }
-    scaler = StandardScaler() if name == "MLP" else MinMaxScaler()  # a network's steps want inputs of one spread
+    scaler = StandardScaler() if name == "MLP" else MinMaxScaler()  # gradient steps need inputs of equal spread
     pipeline = Pipeline([("scale", scaler), ("classify", estimators[name])])
     if settings == "paper":
         return pipeline
     folds = StratifiedKFold(INNER_FOLDS, shuffle=True, random_state=seed)
     grid = dict(_GRIDS[name])
     if name == "KNN":
-        most = max(1, n_samples - -(-n_samples // INNER_FOLDS) - 1)
-        grid["classify__n_neighbors"] = [k for k in grid["classify__n_neighbors"] if k <= most]
+        most_neighbours = max(1, n_samples - -(-n_samples // INNER_FOLDS) - 1)
+        grid["classify__n_neighbors"] = [k for k in grid["classify__n_neighbors"] if k <= most_neighbours]
     return GridSearchCV(pipeline, grid, cv=folds, error_score="raise")
 
 
 def chosen(fitted: Any) -> dict[str, str]:
-    """Return the settings that a search settled on; empty for one without a search."""
+    """Return the settings that a search chose; empty if there was no search."""
     if not isinstance(fitted, GridSearchCV):
         return {}
     return {key.removeprefix("classify__"): str(value) for key, value in fitted.best_params_.items()}
@@ -139,7 +139,7 @@ def chosen(fitted: Any) -> dict[str, str]:
 
 @dataclass(frozen=True)
 class Model:
-    """A trained classifier and what it needs to read a picture.
+    """A trained classifier and all that it needs to classify a picture.
 
     Attributes
     ----------
@@ -147,9 +147,9 @@ class Model:
         Fitted, with ``predict_proba``.
     settings : FeatureSettings
     background : ndarray of shape (height, width, 3), float32
-        Of the scene it was trained in, W/m^2/sr.
+        Background picture of the training scene, W/m^2/sr.
     reference_radiance : float
-        W/m^2/sr.
+        Reference radiance of that scene, W/m^2/sr.
     grid : VoxelGrid
     about : dict
         Classifier, its settings, the target, provenance of the features.
@@ -164,7 +164,7 @@ class Model:
 
     @property
     def colour_space(self) -> str:
-        """The linear space that the channels of the pictures it was trained on are of."""
+        """The linear colour space of the training pictures."""
         provenance = self.about.get("provenance")
         return str(provenance.get("colour_space", COLOUR_SPACE)) if isinstance(provenance, dict) else COLOUR_SPACE
 
@@ -189,7 +189,7 @@ def train(features: Features, name: str, settings: Settings, *, seed: int = 0) -
     Raises
     ------
     NlosError
-        There is but one class, or a class has too few samples to search and calibrate with.
+        If there is only one class, or a class has too few samples for the search and the calibration.
     """
     labels, counts = np.unique(features.labels, return_counts=True)
     unfitted = make(name, settings, features.settings.set, len(features.labels), seed=seed)
@@ -197,7 +197,7 @@ def train(features: Features, name: str, settings: Settings, *, seed: int = 0) -
     check_classes(features.labels, INNER_FOLDS)
     check_varied(features)
     fitted = unfitted.fit(features.values, features.labels)
-    picked = chosen(fitted)
+    chosen_settings = chosen(fitted)
     estimator = fitted.best_estimator_ if isinstance(fitted, GridSearchCV) else fitted
     if not hasattr(estimator, "predict_proba"):
         estimator = CalibratedClassifierCV(clone(estimator), cv=INNER_FOLDS, ensemble=False)
@@ -211,7 +211,7 @@ def train(features: Features, name: str, settings: Settings, *, seed: int = 0) -
         about={
             "classifier": name,
             "settings": settings,
-            "chosen": picked,
+            "chosen": chosen_settings,
             "target": features.target,
             "samples": dict(zip(map(str, labels), map(int, counts), strict=True)),
             "provenance": features.provenance,
@@ -225,32 +225,32 @@ def check_classes(labels: NDArray[np.str_], folds: int) -> None:
     if len(classes) < 2:
         raise NlosError(f"only one class ({', '.join(classes)}); telling voxels apart needs two or more")
     if counts.min() < folds:
-        fewest = classes[counts.argmin()]
+        rarest = classes[counts.argmin()]
         raise NlosError(
-            f"class {fewest} has {counts.min()} samples, fewer than the {folds} folds; render more poses or ask for "
+            f"class {rarest} has {counts.min()} samples, fewer than the {folds} folds; render more poses or ask for "
             "fewer folds"
         )
 
 
 def check_folds(labels: NDArray[np.str_], folds: int, settings: Sequence[Settings]) -> None:
-    """Raise NlosError unless what a fold leaves for training is enough to fit, and to search where asked."""
+    """Raise NlosError unless each fold leaves enough samples for training, and for the search if there is one."""
     check_classes(labels, folds)
     classes, counts = np.unique(labels, return_counts=True)
-    fewest, least = classes[counts.argmin()], int(counts.min())
-    left = least - -(-least // folds)
-    need = INNER_FOLDS if "tuned" in settings else 2
-    if left < need:
-        way_out = ", ask for more folds" if least - 1 >= need else ""  # at most a fold per sample
-        way_out += ", or use --settings paper" if left >= 2 else ""
+    rarest, samples = classes[counts.argmin()], int(counts.min())
+    remaining = samples - -(-samples // folds)
+    needed = INNER_FOLDS if "tuned" in settings else 2
+    if remaining < needed:
+        way_out = ", ask for more folds" if samples - 1 >= needed else ""  # at most one fold per sample
+        way_out += ", or use --settings paper" if remaining >= 2 else ""
         raise NlosError(
-            f"class {fewest} has {least} samples, which leaves {left} to train on beside a test fold, and "
-            f"{'the search for settings' if need == INNER_FOLDS else 'training'} needs {need}; render more poses"
+            f"class {rarest} has {samples} samples, which leaves {remaining} to train on beside a test fold, and "
+            f"{'the search for settings' if needed == INNER_FOLDS else 'training'} needs {needed}; render more poses"
             f"{way_out}"
         )
 
 
 def check_varied(features: Features) -> None:
-    """Raise NlosError if nothing tells the pictures apart, or those of each voxel are copies of one another."""
+    """Raise NlosError if all pictures have the same features, or if this holds within every voxel."""
     values, labels = features.values, features.labels
     if not np.ptp(values, axis=0).any():
         raise NlosError("every picture has the same features, so nothing tells the voxels apart")
@@ -259,13 +259,13 @@ def check_varied(features: Features) -> None:
 
 
 def check_seed(seed: int) -> None:
-    """Raise NlosError unless scikit-learn takes the seed."""
+    """Raise NlosError unless scikit-learn accepts the seed."""
     if not 0 <= seed < 2**32:
         raise NlosError(f"seed {seed}: must be from 0 to 2^32 - 1")
 
 
 def save(path: Path, model: Model) -> None:
-    """Write a model by temporary name and rename."""
+    """Write a model to a temporary file, and rename it."""
     bundle = {
         "format": FORMAT,
         "estimator": model.estimator,
@@ -279,7 +279,7 @@ def save(path: Path, model: Model) -> None:
         skops.io.dump(bundle, temporary)
 
 
-# What scikit-learn's fitted classifiers hold besides the types that skops trusts by itself.
+# Types inside scikit-learn's fitted classifiers that skops does not trust by default.
 _TRUSTED = {
     "sklearn.calibration._CalibratedClassifier",
     "sklearn.calibration._SigmoidCalibration",
@@ -292,19 +292,19 @@ _TRUSTED = {
 
 
 def load(path: Path) -> Model:
-    """Read a model; nothing in the file is run.
+    """Read a model without running any code from the file.
 
     Raises
     ------
     NlosError
-        The file is missing, no model, of a newer format, or holds a type that no model of ours has.
+        If the file is missing, is not a model, has a newer format, or holds a type unknown to this software.
     """
     if not path.is_file():
         raise NlosError(f"{path}: no such model file")
     try:
         check_archive(path)
         unknown = sorted(set(skops.io.get_untrusted_types(file=path)) - _TRUSTED)
-    except Exception as error:  # zip, JSON and key errors of many kinds
+    except Exception as error:  # many kinds: zip, JSON and key errors
         raise NlosError(f"{path}: is not a model file ({type(error).__name__}: {error})") from None
     if unknown:
         raise NlosError(
@@ -327,39 +327,39 @@ def load(path: Path) -> Model:
             grid=from_dict(VoxelGrid, json.loads(bundle["grid"]), "grid."),
             about=json.loads(bundle["about"]),
         )
-        width = int(model.estimator.n_features_in_)
-        _check_inside(model.estimator, width)
-    except Exception as error:  # whatever is wrong with what the file says, and NlosError is a ValueError
+        n_features = int(model.estimator.n_features_in_)
+        _check_inside(model.estimator, n_features)
+    except Exception as error:  # the contents may be wrong in many ways, NlosError among them
         raise NlosError(f"{path}: is not a model file ({type(error).__name__}: {error})") from None
-    given = len(feature_names(model.settings))
-    if width != given:
-        raise NlosError(f"{path}: was trained on {width} features, but its settings give {given}")
+    expected = len(feature_names(model.settings))
+    if n_features != expected:
+        raise NlosError(f"{path}: was trained on {n_features} features, but its settings give {expected}")
     if model.background.ndim != 3 or model.background.shape[2] != 3 or not np.isfinite(model.background).all():
         raise NlosError(f"{path}: holds no background picture of shape (height, width, 3) without NaN")
     if not (isinstance(model.about, dict) and 0.0 <= model.reference_radiance < np.inf):
         raise NlosError(f"{path}: does not tell its origin, or has no reference radiance of 0 or more")
-    _answer(model.estimator, np.zeros(width), str(path))  # what is wrong inside shows when it answers
+    _answer(model.estimator, np.zeros(n_features), str(path))  # raises if the classifier cannot predict
     if not set(map(str, model.estimator.classes_)) <= set(model.grid.labels):
         raise NlosError(f"{path}: answers by other voxels than its grid has")
     return model
 
 
 def _answer(estimator: Any, row: NDArray[np.float64], name: str) -> NDArray[np.float64]:
-    """Return a classifier's probabilities (n_classes,), or say that it has none: it may come from elsewhere."""
+    """Return a classifier's probabilities (n_classes,); NlosError if it gives none, as foreign models may."""
     try:
         with np.errstate(all="ignore"):
-            made = np.asarray(estimator.predict_proba(row[None, :]), dtype=np.float64)
-        sound = made.shape == (1, len(estimator.classes_)) and bool(np.isfinite(made).all())
+            probabilities = np.asarray(estimator.predict_proba(row[None, :]), dtype=np.float64)
+        valid = probabilities.shape == (1, len(estimator.classes_)) and bool(np.isfinite(probabilities).all())
     except Exception as error:
         raise NlosError(f"{name}: the model does not answer ({type(error).__name__}: {error})") from None
-    if not sound:
+    if not valid:
         raise NlosError(f"{name}: the model's answer is no list of probabilities")
-    answer: NDArray[np.float64] = made[0]
+    answer: NDArray[np.float64] = probabilities[0]
     return answer
 
 
 def _check_inside(estimator: Any, width: int) -> None:
-    """Raise ValueError unless the numbers inside are what scikit-learn's compiled code takes for granted."""
+    """Raise ValueError unless the arrays inside are as scikit-learn's compiled code assumes without checking."""
     for part in _parts(estimator):
         if isinstance(part, Tree):
             _check_tree(part, width)
@@ -372,18 +372,18 @@ def _check_inside(estimator: Any, width: int) -> None:
 
 
 def _parts(value: Any, depth: int = 0) -> Iterator[Any]:
-    """A fitted classifier and all that it holds."""
+    """Yield a fitted classifier and all objects inside it."""
     if depth > _DEPTH:
         raise ValueError("it is nested too deeply")
     yield value
-    inside: Iterable[Any] = ()
+    children: Iterable[Any] = ()
     if isinstance(value, list | tuple | set) or (isinstance(value, np.ndarray) and value.dtype == object):
-        inside = value
+        children = value
     elif isinstance(value, dict):
-        inside = value.values()
+        children = value.values()
     elif type(value).__module__.startswith("sklearn."):
-        inside = vars(value).values() if hasattr(value, "__dict__") else ()
-    for part in inside:
+        children = vars(value).values() if hasattr(value, "__dict__") else ()
+    for part in children:
         if not isinstance(part, str | bytes | int | float | np.generic):
             yield from _parts(part, depth + 1)
 
@@ -392,12 +392,12 @@ def _check_tree(tree: Any, width: int) -> None:
     count = tree.node_count
     left, right, feature = tree.children_left, tree.children_right, tree.feature
     inner = left != -1
-    numbers = np.arange(count)
-    # A child comes after its parent, as they grow.
-    below = all(((child[inner] > numbers[inner]) & (child[inner] < count)).all() for child in (left, right))
-    asked = feature[inner]
-    known = (asked >= 0).all() and (asked < width).all()
-    if not (count and below and (right[~inner] == -1).all() and known):
+    nodes = np.arange(count)
+    # scikit-learn numbers each child after its parent.
+    ordered = all(((child[inner] > nodes[inner]) & (child[inner] < count)).all() for child in (left, right))
+    split_features = feature[inner]
+    valid = (split_features >= 0).all() and (split_features < width).all()
+    if not (count and ordered and (right[~inner] == -1).all() and valid):
         raise ValueError("a decision tree in it leads nowhere")
     if tree.value.shape != (count, tree.n_outputs, tree.max_n_classes):
         raise ValueError("a decision tree in it lacks answers")
@@ -407,23 +407,23 @@ def _check_search(tree: Any, width: int) -> None:
     data, index, nodes, _ = tree.get_arrays()
     first, last = nodes["idx_start"], nodes["idx_end"]
     count = len(data)
-    whole = (
+    complete = (
         data.ndim == 2
         and data.shape[1] == width
         and len(index) == count
         and np.array_equal(np.sort(index), np.arange(count))
     )
-    if not (whole and (first >= 0).all() and (first <= last).all() and (last <= count).all()):
+    if not (complete and (first >= 0).all() and (first <= last).all() and (last <= count).all()):
         raise ValueError("a tree of neighbours in it leads nowhere")
 
 
 def _check_neighbours(machine: Any, width: int) -> None:
-    known, labels, most = machine._fit_X, machine._y, len(machine.classes_)
-    if known.ndim != 2 or known.shape[1] != width or known.dtype != np.float64 or labels.shape != (len(known),):
+    data, labels, n_classes = machine._fit_X, machine._y, len(machine.classes_)
+    if data.ndim != 2 or data.shape[1] != width or data.dtype != np.float64 or labels.shape != (len(data),):
         raise ValueError("its neighbours do not fit together")
-    if labels.dtype.kind not in "iu" or labels.min() < 0 or labels.max() >= most:
+    if labels.dtype.kind not in "iu" or labels.min() < 0 or labels.max() >= n_classes:
         raise ValueError("its neighbours are of no class")
-    if not 1 <= machine.n_neighbors <= len(known) or machine.effective_metric_ not in ("euclidean", "minkowski"):
+    if not 1 <= machine.n_neighbors <= len(data) or machine.effective_metric_ not in ("euclidean", "minkowski"):
         raise ValueError("its neighbours cannot be asked")
 
 

@@ -1,4 +1,4 @@
-"""The verbs ``atlas`` and ``bound``."""
+"""The verb ``atlas``."""
 
 from __future__ import annotations
 
@@ -53,7 +53,7 @@ def add_parsers(commands: Commands) -> None:
 
 
 def run_atlas(options: argparse.Namespace) -> int:
-    """Make an atlas from a bulk set."""
+    """Make an atlas from simulated sets."""
     from classify.inference import atlas_build, atlas_file
     from generator.sets.bulk_set import Bulk
 
@@ -61,7 +61,7 @@ def run_atlas(options: argparse.Namespace) -> int:
     check_output(options.output)
     first, *others = map(Bulk.open, options.simulated)
     with progress_bar("compressing", "pictures") as progress:
-        made = atlas_build.build(
+        atlas = atlas_build.build(
             first,
             sensor,
             *others,
@@ -70,10 +70,10 @@ def run_atlas(options: argparse.Namespace) -> int:
             unknown=options.unknown,
             progress=lambda done, total: progress(done, total, ""),
         )
-    atlas_file.save(options.output, made)
-    n, k = made.codes.shape
+    atlas_file.save(options.output, atlas)
+    n, k = atlas.codes.shape
     print(
-        f"{options.output}: {n} pictures of a {' or a '.join(made.about['targets'])}, {k} numbers each; what they "
-        f"leave out is {made.left_out:.2f} of the noise"
+        f"{options.output}: {n} pictures of a {' or a '.join(atlas.about['targets'])}, {k} numbers each; what they "
+        f"leave out is {atlas.left_out:.2f} of the noise"
     )
     return 0

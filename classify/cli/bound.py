@@ -1,4 +1,4 @@
-"""The verb ``bound``: what no method can beat."""
+"""The verb ``bound``: limits that no method can beat."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ def add_parsers(commands: Commands) -> None:
 
 
 def run_bound(options: argparse.Namespace) -> int:
-    """Print what no method can beat, and draw its map."""
+    """Print the limits that no method can beat, and draw their map."""
     from classify.classifiers import models
     from classify.inference import bound
     from classify.inference.posterior import Synthesis
@@ -43,28 +43,28 @@ def run_bound(options: argparse.Namespace) -> int:
         raise NlosError(f"--count {options.count}: must be 1 or more")
     if options.map:
         check_output(options.map)
-    found, simulated = loaded(options), Bulk.open(options.simulated)
-    if found.about.get("fingerprints") != [simulated.meta["fingerprint"]]:
+    atlas, simulated = loaded(options), Bulk.open(options.simulated)
+    if atlas.about.get("fingerprints") != [simulated.meta["fingerprint"]]:
         raise NlosError(f"{options.atlas}: is not an atlas of {options.simulated}; make it anew")
-    # Cramer and Rao ask about a known object, by derivatives.
-    lit = simulated.world().ambient is not None
-    one = not simulated.plan.unknown and not lit
-    if options.map and not one:
-        what = "is under ambient light, where the engine knows no derivatives" if lit else "is of many"
-        raise NlosError(f"--map: draws what can be known of one object, and {options.simulated} {what}")
+    # The bound of Cramer and Rao needs a known object and the derivatives of its pictures.
+    ambient = simulated.world().ambient is not None
+    single = not simulated.plan.unknown and not ambient
+    if options.map and not single:
+        reason = "is under ambient light, where the engine knows no derivatives" if ambient else "is of many"
+        raise NlosError(f"--map: draws what can be known of one object, and {options.simulated} {reason}")
     with progress_bar("asking", "pictures") as progress:
         best = bound.reachable(
-            found,
+            atlas,
             count=options.count,
             seed=options.seed,
             progress=lambda done, total: progress(done, total, ""),
         )
-    synthesis = Synthesis(found, simulated.world()) if one else None
+    synthesis = Synthesis(atlas, simulated.world()) if single else None
     headings = ["voxel", "right voxel"]
-    if one:
+    if single:
         headings += ["presence", "x cm", "y cm", "z cm", "turn unknown", "noticed: x cm", "y cm", "z cm"]
     title = f"{options.atlas}: the best that any method can do"
-    print_table(title, headings, bound.rows(found, best, synthesis))
+    print_table(title, headings, bound.rows(atlas, best, synthesis))
     print(f"median error of the position, wherever the object is: {best.error.centimetres()}")
     if synthesis is None:
         return 0
@@ -75,7 +75,7 @@ def run_bound(options: argparse.Namespace) -> int:
     )
     if options.map:
         with progress_bar("mapping", "places") as progress:
-            drawn = bound.over_volume(synthesis, progress=lambda done, total: progress(done, total, ""))
-        bound.draw(options.map, found, drawn)
+            bounds_map = bound.over_volume(synthesis, progress=lambda done, total: progress(done, total, ""))
+        bound.draw(options.map, atlas, bounds_map)
         print(options.map)
     return 0

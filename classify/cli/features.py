@@ -69,7 +69,7 @@ def add_parsers(commands: Commands) -> None:
 
 
 def run_features(options: argparse.Namespace) -> int:
-    """Describe every picture of a set by numbers."""
+    """Extract the features of every picture of a set."""
     from classify.classifiers import models
     from classify.pictures import feature_table
     from classify.pictures.features import FeatureSettings

@@ -165,18 +165,18 @@ def run_learn(options: argparse.Namespace) -> int:
             progress=progress,
         )
     table = curves.rows(points)
-    where = options.test or f"{100 * curves.HELD_OUT:.0f} % of it, held out"
-    title = f"{options.features}, tested on {where}"
+    tested_on = options.test or f"{100 * curves.HELD_OUT:.0f} % of it, held out"
+    title = f"{options.features}, tested on {tested_on}"
     print_table(title, curves.HEADINGS, table)
     best = max(points, key=lambda point: point.accuracy.value)
     lead = [f"{best.classifier} on {best.count} pictures is right most often: {best.accuracy.percent()}."]
     print(lead[0])
     write_text(options.output / "learn.csv", csv_text(curves.HEADINGS, table))
     curves.draw(options.output / "learn.png", points, title)
-    drawn = {"learn.png": "Accuracy with its 95 % interval, against the number of pictures and the time of training."}
+    plots = {"learn.png": "Accuracy with its 95 % interval, against the number of pictures and the time of training."}
     sources = {"trained on": options.features, "tested on": options.test or "a part held out", "seed": options.seed}
     tables = [page.Table(title, curves.HEADINGS, table)]
-    print(page.write(options.output, "What are more pictures worth?", lead, drawn, tables, sources))
+    print(page.write(options.output, "What are more pictures worth?", lead, plots, tables, sources))
     return 0
 
 
@@ -190,13 +190,13 @@ def run_train(options: argparse.Namespace) -> int:
         feature_table.read(options.features), options.classifier, options.settings, seed=options.seed
     )
     models.save(options.output, model)
-    picked = ", ".join(f"{k} = {v}" for k, v in model.about["chosen"].items())
-    print(f"{options.output}: {options.classifier}, {options.settings} settings{f' ({picked})' if picked else ''}")
+    chosen = ", ".join(f"{k} = {v}" for k, v in model.about["chosen"].items())
+    print(f"{options.output}: {options.classifier}, {options.settings} settings{f' ({chosen})' if chosen else ''}")
     return 0
 
 
 def run_predict(options: argparse.Namespace) -> int:
-    """Print the voxels that a model sees in pictures."""
+    """Print the voxel that a model predicts for each picture."""
     from classify.classifiers import models
     from generator.files.pictures import COLOUR_SPACE, read_picture
     from generator.sets.readable import check_colours
@@ -209,7 +209,7 @@ def run_predict(options: argparse.Namespace) -> int:
         return pixels
 
     background = read(options.background) if options.background else None
-    answers = []  # all before any is printed: a broken picture leaves no half answer
+    answers = []  # collected before printing, so that a broken picture leaves no partial output
     for path in options.pictures:
         pixels = read(path)
         answers.append((path, model.probabilities(pixels, background=background, name=str(path))))

@@ -144,7 +144,7 @@ def _add_detect(commands: Commands) -> None:
 
 
 def run_locate(options: argparse.Namespace) -> int:
-    """Print where the hidden object of each picture is, and how often that is right."""
+    """Locate the hidden object of each picture, and print how often the answers are right."""
     import numpy as np
 
     from classify.classifiers import models
@@ -156,11 +156,11 @@ def run_locate(options: argparse.Namespace) -> int:
     models.check_seed(options.seed)
     if options.output:
         check_output(options.output, folder=True)
-    found = loaded(options)
+    atlas = loaded(options)
     dataset = open_set(options.dataset, options.count)
     with progress_bar("locating", "pictures") as progress:
         answers = evaluation.run(
-            found,
+            atlas,
             dataset,
             false_alarm=options.false_alarm,
             seed=options.seed,
@@ -188,14 +188,14 @@ def run_locate(options: argparse.Namespace) -> int:
             f"Something is found in {detected}; {alarms}.",
         ]
         figures = {"answers.png": "What is taken for what, how far off, and whether the stated uncertainty is true."}
-        sources = {"data set": options.dataset, **page.of_atlas(found), "seed of the noise": options.seed}
+        sources = {"data set": options.dataset, **page.of_atlas(atlas), "seed of the noise": options.seed}
         tables = [page.Table(title, headings, table)]
         print(page.write(options.output, "Where is the hidden object?", lead, figures, tables, sources))
     return 0
 
 
 def run_tradeoff(options: argparse.Namespace) -> int:
-    """Print what better pictures are worth."""
+    """Print how far better pictures improve the answers."""
     from classify.classifiers import models
     from classify.inference import worth
     from classify.report import page
@@ -207,7 +207,7 @@ def run_tradeoff(options: argparse.Namespace) -> int:
         raise NlosError(f"{options.folder}: no such folder")
     atlas = loaded(options)
     with progress_bar("answering", "ways to render") as progress:
-        found = worth.worths(
+        results = worth.worths(
             options.folder,
             atlas,
             false_alarm=options.false_alarm,
@@ -215,22 +215,22 @@ def run_tradeoff(options: argparse.Namespace) -> int:
             seed=options.seed,
             progress=progress,
         )
-    table, lead = worth.rows(found), worth.enough(found)
+    table, lead = worth.rows(results), worth.enough(results)
     frames = atlas.sensor.frames
-    title = f"{options.folder}: {found[0].count} answers each, {frames} frame{'s' if frames > 1 else ''}"
+    title = f"{options.folder}: {results[0].count} answers each, {frames} frame{'s' if frames > 1 else ''}"
     print_table(title, worth.HEADINGS, table)
     for line in lead:
         print(line)
-    worth.draw(options.folder / "worth.png", found, title)
-    drawn = {"worth.png": "Against the time that a picture takes to render, with 95 % intervals."}
+    worth.draw(options.folder / "worth.png", results, title)
+    figures = {"worth.png": "Against the time that a picture takes to render, with 95 % intervals."}
     sources = {"pictures": options.folder, **page.of_atlas(atlas), "seed of the noise": options.seed}
     tables = [page.Table(title, worth.HEADINGS, table)]
-    print(page.write(options.folder, "What are better pictures worth?", lead, drawn, tables, sources))
+    print(page.write(options.folder, "What are better pictures worth?", lead, figures, tables, sources))
     return 0
 
 
 def run_track(options: argparse.Namespace) -> int:
-    """Follow the object through the frames of a trajectory."""
+    """Track the object through the frames of a trajectory."""
     from classify.classifiers import models
     from classify.inference import sequence
     from classify.report import page
@@ -242,31 +242,31 @@ def run_track(options: argparse.Namespace) -> int:
     if options.output:
         check_output(options.output, folder=True)
 
-    def told(so_far: sequence.TrackedSequence) -> None:
+    def report(so_far: sequence.TrackedSequence) -> None:
         record, step = so_far.records[-1], so_far.steps[-1]
         x, y, z = step.position
-        label = found.grid.labels[step.voxels.argmax()]
-        where = f"{label} at {x:.2f}, {y:.2f}, {z:.2f} m" if step.found else "nothing"
-        print(f"frame {record.index}: {where} (presence {step.presence:.0%})", flush=True)
+        label = atlas.grid.labels[step.voxels.argmax()]
+        place = f"{label} at {x:.2f}, {y:.2f}, {z:.2f} m" if step.found else "nothing"
+        print(f"frame {record.index}: {place} (presence {step.presence:.0%})", flush=True)
 
-    found = loaded(options)
-    followed = sequence.run(
-        found,
+    atlas = loaded(options)
+    tracked = sequence.run(
+        atlas,
         Dataset.open(options.dataset),
         step=options.step,
         gaps=gaps,
         patience=options.follow,
         seed=options.seed,
-        told=told,
+        told=report,
     )
-    for line in followed.words():
+    for line in tracked.words():
         print(line)
     if options.output:
-        write_text(options.output / "track.csv", followed.csv())
-        followed.draw(options.output / "track.png", str(options.dataset))
+        write_text(options.output / "track.csv", tracked.csv())
+        tracked.draw(options.output / "track.png", str(options.dataset))
         figures = {"track.png": "The path with its uncertainty, and the error over time."}
-        sources = {"trajectory": options.dataset, **page.of_atlas(found), "seed of the noise": options.seed}
-        print(page.write(options.output, "How does it move?", followed.words(), figures, [], sources))
+        sources = {"trajectory": options.dataset, **page.of_atlas(atlas), "seed of the noise": options.seed}
+        print(page.write(options.output, "How does it move?", tracked.words(), figures, [], sources))
     return 0
 
 
@@ -282,7 +282,7 @@ def _gap(text: str) -> tuple[int, int]:
 
 
 def run_detect(options: argparse.Namespace) -> int:
-    """Print how often something is found, at a rate of false alarms."""
+    """Print how often an object is found, at a given rate of false alarms."""
     from classify.classifiers import models
     from classify.inference import atlas_file, detect
     from classify.report import page
@@ -293,12 +293,12 @@ def run_detect(options: argparse.Namespace) -> int:
         raise NlosError(f"--count {options.count}: must be 1 or more")
     if options.output:
         check_output(options.output, folder=True)
-    found = atlas_file.load(options.atlas)
-    most = found.sensor.frames
-    exposures = options.exposures or sorted({n for n in (*_LADDER, most) if n <= most})
+    atlas = atlas_file.load(options.atlas)
+    most_frames = atlas.sensor.frames
+    exposures = options.exposures or sorted({n for n in (*_LADDER, most_frames) if n <= most_frames})
     with progress_bar("looking", "exposures") as progress:
-        made = detect.detections(
-            found,
+        detections = detect.detections(
+            atlas,
             exposures,
             false_alarm=options.false_alarm,
             count=options.count,
@@ -306,19 +306,19 @@ def run_detect(options: argparse.Namespace) -> int:
             progress=lambda done, total: progress(done, total, ""),
         )
     headings = ["voxel", "from the wall", *(f"{n} frame{'s' if n > 1 else ''}" for n in exposures)]
-    table = detect.rows(found, made)
+    table = detect.rows(atlas, detections)
     print_table(f"{options.atlas}: found, at {100.0 * options.false_alarm:g} % false alarms", headings, table)
     if options.output:
         write_text(options.output / "detect.csv", csv_text(headings, table))
-        detect.draw(options.output / "detect.png", found, made, options.false_alarm)
-        last = made[-1]
-        least = min(range(len(last.found)), key=lambda voxel: last.found[voxel].value)
+        detect.draw(options.output / "detect.png", atlas, detections, options.false_alarm)
+        last = detections[-1]
+        hardest = min(range(len(last.found)), key=lambda voxel: last.found[voxel].value)
         lead = [
             f"At {100.0 * options.false_alarm:g} % false alarms and {last.frames} frames, something in voxel "
-            f"{found.grid.labels[least]} is found least often: {last.found[least].percent()}."
+            f"{atlas.grid.labels[hardest]} is found least often: {last.found[hardest].percent()}."
         ]
         figures = {"detect.png": "Left: against exposure, with 95 % intervals. Right: against false alarms."}
-        sources = {**page.of_atlas(found), "pictures in each voxel": options.count, "seed": options.seed}
+        sources = {**page.of_atlas(atlas), "pictures in each voxel": options.count, "seed": options.seed}
         tables = [page.Table("Found, with its 95 % interval", headings, table)]
         print(page.write(options.output, "Is there something?", lead, figures, tables, sources))
     return 0

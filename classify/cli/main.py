@@ -1,4 +1,4 @@
-"""Command line of the classifier: argument parsing and words for people; all work is done elsewhere."""
+"""Command line of the classifier: it only parses arguments and prints; the work is done elsewhere."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from classify.cli.options import RAW
 from generator.cli.terminal import guarded
 
 VERBS = (features, learn, atlas, locate, bound)
-"""Modules, in the order of the help."""
+"""Modules of the verbs, in the order of the help."""
 _EXAMPLES = """\
 examples:
   nlos-classify features sheet/ -o sheet.h5 --set global
@@ -21,7 +21,7 @@ examples:
 
 
 def main(argv: list[str] | None = None) -> int:
-    """Run ``nlos-classify``; return the exit code: 0 well, 2 bad input, 130 interrupted, 141 nobody reads on."""
+    """Run ``nlos-classify``; return the exit code: 0 success, 2 bad input, 130 interrupted, 141 output closed."""
     return guarded(lambda: _run(argv), "interrupted; nothing was written")
 
 

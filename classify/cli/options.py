@@ -19,7 +19,7 @@ if TYPE_CHECKING:
     from classify.pictures.sensor import Sensor
 
 Commands: TypeAlias = "argparse._SubParsersAction[argparse.ArgumentParser]"
-"""What verbs are added to."""
+"""Object of argparse to which verbs are added."""
 RAW = argparse.RawDescriptionHelpFormatter
 
 
@@ -27,7 +27,7 @@ SENSORS = ("full_well", "read_noise", "bits", "exposure", "fill", "frames", "bac
 
 
 def add_sensor_options(parser: argparse.ArgumentParser, otherwise: str = "by the default sensor") -> None:
-    """Add the camera's sensor and its frames."""
+    """Add the options for the camera's sensor and its frames."""
     parser.add_argument(
         "--sensor",
         metavar="default|FILE.toml",
@@ -39,7 +39,7 @@ def add_sensor_options(parser: argparse.ArgumentParser, otherwise: str = "by the
 
 
 def add_atlas_options(parser: argparse.ArgumentParser, *, voxels: bool = False) -> None:
-    """Add what `loaded` reads: the frames, and the voxels."""
+    """Add the options that `loaded` reads: the frames, and the voxels."""
     parser.add_argument(
         "--frames", type=int, metavar="N", help="to average, no more than the atlas was made for (default: as many)"
     )
@@ -61,12 +61,12 @@ def add_false_alarm(parser: argparse.ArgumentParser) -> None:
 
 
 def add_seed(parser: argparse.ArgumentParser, words: str) -> None:
-    """Add ``--seed``; the words say of what."""
+    """Add ``--seed``; ``words`` names what it seeds."""
     parser.add_argument("--seed", type=int, default=0, metavar="N", help=f"{words} (default: 0)")
 
 
 def sensor_of(options: argparse.Namespace) -> Sensor:
-    """Return the sensor that was asked for."""
+    """Return the sensor that the options ask for."""
     from dataclasses import replace
 
     from classify.pictures.sensor import Sensor
@@ -78,17 +78,17 @@ def sensor_of(options: argparse.Namespace) -> Sensor:
 
 
 def check_output(path: Path, *, folder: bool = False) -> None:
-    """Say before the work, not after it, that its result has no place to go."""
+    """Raise NlosError before the work starts if its result cannot be written."""
     if path.exists() and path.is_dir() != folder:
         raise NlosError(f"{path}: is a {'file' if folder else 'folder'}; name a {'folder' if folder else 'file'}")
-    place = next(p for p in [path, *path.absolute().parents] if p.exists())
-    if not (path.exists() or place.is_dir()) or not os.access(place, os.W_OK):
+    existing = next(p for p in [path, *path.absolute().parents] if p.exists())
+    if not (path.exists() or existing.is_dir()) or not os.access(existing, os.W_OK):
         raise NlosError(f"{path}: cannot be written")
 
 
 @contextlib.contextmanager
 def progress_bar(what: str, unit: str) -> Iterator[Callable[[int, int, str], None]]:
-    """Give what shows how much is done: a bar, or lines in a log."""
+    """Yield a function that shows the progress: as a bar, or as lines in a log."""
     if not sys.stderr.isatty():
         lines = LineProgress(unit)
         yield lambda done, total, now: lines(done, total)
@@ -109,10 +109,10 @@ def progress_bar(what: str, unit: str) -> Iterator[Callable[[int, int, str], Non
 
 
 def loaded(options: argparse.Namespace) -> Atlas:
-    """The atlas that was named, for as many frames and cut into the voxels that were asked for."""
+    """Return the named atlas, for the frames and divided into the voxels that the options ask for."""
     from classify.inference import atlas_file
 
-    found = atlas_file.load(options.atlas)
-    found = found if options.frames is None else found.at(options.frames)
+    atlas = atlas_file.load(options.atlas)
+    atlas = atlas if options.frames is None else atlas.at(options.frames)
     voxels = getattr(options, "voxels", None)
-    return found if voxels is None else found.cut(tuple(voxels))
+    return atlas if voxels is None else atlas.cut(tuple(voxels))

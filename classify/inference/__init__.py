@@ -1,1 +1,1 @@
-"""Answers from the physics: atlas, posterior, detection, tracking and their bounds."""
+"""Inference from the physics: atlas, posterior, detection, tracking and their bounds."""

@@ -1,10 +1,10 @@
-"""The pictures that the engine expects of a known object, compressed to what a sensor can tell apart of them.
+"""Simulated pictures of a known object, compressed to the differences that a sensor can resolve.
 
-Three diffuse reflections leave so little detail that a dozen numbers hold all that a camera lets through of it. A
-picture is put on a scale where its noise is 1 in every pixel, the empty scene is subtracted, and the rest projected
-on the few directions in which simulated pictures differ: its code, whose noise is 1 in every direction too. Codes a
-distance d apart are told apart as well as normal variables d apart, so comparing a code with those of many simulated
-poses answers every question: is something there, in which voxel, where.
+Three diffuse reflections leave so little detail that a dozen numbers hold all that a camera can measure of it. A
+picture is put on a scale where its noise is 1 in every pixel, the empty scene is subtracted, and the difference is
+projected on the few directions in which simulated pictures differ. The result is the picture's code, whose noise is 1
+in every direction too. Codes at a distance d are as distinguishable as unit normal variables at a distance d, so
+comparing a code with those of many simulated poses tells whether there is an object, in which voxel, and where.
 """
 
 from __future__ import annotations
@@ -26,13 +26,13 @@ from generator.model.errors import NlosError
 from generator.model.grid import VoxelGrid
 
 LEFT_OUT = 0.05
-"""Root mean square, in units of the noise, that a direction may have over all pictures to be dropped."""
+"""Root mean square over all pictures, in units of the noise, below which the remaining directions are dropped."""
 _FEWEST = 100.0
-"""Electrons in all frames of the darkest pixel, from which on a picture's code grows with the root of the frames."""
+"""Electrons of the darkest pixel in all frames from which on a code grows with the square root of the frames."""
 
 
 def noise_of(spread: float, nuisances: NDArray[np.float32]) -> Array:
-    """Return the covariance of a code before it is made 1, (k, k)."""
+    """Return the covariance of a code's noise before it is scaled to 1, (k, k)."""
     covariance: Array = spread * np.eye(nuisances.shape[1]) + nuisances.T.astype(np.float64) @ nuisances
     return covariance
 
@@ -44,29 +44,29 @@ class Atlas:
     Attributes
     ----------
     codes : ndarray of shape (n, k), float32
-        Of unit noise.
+        Codes of the pictures, of unit noise.
     basis : ndarray of shape (k, height * width), float32
-        What turns a stabilised difference picture into a code.
+        Matrix that maps a stabilised difference picture to its code.
     background : ndarray of shape (height, width), float64
-        The empty scene, W/m^2/sr.
+        Picture of the empty scene, W/m^2/sr.
     nuisances : ndarray of shape (m, k), float32
-        Codes of what may have changed since the background was taken (lamp, ambient light), each by a standard
-        deviation: it is fitted with every answer, and what it could explain is no evidence.
+        Codes of possible changes since the background was taken (lamp, ambient light), each of one standard
+        deviation. They are fitted with every answer, and whatever they could explain is no evidence.
     spread : float
-        Variance of a code in every direction before it was made 1: above 1 where the background has noise too.
+        Variance of a code in every direction before it was scaled to 1: above 1 if the background has noise too.
     positions, rotations : ndarray of shape (n, 3)
         Metres and degrees.
     voxels, kinds : ndarray of shape (n,), int
-        Which voxel, and which of the ``about["targets"]`` stands there.
+        Index of the voxel, and index in ``about["targets"]`` of the object that stands there.
     grid : VoxelGrid
     sensor : Sensor
-        With its exposure.
+        The sensor with its exposure.
     left_out : float
-        Root mean square, over the pictures, of what the basis cannot hold, in units of the noise in one direction.
+        Root mean square, over the pictures, of the part outside the basis, in units of the noise in one direction.
     about : dict
-        Targets, and the sets that the pictures are of.
+        Targets, and the sets that the pictures come from.
     hiding : ndarray of shape (n, k), float32, optional
-        Codes of what a black object would hide at the same poses: where it is given, the object's size and albedo
+        Codes of the light that a black object would hide at the same poses. If given, the object's size and albedo
         count as unknown (`classify.inference.unknown_object`).
     """
 
@@ -92,7 +92,7 @@ class Atlas:
 
     @property
     def colour_space(self) -> str:
-        """The linear space that the channels of the simulated pictures are of."""
+        """The linear colour space of the simulated pictures."""
         return str(self.about.get("colour_space", COLOUR_SPACE))
 
     @property
@@ -116,60 +116,60 @@ class Atlas:
         return AmplitudePrior.of(self.added, self.hiding)
 
     def logs(self, codes: NDArray[np.float32]) -> NDArray[np.float32]:
-        """Return how much better each pose explains pictures than an empty scene: logarithms, (..., n).
+        """Return the log-likelihood ratio of each pose to an empty scene, given pictures, (..., n).
 
         Parameters
         ----------
         codes : ndarray of shape (k,) or (m, k)
-            Of pictures.
+            Codes of the pictures.
         """
         if self.hiding is None:
             return codes @ self.codes.T - self._half_squares
         return self._strengths.logs(codes @ self.added.T, codes @ self.hiding.T)
 
     def example(self, pose: int, rng: np.random.Generator) -> Array:
-        """Return the code of the object at a pose, or of a random one where it is unknown; without noise, (k,)."""
+        """Return the noiseless code (k,) of the object at a pose; if size and albedo are unknown, of random ones."""
         code: Array = self.codes[pose].astype(np.float64)
         if self.hiding is not None:
-            first, second = rng.multivariate_normal(unknown_object.MEAN, unknown_object.COVARIANCE)
-            code = first * self.added[pose].astype(np.float64) + second * self.hiding[pose]
+            added, hidden = rng.multivariate_normal(unknown_object.MEAN, unknown_object.COVARIANCE)
+            code = added * self.added[pose].astype(np.float64) + hidden * self.hiding[pose]
         return code
 
     def at(self, frames: int) -> Atlas:
-        """Return the atlas of the same sensor averaging another number of frames, no more than it was made for.
+        """Return the atlas for the same sensor with another number of frames, at most the number it was made for.
 
-        A code grows with the root of the frames; directions in which nothing is left to see are dropped.
+        A code grows with the square root of the frames; directions that become too weak to see are dropped.
 
         Raises
         ------
         NlosError
-            That are more frames, or the scene is so dark that its noise changes its form.
+            If the atlas was made for fewer frames, or the scene is so dark that its noise has another distribution.
         """
-        have = self.sensor.frames
-        if not 1 <= frames <= have:
+        available = self.sensor.frames
+        if not 1 <= frames <= available:
             raise NlosError(
-                f"frames {frames}: must be from 1 to the {have} that the atlas was made for; make another"
+                f"frames {frames}: must be from 1 to the {available} that the atlas was made for; make another"
             )
-        if frames == have:
+        if frames == available:
             return self
         darkest = float(self.sensor.electrons(self.background[..., None]).min())
         if darkest * frames < _FEWEST:
             raise NlosError(
                 f"frames {frames}: collect {darkest * frames:.3g} electrons in the darkest pixel, too few to be "
-                f"derived from an atlas of {have}; make one with --frames {frames}"
+                f"derived from an atlas of {available}; make one with --frames {frames}"
             )
-        scale = math.sqrt(frames / have)
-        spread = 1.0 + (self.spread - 1.0) * frames / have
-        old = np.linalg.cholesky(noise_of(self.spread, self.nuisances))
-        new = np.linalg.cholesky(noise_of(spread, scale * self.nuisances))
-        change = np.linalg.solve(new, old)
+        scale = math.sqrt(frames / available)
+        spread = 1.0 + (self.spread - 1.0) * frames / available
+        old_factor = np.linalg.cholesky(noise_of(self.spread, self.nuisances))
+        new_factor = np.linalg.cholesky(noise_of(spread, scale * self.nuisances))
+        change = np.linalg.solve(new_factor, old_factor)
         codes = (scale * self.codes @ change.T).astype(np.float32)
         hiding = None if self.hiding is None else (scale * self.hiding @ change.T).astype(np.float32)
         basis = (change @ self.basis).astype(np.float32)
-        every = codes if hiding is None else np.concatenate([codes - hiding, hiding])
-        rest = np.sqrt(np.cumsum(np.mean(every**2, axis=0)[::-1])[::-1])
-        kept = max(1, int((rest > LEFT_OUT).sum()))
-        # The basis is in order of strength, and Cholesky's factor is triangular: what is dropped moves nothing else.
+        components = codes if hiding is None else np.concatenate([codes - hiding, hiding])
+        residual = np.sqrt(np.cumsum(np.mean(components**2, axis=0)[::-1])[::-1])
+        kept = max(1, int((residual > LEFT_OUT).sum()))
+        # Ordered by strength, and Cholesky's factor is triangular: dropping the last directions changes no others.
         return replace(
             self,
             codes=np.ascontiguousarray(codes[:, :kept]),
@@ -178,18 +178,18 @@ class Atlas:
             nuisances=scale * self.nuisances[:, :kept],
             spread=spread,
             sensor=replace(self.sensor, frames=frames),
-            left_out=math.hypot(scale * self.left_out, float(rest[kept]) if kept < len(rest) else 0.0),
+            left_out=math.hypot(scale * self.left_out, float(residual[kept]) if kept < len(residual) else 0.0),
         )
 
     def cut(self, shape: tuple[int, int, int]) -> Atlas:
-        """Return the atlas of the same volume, cut into other voxels, along x, y and z."""
+        """Return the atlas of the same volume, divided into other numbers of voxels along x, y and z."""
         grid = replace(self.grid, shape=shape)
         return replace(self, grid=grid, voxels=grid.voxels(self.positions))
 
     def take(self, some: Any) -> Atlas:
-        """Return the atlas of some of its poses, given by their numbers or a slice."""
-        every = {name: getattr(self, name)[some] for name in ("codes", "positions", "rotations", "voxels", "kinds")}
-        return replace(self, **every, hiding=None if self.hiding is None else self.hiding[some])
+        """Return the atlas of some of its poses, given by their indices or a slice."""
+        fields = {name: getattr(self, name)[some] for name in ("codes", "positions", "rotations", "voxels", "kinds")}
+        return replace(self, **fields, hiding=None if self.hiding is None else self.hiding[some])
 
     def code(
         self, picture: Picture, background: Picture | None = None, *, name: str = "picture"
@@ -201,22 +201,22 @@ class Atlas:
         picture : ndarray of shape (height, width, 3)
             Measured radiance, W/m^2/sr.
         background : ndarray of shape (height, width, 3), optional
-            Measured by the sensor's ``background_frames``; without it, the simulated one.
+            Measured background, averaged over ``background_frames``; without it, the simulated one is used.
         name : str
-            For messages.
+            Name of the picture, for messages.
 
         Raises
         ------
         NlosError
-            The picture has another size than the atlas, or holds NaN or infinite pixels.
+            If the picture has another size than the atlas, or holds NaN or infinite pixels.
         """
         empty = self.empty
         if background is not None:
             self._check(background, f"{name}: its background")
-            empty = self.sensor.stabilised_mean(background)  # of so many frames that it is as good as known
+            empty = self.sensor.stabilised_mean(background)  # averages so many frames that it counts as known
         self._check(picture, name)
-        seen = self.sensor.stabilised(picture) - empty
-        code: NDArray[np.float32] = self.basis @ seen.ravel().astype(np.float32)
+        difference = self.sensor.stabilised(picture) - empty
+        code: NDArray[np.float32] = self.basis @ difference.ravel().astype(np.float32)
         return code
 
     def _check(self, picture: Picture, name: str) -> None:

@@ -1,4 +1,4 @@
-"""Making an atlas: simulated pictures compressed to their codes."""
+"""Building of an atlas: simulated pictures are compressed to their codes."""
 
 from __future__ import annotations
 
@@ -38,49 +38,49 @@ def build(
     Parameters
     ----------
     bulk : Bulk
-        Finished.
+        A finished set.
     *others : Bulk
-        The same scene with other objects: what is looked for may be any of them.
+        Sets of the same scene with other objects; the object that is looked for may be any of them.
     sensor : Sensor
-        Without an exposure, the brightest pixel of the background and of some thousand pictures fills it.
+        If it has no exposure, the brightest pixel of the background and of some thousand pictures defines it.
     lamp_drift : float
-        Standard deviation of the lamp's strength since the background was taken, relative.
+        Relative standard deviation of the lamp's strength since the background was taken.
     ambient_drift : float
-        Standard deviation of uniform light on the watched wall since then, in units of the background's mean.
+        Standard deviation of uniform light added to the watched wall since then, in units of the background's mean.
     measured_background : bool
-        Whether the background that pictures come with is measured too, and hence has noise of its own.
+        Whether the background of the pictures is measured too, and hence has noise of its own.
     unknown : bool
         Whether the object's size and albedo count as unknown.
     progress : callable
-        Is told how many pictures are done, and of how many.
+        Called with (done, total), in pictures.
 
     Raises
     ------
     NlosError
-        A set is not finished, or has no light, or they are not of one scene.
+        If a set is not finished or has no light, or the sets are not of one scene.
     """
     bulks = [bulk, *others]
-    if unknown and (many := [b for b in bulks if b.plan.unknown]):
-        raise NlosError(f"--unknown: {many[0].path} is of objects of all sizes and albedos already; leave it out")
+    if unknown and (mixed := [b for b in bulks if b.plan.unknown]):
+        raise NlosError(f"--unknown: {mixed[0].path} is of objects of all sizes and albedos already; leave it out")
     _check_alike(bulks)
     background = bulk.background
     blacks = [_Black(b) for b in bulks] if unknown else []
     share = math.ceil(_FOR_BASIS / len(bulks))
-    some = [np.unique(np.linspace(0, b.planned - 1, min(b.planned, share)).astype(np.int64)) for b in bulks]
-    samples = [_colour(b.pictures[numbers]) for b, numbers in zip(bulks, some, strict=True)]
+    sample_rows = [np.unique(np.linspace(0, b.planned - 1, min(b.planned, share)).astype(np.int64)) for b in bulks]
+    samples = [_colour(b.pictures[rows]) for b, rows in zip(bulks, sample_rows, strict=True)]
     sample = np.concatenate(samples)
     difference = _Difference(sensor.exposed([background, sample.reshape(-1, sample.shape[-2], 3)]), background)
-    sensor, seen = difference.sensor, difference(sample)
+    sensor, differences = difference.sensor, difference(sample)
     if blacks:
-        black = [d(numbers, pictures) for d, numbers, pictures in zip(blacks, some, samples, strict=True)]
-        hidden = difference(np.concatenate(black))
-        seen = np.concatenate([seen - hidden, hidden])
-    basis, left_out = _basis(seen)
-    # What cannot be told from a change of the light, and the background's own noise, make the rest less certain.
+        black_pictures = [d(rows, pictures) for d, rows, pictures in zip(blacks, sample_rows, samples, strict=True)]
+        hidden = difference(np.concatenate(black_pictures))
+        differences = np.concatenate([differences - hidden, hidden])
+    basis, left_out = _basis(differences)
+    # Possible changes of the light, and the background's own noise, add to the variance of a code.
     spread = 1.0 + (sensor.frames / sensor.background_frames if measured_background else 0.0)
     drifts = [background * (1.0 + lamp_drift)] if lamp_drift else []
     drifts += [background + ambient_drift * background.mean()] if ambient_drift else []
-    nuisances = np.array([basis @ difference.of(lit) for lit in drifts])
+    nuisances = np.array([basis @ difference.of(drifted) for drifted in drifts])
     nuisances = nuisances.reshape(len(drifts), len(basis)).astype(np.float32)
     whitened = np.linalg.solve(np.linalg.cholesky(noise_of(spread, nuisances)), basis).astype(np.float32)
     codes, hiding = _codes(bulks, blacks, difference, whitened, progress)
@@ -112,19 +112,19 @@ def _about(bulks: list[Bulk]) -> dict[str, object]:
 
 
 class _Difference:
-    """Pictures on the scale of a sensor's unit noise, less the empty scene."""
+    """Converts pictures to differences from the empty scene, on the scale of a sensor's unit noise."""
 
     def __init__(self, sensor: Sensor, background: Picture) -> None:
         self.sensor = sensor
         self._empty = sensor.stabilised_mean(background)
 
     def of(self, picture: Picture) -> Array:
-        """Return one picture's, (pixels,)."""
-        seen: Array = (self.sensor.stabilised_mean(picture) - self._empty).ravel()
-        return seen
+        """Return the difference of one picture, (pixels,)."""
+        difference: Array = (self.sensor.stabilised_mean(picture) - self._empty).ravel()
+        return difference
 
     def __call__(self, pictures: NDArray[np.float32]) -> NDArray[np.float32]:
-        """Return those of pictures (n, height, width, 3), (n, pixels)."""
+        """Return the differences, (n, pixels), of pictures (n, height, width, 3)."""
         return np.asarray([self.of(p) for p in pictures], dtype=np.float32)
 
 
@@ -135,20 +135,20 @@ def _codes(
     basis: NDArray[np.float32],
     progress: Callable[[int, int], None],
 ) -> tuple[NDArray[np.float32], NDArray[np.float32] | None]:
-    """Codes (n, k) of all pictures, and of what a black object hides, if ``blacks`` say so."""
-    count, done = sum(b.planned for b in bulks), 0
+    """Codes (n, k) of all pictures, and of the light that a black object hides, if ``blacks`` are given."""
+    total, done = sum(b.planned for b in bulks), 0
     codes: list[NDArray[np.float32]] = []
     hiding: list[NDArray[np.float32]] = []
-    for number, one in enumerate(bulks):
-        for start in range(0, one.planned, _BLOCK):
-            block = slice(start, min(start + _BLOCK, one.planned))
-            pictures = _colour(one.pictures[block])
+    for index, bulk in enumerate(bulks):
+        for start in range(0, bulk.planned, _BLOCK):
+            block = slice(start, min(start + _BLOCK, bulk.planned))
+            pictures = _colour(bulk.pictures[block])
             codes.append(difference(pictures) @ basis.T)
             if blacks:
                 rows = np.arange(block.start, block.stop)
-                hiding.append(difference(blacks[number](rows, pictures)) @ basis.T)
+                hiding.append(difference(blacks[index](rows, pictures)) @ basis.T)
             done += len(pictures)
-            progress(done, count)
+            progress(done, total)
     return np.concatenate(codes), np.concatenate(hiding) if hiding else None
 
 
@@ -166,40 +166,40 @@ def _check_alike(bulks: list[Bulk]) -> None:
 
 
 class _Black:
-    """The same poses of a black object, which only hides."""
+    """Computes pictures of a black object, which only hides light, at the poses of a set."""
 
     def __init__(self, bulk: Bulk) -> None:
         self._engine = Engine(bulk)
         self._bulk = bulk
 
     def __call__(self, some: NDArray[np.int64], pictures: NDArray[np.float32]) -> NDArray[np.float32]:
-        """Return the black object's pictures for the white one's, (n, height, width, 3)."""
+        """Return the pictures of the black object, given those of the real one, (n, height, width, 3)."""
         bulk = self._bulk
-        # What an object adds takes the engine far less time than what it hides, which is the rest of its picture.
+        # The engine computes added light far faster than hidden light, which is what remains of the picture.
         lit = self._engine.pictures(some, bulk.positions[some], bulk.rotations[some], shadows=False)
         return pictures - (lit - bulk.background)
 
 
 def _basis(sample: NDArray[np.float32]) -> tuple[Array, float]:
-    """The fewest orthonormal directions (k, pixels) that hold pictures (n, pixels), and what they leave out.
+    """The fewest orthonormal directions (k, pixels) that span pictures (n, pixels), and the RMS that they leave out.
 
-    By sampling the pictures' range at random (Halko, Martinsson and Tropp 2011, algorithm 4.4): all directions would
-    take minutes, and but for the first few hundred there is nothing in them.
+    The range of the pictures is sampled at random (Halko, Martinsson and Tropp 2011, algorithm 4.4): computing all
+    directions would take minutes, and beyond the first few hundred they hold nothing.
     """
     pictures = sample.astype(np.float64)
-    total, most = float((pictures**2).sum()), min(pictures.shape)
-    count = min(_FIRST, most)
+    total, full_rank = float((pictures**2).sum()), min(pictures.shape)
+    count = min(_FIRST, full_rank)
     while True:
-        _, strengths, directions = randomized_svd(pictures, count, n_iter=4, random_state=0)
-        beyond = max(total - float((strengths**2).sum()), 0.0)
-        rest = np.sqrt((np.cumsum(strengths[::-1] ** 2)[::-1] + beyond) / len(pictures))
-        if count == most or beyond <= len(pictures) * LEFT_OUT**2:
+        _, singular_values, directions = randomized_svd(pictures, count, n_iter=4, random_state=0)
+        remainder = max(total - float((singular_values**2).sum()), 0.0)
+        residual = np.sqrt((np.cumsum(singular_values[::-1] ** 2)[::-1] + remainder) / len(pictures))
+        if count == full_rank or remainder <= len(pictures) * LEFT_OUT**2:
             break
-        count = min(2 * count, most)
-    kept = max(1, int((rest > LEFT_OUT).sum()))
-    return directions[:kept], float(rest[kept] if kept < len(rest) else math.sqrt(beyond / len(pictures)))
+        count = min(2 * count, full_rank)
+    kept = max(1, int((residual > LEFT_OUT).sum()))
+    return directions[:kept], float(residual[kept] if kept < len(residual) else math.sqrt(remainder / len(pictures)))
 
 
 def _colour(pictures: NDArray[np.float32]) -> NDArray[np.float32]:
-    """Pictures (..., height, width, 3) of a grey set's (..., height, width)."""
+    """Pictures (..., height, width, 3), with the channel of a grey set (..., height, width) repeated."""
     return pictures if pictures.shape[-1:] == (3,) and pictures.ndim > 3 else pictures[..., None].repeat(3, axis=-1)

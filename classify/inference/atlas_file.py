@@ -21,7 +21,7 @@ from generator.model.grid import VoxelGrid
 FORMAT = 2
 
 _ABSURD = 1e15
-"""No number in an atlas comes near, and the squares of these still are numbers."""
+"""Bound far above any number in an atlas, whose square is still finite."""
 
 _ARRAYS: dict[str, type[Any]] = {
     **dict.fromkeys(("codes", "basis", "nuisances"), np.float32),
@@ -31,7 +31,7 @@ _ARRAYS: dict[str, type[Any]] = {
 
 
 def save(path: Path, atlas: Atlas) -> None:
-    """Write an atlas to HDF5, by temporary name and rename."""
+    """Write an atlas to a temporary HDF5 file, and rename it."""
     with atomic(path) as temporary, h5py.File(temporary, "w") as file:
         file.attrs["format"] = FORMAT
         file.attrs["kind"] = "atlas"
@@ -55,7 +55,7 @@ def load(path: Path) -> Atlas:
     Raises
     ------
     NlosError
-        The file is missing, of a newer format, or no atlas.
+        If the file is missing, has a newer format, or is not an atlas.
     """
     with open_table(path, "atlas", FORMAT) as file:
         atlas = Atlas(
@@ -72,12 +72,12 @@ def load(path: Path) -> Atlas:
 
 
 def _check(atlas: Atlas) -> None:
-    """Raise ValueError if what a file says cannot be an atlas."""
+    """Raise ValueError if the contents of a file cannot be an atlas."""
     n, k = atlas.codes.shape
     shapes = [atlas.basis.shape, atlas.positions.shape, atlas.rotations.shape, atlas.voxels.shape]
     shapes += [atlas.nuisances.shape[1:], atlas.kinds.shape]
-    wanted = [(k, atlas.background.size), (n, 3), (n, 3), (n,), (k,), (n,)]
-    if atlas.background.ndim != 2 or shapes != wanted or not n:
+    expected = [(k, atlas.background.size), (n, 3), (n, 3), (n,), (k,), (n,)]
+    if atlas.background.ndim != 2 or shapes != expected or not n:
         raise ValueError("its codes, basis and poses differ in length")
     if atlas.hiding is not None and atlas.hiding.shape != (n, k):
         raise ValueError("its codes of light and of shadow differ in number")
@@ -91,9 +91,9 @@ def _check(atlas: Atlas) -> None:
         raise ValueError("its spread or what it leaves out is no positive number")
     if atlas.kinds.min() < 0 or atlas.kinds.max() >= len(targets):
         raise ValueError("it names a target that it does not describe")
-    room = 1e-6 * np.subtract(atlas.grid.hi, atlas.grid.lo)
+    tolerance = 1e-6 * np.subtract(atlas.grid.hi, atlas.grid.lo)
     low, high = atlas.positions.min(axis=0), atlas.positions.max(axis=0)
-    if (low < atlas.grid.lo - room).any() or (high > atlas.grid.hi + room).any():
+    if (low < atlas.grid.lo - tolerance).any() or (high > atlas.grid.hi + tolerance).any():
         raise ValueError("it has poses outside its grid")
     if atlas.voxels.min() < 0 or atlas.voxels.max() >= atlas.grid.n_voxels:
         raise ValueError(f"it names a voxel that its grid of {atlas.grid.n_voxels} lacks")

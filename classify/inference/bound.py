@@ -1,4 +1,4 @@
-"""How well a picture can be answered at all: what noise leaves of it, whoever looks.
+"""Limits that the noise of a picture sets to any method of inference.
 
 The paper asks "under which conditions is the effect significant enough to be detected" (section 1). For small changes
 the answer is the Fisher information of the picture about the pose; for voxels, and wherever noise is so large that a
@@ -29,7 +29,7 @@ _RESAMPLES = 2000
 
 @dataclass(frozen=True)
 class Reachable:
-    """What the best of all methods answers, on poses like the atlas'.
+    """Performance of the best possible method on poses distributed like those of the atlas.
 
     Attributes
     ----------
@@ -39,7 +39,7 @@ class Reachable:
     error : Interval
         Median distance of its position from the true one, metres.
     count : int
-        Pictures.
+        Number of pictures.
     """
 
     accuracy: Interval
@@ -51,34 +51,34 @@ class Reachable:
 def reachable(
     atlas: Atlas, *, count: int = 3000, seed: int = 0, progress: Callable[[int, int], None] = lambda done, total: None
 ) -> Reachable:
-    """Return what Bayes' rule makes of pictures of the atlas' own poses, each left out while it is asked about.
+    """Apply Bayes' rule to pictures of the atlas' own poses, each left out of the atlas for its own picture.
 
     No decision between voxels errs less often (Duda, Hart and Stork 2001, section 2.2), and the posterior's mean has
-    the least mean squared error (Kay 1993, section 10.4), for poses that are as likely as the atlas has them.
+    the least mean squared error (Kay 1993, section 10.4), for poses distributed as in the atlas.
 
     Parameters
     ----------
     atlas : Atlas
     count : int
-        Pictures, at most as many as the atlas has.
+        Number of pictures, at most as many as the atlas has.
     seed : int
-        Of their choice and their noise.
+        Seed of their choice and their noise.
     progress : callable
-        Is told how many pictures are done, and of how many.
+        Called with (done, total), in pictures.
     """
     rng = np.random.default_rng([seed, 2])
     chosen = rng.choice(len(atlas.codes), size=min(count, len(atlas.codes)), replace=False)
-    right, errors = np.zeros(len(chosen), dtype=bool), np.zeros(len(chosen))
+    correct, errors = np.zeros(len(chosen), dtype=bool), np.zeros(len(chosen))
     for done, pose in enumerate(chosen):
         code = atlas.example(int(pose), rng) + rng.normal(size=atlas.codes.shape[1])
-        found = locate(atlas, code.astype(np.float32), without=int(pose))
-        right[done] = found.voxels.argmax() == atlas.voxels[pose]
-        errors[done] = np.linalg.norm(found.position - atlas.positions[pose])
+        place = locate(atlas, code.astype(np.float32), without=int(pose))
+        correct[done] = place.voxels.argmax() == atlas.voxels[pose]
+        errors[done] = np.linalg.norm(place.position - atlas.positions[pose])
         progress(done + 1, len(chosen))
     voxels = atlas.voxels[chosen]
-    by_voxel = [right[voxels == v] for v in range(atlas.grid.n_voxels)]
+    by_voxel = [correct[voxels == v] for v in range(atlas.grid.n_voxels)]
     return Reachable(
-        accuracy=wilson(int(right.sum()), len(right)),
+        accuracy=wilson(int(correct.sum()), len(correct)),
         by_voxel=[wilson(int(r.sum()), len(r)) if len(r) else Interval(math.nan, 0.0, 1.0) for r in by_voxel],
         error=median(errors, seed),
         count=len(chosen),
@@ -95,7 +95,7 @@ def median(values: Array, seed: int = 0) -> Interval:
 
 @dataclass(frozen=True)
 class Limits:
-    """What can be known of an object at a place.
+    """Bounds on what can be known of an object at a pose.
 
     Attributes
     ----------
@@ -104,7 +104,7 @@ class Limits:
     position : ndarray of shape (3,)
         Least standard deviation along x, y and z, metres, with the rotation known.
     turned : ndarray of shape (3,)
-        The same with the rotation unknown; infinite where it cannot be told from a turn.
+        The same with the rotation unknown; infinite if a movement cannot be distinguished from a turn.
     rotation : ndarray of shape (3,)
         Least standard deviation of the turn about x, y and z, radians, with the position known.
     strength : float
@@ -141,7 +141,7 @@ def limits(
     Raises
     ------
     NlosError
-        No object can be there, or the engine knows no derivatives there.
+        If no object can be there, or the engine has no derivatives there.
     """
     if not (0.0 < false_alarm < 1.0 and false_alarm < detection < 1.0):
         raise NlosError(
@@ -150,30 +150,30 @@ def limits(
     place, turn = np.asarray(position, float), np.asarray(rotation, float)
     slopes = synthesis.slopes(place, turn)
     information = slopes.T @ slopes
-    needed = norm.isf(false_alarm) + norm.ppf(detection)
-    along = np.sqrt(np.diag(information))
+    quantiles = norm.isf(false_alarm) + norm.ppf(detection)
+    slope_norms = np.sqrt(np.diag(information))
     with np.errstate(divide="ignore"):
         return Limits(
             presence=float(np.linalg.norm(synthesis.code(place, turn))),
             position=deviations(information[:3, :3]),
             turned=deviations(information[:6, :6])[:3],
             rotation=deviations(information[3:6, 3:6]),
-            strength=float(1.0 / along[6]),
-            movement=needed * math.sqrt(2.0) / along[:3],
+            strength=float(1.0 / slope_norms[6]),
+            movement=quantiles * math.sqrt(2.0) / slope_norms[:3],
         )
 
 
 def deviations(information: Array) -> Array:
-    """Return the least standard deviations that Fisher information (k, k) allows; infinite where it says nothing."""
+    """Return the least standard deviations that Fisher information (k, k) allows; infinite where it is zero."""
     scale = np.sqrt(np.diag(information))
     known = scale > 1e-9 * scale.max(initial=0.0)
     least = np.full(len(information), np.inf)
     if known.any():
-        some = information[np.ix_(known, known)] / np.outer(scale[known], scale[known])
-        strengths, ways = np.linalg.eigh(some)
-        shares = ways**2
-        blind = strengths < 1e-10  # along these nothing is known, and of what takes part in them neither
-        variance = (shares[:, ~blind] / strengths[~blind]).sum(axis=1)
+        normalised = information[np.ix_(known, known)] / np.outer(scale[known], scale[known])
+        eigenvalues, eigenvectors = np.linalg.eigh(normalised)
+        shares = eigenvectors**2
+        blind = eigenvalues < 1e-10  # nothing is known along these, nor about any parameter with a share in them
+        variance = (shares[:, ~blind] / eigenvalues[~blind]).sum(axis=1)
         variance[(shares[:, blind] > 1e-9).any(axis=1)] = np.inf
         least[known] = np.sqrt(variance) / scale[known]
     return least
@@ -187,36 +187,36 @@ def rows(atlas: Atlas, best: Reachable, synthesis: Synthesis | None = None) -> l
     atlas : Atlas
     best : Reachable
     synthesis : Synthesis, optional
-        For what can be known of the object, unturned, in the middle of each voxel.
+        Gives the bounds for the object, not rotated, in the centre of each voxel.
     """
     grid = atlas.grid
-    made: list[tuple[str, ...]] = []
+    table: list[tuple[str, ...]] = []
     for voxel, label in enumerate(grid.labels):
         if synthesis is None:
-            made.append((label, best.by_voxel[voxel].percent()))
+            table.append((label, best.by_voxel[voxel].percent()))
             continue
-        middle = np.mean(grid.bounds(voxel), axis=0)
+        centre = np.mean(grid.bounds(voxel), axis=0)
         try:
-            found = limits(synthesis, middle, np.zeros(3))
-            lengths = [*found.position, float(np.linalg.norm(found.turned))]
-            cells = [f"{found.presence:.1f}", *map(_short, lengths), *map(_short, found.movement)]
-        except NlosError:  # something stands in the way there
+            bounds = limits(synthesis, centre, np.zeros(3))
+            lengths = [*bounds.position, float(np.linalg.norm(bounds.turned))]
+            cells = [f"{bounds.presence:.1f}", *map(_short, lengths), *map(_short, bounds.movement)]
+        except NlosError:  # no bounds there: something stands in the way
             cells = ["-"] * 8
-        made.append((label, best.by_voxel[voxel].percent(), *cells))
-    return [*made, ("all", best.accuracy.percent(), *[""] * (8 if synthesis else 0))]
+        table.append((label, best.by_voxel[voxel].percent(), *cells))
+    return [*table, ("all", best.accuracy.percent(), *[""] * (8 if synthesis else 0))]
 
 
 @dataclass(frozen=True)
 class Map:
-    """The bounds over a level cut through the hidden volume.
+    """The bounds over a horizontal section of the hidden volume.
 
     Attributes
     ----------
     x, y : ndarray of shape (nx,) and (ny,)
-        Places, metres.
+        Coordinates, metres.
     presence, position, movement : ndarray of shape (ny, nx)
-        As of `Limits`, the last two of all three directions together: root of the summed squares, and the longest,
-        metres; NaN where no object can be or the engine knows no derivatives.
+        As in `Limits`. Of the three directions, position has the root of the summed squares and movement the longest,
+        metres. NaN where no object can be or the engine has no derivatives.
     """
 
     x: Array
@@ -229,15 +229,15 @@ class Map:
 def over_volume(
     synthesis: Synthesis, *, across: int = 16, progress: Callable[[int, int], None] = lambda done, total: None
 ) -> Map:
-    """Return the bounds at half the volume's height, for an object that is not turned.
+    """Return the bounds at half the volume's height, for an object that is not rotated.
 
     Parameters
     ----------
     synthesis : Synthesis
     across : int
-        Places along x, and as close along y.
+        Number of points along x; along y they are as dense.
     progress : callable
-        Is told how many places are done, and of how many.
+        Called with (done, total), in points.
     """
     lo, hi = np.asarray(synthesis.atlas.grid.lo), np.asarray(synthesis.atlas.grid.hi)
     deep = max(2, round(across * (hi[1] - lo[1]) / (hi[0] - lo[0])))
@@ -247,18 +247,18 @@ def over_volume(
         for column in range(across):
             place = np.array([x[column], y[row], 0.5 * (lo[2] + hi[2])])
             try:
-                found = limits(synthesis, place, np.zeros(3))
-            except NlosError:  # something stands in the way there
+                bounds = limits(synthesis, place, np.zeros(3))
+            except NlosError:  # no bounds there: something stands in the way
                 continue
-            presence[row, column] = found.presence
-            position[row, column] = float(np.linalg.norm(found.position))
-            movement[row, column] = float(found.movement.max())
+            presence[row, column] = bounds.presence
+            position[row, column] = float(np.linalg.norm(bounds.position))
+            movement[row, column] = float(bounds.movement.max())
         progress((row + 1) * across, deep * across)
     return Map(x, y, presence, position, movement)
 
 
 def draw(path: Path, atlas: Atlas, found: Map) -> None:
-    """Write a picture of the bounds over the hidden volume, seen from above."""
+    """Write a figure of the bounds over the hidden volume, seen from above."""
     figure, axes = plt.subplots(1, 3, figsize=(14.0, 4.3), layout="constrained")
     panels = (
         ("distance from the empty scene, standard deviations", found.presence, "viridis"),
@@ -284,5 +284,5 @@ def draw(path: Path, atlas: Atlas, found: Map) -> None:
 
 
 def _short(length: float) -> str:
-    """Centimetres in three digits."""
+    """Length in centimetres, with three significant digits."""
     return f"{100.0 * length:.3g}" if math.isfinite(length) else "unknown"

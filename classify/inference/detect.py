@@ -1,4 +1,4 @@
-"""Is something there? The evidence for an object, against a threshold that empty scenes seldom reach."""
+"""Detection of an object: its evidence is compared with a threshold that empty scenes seldom reach."""
 
 from __future__ import annotations
 
@@ -19,45 +19,45 @@ from generator.model.arrays import Array
 from generator.model.errors import NlosError
 
 _POSES = 8192
-"""Of the atlas, that share in the evidence: more change it by less than the noise does."""
+"""Number of the atlas' poses that the evidence uses: more would change it by less than the noise does."""
 _EMPTY = 20_000
 _BLOCK = 256
 _TRIED = 4000
-"""Empty scenes behind a curve."""
+"""Number of empty scenes that an ROC curve is based on."""
 _MOST_LINES = 27
 
 
 def evidence(atlas: Atlas, codes: NDArray[np.float32]) -> Array:
-    """Return how much more probable pictures are with the object somewhere than without, as logarithms, (n,).
+    """Return the log-likelihood ratio of the object at any pose to an empty scene, for each picture, (n,).
 
-    The likelihood ratio of the mixture of all poses: at a given rate of false alarms no other test finds the object
-    more often, on average over the poses (Neyman and Pearson 1933).
+    It is the ratio for the mixture of all poses: at a given rate of false alarms no other test finds the object more
+    often, on average over the poses (Neyman and Pearson 1933).
 
     Parameters
     ----------
     atlas : Atlas
     codes : ndarray of shape (n, k)
-        Of the pictures.
+        Codes of the pictures.
     """
     step = max(1, len(atlas.codes) // _POSES)
-    some = atlas.take(slice(None, None, step))
+    subset = atlas.take(slice(None, None, step))
     blocks = [codes[i : i + _BLOCK] for i in range(0, len(codes), _BLOCK)]
-    logs = [logsumexp(some.logs(block), axis=1) for block in blocks]
-    found: Array = np.concatenate(logs).astype(np.float64) - np.log(len(some.codes))
-    return found
+    logs = [logsumexp(subset.logs(block), axis=1) for block in blocks]
+    log_ratios: Array = np.concatenate(logs).astype(np.float64) - np.log(len(subset.codes))
+    return log_ratios
 
 
 @dataclass(frozen=True)
 class Detector:
-    """Says whether there is something.
+    """Decides whether there is an object.
 
     Attributes
     ----------
     atlas : Atlas
     false_alarm : float
-        Share of empty scenes in which it says so too.
+        Share of empty scenes in which it finds one as well.
     threshold : float
-        Of the evidence, a logarithm.
+        Threshold of the evidence, a logarithm.
     """
 
     atlas: Atlas
@@ -66,14 +66,14 @@ class Detector:
 
     @classmethod
     def at(cls, atlas: Atlas, false_alarm: float = 0.01, *, seed: int = 0) -> Detector:
-        """Return the detector that a share of empty scenes alarms.
+        """Return the detector that has a given share of false alarms in empty scenes.
 
         The threshold is the quantile of the evidence in simulated empty scenes, whose codes are unit noise.
 
         Raises
         ------
         NlosError
-            The rate is none, or so low that too few of the simulated scenes would reach it.
+            If the rate is not a share, or so low that too few of the simulated scenes would give an alarm.
         """
         least = 20.0 / _EMPTY
         if not least <= false_alarm < 1.0:
@@ -83,7 +83,7 @@ class Detector:
         return cls(atlas, false_alarm, float(np.quantile(evidence(atlas, empty), 1.0 - false_alarm)))
 
     def __call__(self, codes: NDArray[np.float32]) -> NDArray[np.bool_]:
-        """Return whether there is something in pictures with the codes (n, k), (n,)."""
+        """Return whether there is an object in each of the pictures with the codes (n, k), (n,)."""
         return evidence(self.atlas, codes) > self.threshold
 
 
@@ -94,13 +94,13 @@ class Detection:
     Attributes
     ----------
     frames : int
-        That a picture averages.
+        Number of frames averaged for a picture.
     found : list of Interval
-        Share of pictures in which something is found, a voxel each.
+        Share of pictures in which an object is found, for each voxel.
     evidence : list of ndarray
-        Of each voxel's pictures.
+        Evidence in the pictures of each voxel.
     empty : ndarray of shape (m,)
-        Evidence of empty scenes.
+        Evidence in empty scenes.
     """
 
     frames: int
@@ -109,11 +109,11 @@ class Detection:
     empty: Array
 
     def roc(self, voxel: int) -> tuple[Array, Array]:
-        """Return false alarms and detections at every threshold, each from 0 to 1."""
+        """Return the rates of false alarms and of detections at every threshold, each from 0 to 1."""
         thresholds = np.sort(self.empty)[::-1]
         alarms = np.arange(1, len(thresholds) + 1) / len(thresholds)
-        found = 1.0 - np.searchsorted(np.sort(self.evidence[voxel]), thresholds) / len(self.evidence[voxel])
-        return alarms, found
+        detected = 1.0 - np.searchsorted(np.sort(self.evidence[voxel]), thresholds) / len(self.evidence[voxel])
+        return alarms, detected
 
 
 def detections(
@@ -130,63 +130,63 @@ def detections(
     Parameters
     ----------
     atlas : Atlas
-        For the most frames, or more.
+        Atlas for at least the largest number of frames.
     frames : sequence of int
     false_alarm : float
-        Share of empty scenes in which something may be found.
+        Share of empty scenes in which an object may be found.
     count : int
-        Pictures in each voxel, at most as many as the atlas has.
+        Number of pictures in each voxel, at most as many as the atlas has.
     seed : int
-        Of poses and noise.
+        Seed of poses and noise.
     progress : callable
-        Is told how many exposures are done, and of how many.
+        Called with (done, total), in exposures.
 
     Raises
     ------
     NlosError
-        The atlas is not made for so many frames, or the rate is none.
+        If the atlas is not made for so many frames, or the rate is out of range.
     """
-    made = []
-    for done, number in enumerate(frames):
+    results = []
+    for done, n_frames in enumerate(frames):
         progress(done, len(frames))
-        exposed = atlas.at(number)
+        exposed = atlas.at(n_frames)
         detector = Detector.at(exposed, false_alarm, seed=seed)
         rng = np.random.default_rng([seed, 7])
-        told, size = [], exposed.codes.shape[1]
+        evidences, code_length = [], exposed.codes.shape[1]
         for voxel in range(atlas.grid.n_voxels):
-            inside = np.flatnonzero(exposed.voxels == voxel)
-            chosen = rng.choice(inside, size=min(count, len(inside)), replace=False)
-            codes = np.array([exposed.example(int(pose), rng) for pose in chosen]).reshape(len(chosen), size)
-            told.append(evidence(exposed, (codes + rng.normal(size=codes.shape)).astype(np.float32)))
-        empty = evidence(exposed, rng.normal(size=(_TRIED, size)).astype(np.float32))
-        found = [
+            members = np.flatnonzero(exposed.voxels == voxel)
+            chosen = rng.choice(members, size=min(count, len(members)), replace=False)
+            codes = np.array([exposed.example(int(pose), rng) for pose in chosen]).reshape(len(chosen), code_length)
+            evidences.append(evidence(exposed, (codes + rng.normal(size=codes.shape)).astype(np.float32)))
+        empty = evidence(exposed, rng.normal(size=(_TRIED, code_length)).astype(np.float32))
+        rates = [
             wilson(int((e > detector.threshold).sum()), len(e)) if len(e) else Interval(math.nan, 0.0, 1.0)
-            for e in told
+            for e in evidences
         ]
-        made.append(Detection(number, found, told, empty))
+        results.append(Detection(n_frames, rates, evidences, empty))
     progress(len(frames), len(frames))
-    return made
+    return results
 
 
 def rows(atlas: Atlas, made: Sequence[Detection]) -> list[tuple[str, ...]]:
-    """Return a table: a row for each voxel, with its distance from the wall, and a column for each exposure."""
+    """Return a table with a row for each voxel, its distance from the wall, and a column for each exposure."""
     table = []
     for voxel, label in enumerate(atlas.grid.labels):
-        middle = np.mean(atlas.grid.bounds(voxel), axis=0)
-        table.append((label, f"{middle[1]:.2f} m", *(one.found[voxel].percent() for one in made)))
+        centre = np.mean(atlas.grid.bounds(voxel), axis=0)
+        table.append((label, f"{centre[1]:.2f} m", *(detection.found[voxel].percent() for detection in made)))
     return table
 
 
 def draw(path: Path, atlas: Atlas, made: Sequence[Detection], false_alarm: float) -> None:
-    """Write a picture: detections against exposure, and how they trade for false alarms at the shortest."""
+    """Write a figure: detections against exposure, and the ROC curves of the first exposure."""
     figure, (left, right) = plt.subplots(1, 2, figsize=(11.5, 4.4), layout="constrained")
     labels = atlas.grid.labels
     colours = plt.colormaps["viridis"](np.linspace(0.0, 0.95, len(labels)))
     for voxel, label in enumerate(labels[:_MOST_LINES]):
-        values = [one.found[voxel] for one in made]
+        values = [detection.found[voxel] for detection in made]
         spread = [[v.value - v.low for v in values], [v.high - v.value for v in values]]
         left.errorbar(
-            [one.frames for one in made],
+            [detection.frames for detection in made],
             [v.value for v in values],
             np.maximum(spread, 0.0),
             marker="o",

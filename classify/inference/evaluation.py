@@ -1,4 +1,4 @@
-"""What answers are worth: voxel, position and presence on a whole data set, each with its interval."""
+"""Evaluation of the answers to a whole data set: voxel, position and presence, each with its interval."""
 
 from __future__ import annotations
 
@@ -38,16 +38,16 @@ class Evaluation:
     records : list of PoseRecord
     places : list of Place
     evidence : ndarray of shape (n,)
-        For something, picture by picture.
+        Evidence for an object in each picture.
     empty : ndarray of shape (m,)
-        The same of pictures of the empty scene.
+        Evidence in pictures of the empty scene.
     detector : Detector
     labels : tuple of str
-        Of the voxels.
+        Labels of the voxels.
     seconds : ndarray of shape (n,)
-        From measured picture to place.
+        Time from the measured picture to the answer.
     level : float
-        What the exposure was multiplied with so that the empty scene is as bright as the atlas'.
+        Factor on the exposure that makes the empty scene as bright as that of the atlas.
     """
 
     records: list[PoseRecord]
@@ -61,71 +61,71 @@ class Evaluation:
 
     @property
     def right(self) -> NDArray[np.bool_]:
-        """Whether the likeliest voxel is the true one, (n,)."""
+        """Whether the most probable voxel is the true one, (n,)."""
         return np.array([p.voxels.argmax() == r.voxel for p, r in zip(self.places, self.records, strict=True)])
 
     @property
     def errors(self) -> Array:
         """Distance of the position from the true one, (n,), metres."""
-        found, true = (np.array([x.position for x in some]) for some in (self.places, self.records))
-        apart: Array = np.linalg.norm(found - true, axis=1)
-        return apart
+        estimated, true = (np.array([x.position for x in items]) for items in (self.places, self.records))
+        distances: Array = np.linalg.norm(estimated - true, axis=1)
+        return distances
 
     @property
     def inside(self) -> NDArray[np.bool_]:
-        """Whether the true position lies in the region that is stated to hold it, (n,)."""
+        """Whether the true position lies in the stated region, (n,)."""
         return np.array([holds(p, r.position) for p, r in zip(self.places, self.records, strict=True)])
 
     def accuracy(self, some: Array | None = None) -> Interval:
-        """Return the share of right voxels, of some pictures or all."""
+        """Return the share of pictures in the right voxel, among some or all of them."""
         right = self.right if some is None else self.right[some]
         return wilson(int(right.sum()), len(right))
 
     def detected(self, some: Array | None = None) -> Interval:
-        """Return the share of pictures in which something is found, of some or all."""
-        found = self.evidence > self.detector.threshold
-        found = found if some is None else found[some]
-        return wilson(int(found.sum()), len(found))
+        """Return the share of pictures in which an object is found, among some or all of them."""
+        detected = self.evidence > self.detector.threshold
+        detected = detected if some is None else detected[some]
+        return wilson(int(detected.sum()), len(detected))
 
     def false_alarms(self) -> Interval:
-        """Return the share of empty pictures in which something is found."""
+        """Return the share of empty pictures in which an object is found."""
         return wilson(int((self.empty > self.detector.threshold).sum()), len(self.empty))
 
     def rows(self) -> list[tuple[str, ...]]:
-        """Return a table, voxel by voxel and in all: pictures, accuracy, median error, stated regions, detection."""
+        """Return a table, per voxel and in total: pictures, accuracy, median error, region coverage, detection."""
         voxels = np.array([r.voxel for r in self.records])
         parts = [(label, voxels == v) for v, label in enumerate(self.labels) if (voxels == v).any()]
-        made = []
-        for label, some in [*parts, ("all", np.ones(len(voxels), dtype=bool))]:
-            error = median(self.errors[some])
-            held = wilson(int(self.inside[some].sum()), int(some.sum()))
+        table = []
+        for label, selected in [*parts, ("all", np.ones(len(voxels), dtype=bool))]:
+            error = median(self.errors[selected])
+            held = wilson(int(self.inside[selected].sum()), int(selected.sum()))
             cells = [
-                self.accuracy(some).percent(),
+                self.accuracy(selected).percent(),
                 error.centimetres(),
                 held.percent(),
-                self.detected(some).percent(),
+                self.detected(selected).percent(),
             ]
-            made.append((label, str(int(some.sum())), *cells))
-        return made
+            table.append((label, str(int(selected.sum())), *cells))
+        return table
 
     def calibration(self, levels: Array) -> Array:
-        """Return the share of true positions that lie in the regions stated to hold them with given probabilities."""
-        apart = np.array(
+        """Return the share of true positions that lie in the regions of given stated probabilities."""
+        offsets = np.array(
             [np.subtract(r.position, p.position) for p, r in zip(self.places, self.records, strict=True)]
         )
         inverse = np.array([np.linalg.pinv(p.covariance, hermitian=True) for p in self.places])
-        distance = np.einsum("ni,nij,nj->n", apart, inverse, apart)
-        held: Array = (distance[:, None] <= chi2.ppf(levels, 3)).mean(axis=0)
-        return held
+        distances = np.einsum("ni,nij,nj->n", offsets, inverse, offsets)
+        shares: Array = (distances[:, None] <= chi2.ppf(levels, 3)).mean(axis=0)
+        return shares
 
     def draw(self, path: Path, title: str) -> None:
-        """Write a picture: what is taken for what, how far off, and whether stated regions hold what they should."""
+        """Write a figure: confusion matrix, errors by voxel, and calibration of the stated regions."""
         figure, (left, middle, right) = plt.subplots(1, 3, figsize=(14.0, 4.4), layout="constrained")
         count = len(self.labels)
         truth = np.array([r.voxel for r in self.records])
-        told = np.array([p.voxels.argmax() for p in self.places])
+        predicted = np.array([p.voxels.argmax() for p in self.places])
         table = np.zeros((count, count))
-        np.add.at(table, (truth, told), 1.0)
+        np.add.at(table, (truth, predicted), 1.0)
         share = 100.0 * table / np.maximum(table.sum(axis=1, keepdims=True), 1.0)
         left.imshow(share, cmap="Blues", vmin=0.0, vmax=100.0)
         if count <= _MOST_LABELS:
@@ -162,11 +162,11 @@ class Evaluation:
             *(f"{w}_{a}" for w in ("found", "sd") for a in _AXES),
         ]
         rows = []
-        for record, place, found in zip(self.records, self.places, self.evidence, strict=True):
+        for record, place, log_ratio in zip(self.records, self.places, self.evidence, strict=True):
             numbers = [*record.position, *place.position, *np.sqrt(np.diag(place.covariance))]
-            label, sure = self.labels[place.voxels.argmax()], place.voxels.max()
-            told = [f"{found:.2f}", int(found > self.detector.threshold)]
-            rows.append([record.file, record.label, label, f"{sure:.4f}", *(f"{x:.5f}" for x in numbers), *told])
+            label, prob = self.labels[place.voxels.argmax()], place.voxels.max()
+            verdict = [f"{log_ratio:.2f}", int(log_ratio > self.detector.threshold)]
+            rows.append([record.file, record.label, label, f"{prob:.4f}", *(f"{x:.5f}" for x in numbers), *verdict])
         return csv_text([*header, "evidence", "detected"], rows)
 
 
@@ -182,26 +182,26 @@ def run(
     empty: int = _EMPTY,
     progress: Callable[[int, int], None] = lambda done, total: None,
 ) -> Evaluation:
-    """Answer every picture of a data set, as the atlas' sensor would have seen it.
+    """Infer voxel, position and presence from each picture of a data set, as seen by the atlas' sensor.
 
     Parameters
     ----------
     atlas : Atlas
     dataset : Dataset or SimulatedSet
-        Of the same grid and resolution; the pictures on it are clean.
+        Data set of the same volume and resolution; its pictures are without noise.
     false_alarm : float
-        Share of empty scenes that may be taken for something.
+        Share of empty scenes in which an object may be found.
     seed : int
-        Of the sensor's noise.
+        Seed of the sensor's noise.
     empty : int
-        How many pictures of the empty scene are looked at for false alarms.
+        Number of pictures of the empty scene that are tested for false alarms.
     progress : callable
-        Is told how many pictures are done, and of how many.
+        Called with (done, total), in pictures.
 
     Raises
     ------
     NlosError
-        Grid or resolution differ, or the data set is empty or broken.
+        If volume or resolution differ, or the data set is empty or broken.
     """
     grid = atlas.grid
     if (dataset.grid.lo, dataset.grid.hi) != (grid.lo, grid.hi):
@@ -222,9 +222,9 @@ def run(
         progress(done + 1, len(records))
     rng = np.random.default_rng([seed, 5])
     codes_of_empty = [atlas.code(atlas.sensor.measure(clean, rng, pattern=seed), background) for _ in range(empty)]
-    if dataset.grid != grid:  # the same volume, cut otherwise
-        own = grid.voxels(np.array([record.position for record in records]))
-        records = [replace(r, voxel=int(v), label=grid.labels[v]) for r, v in zip(records, own, strict=True)]
+    if dataset.grid != grid:  # the same volume, divided into other voxels
+        voxels = grid.voxels(np.array([record.position for record in records]))
+        records = [replace(r, voxel=int(v), label=grid.labels[v]) for r, v in zip(records, voxels, strict=True)]
     return Evaluation(
         records=records,
         places=places,

@@ -1,12 +1,12 @@
-"""A moving object, frame by frame: what was known before it moved on, and what each new picture adds.
+"""Tracking of a moving object, frame by frame: predict its motion, then update with the new picture.
 
-The hidden volume is cut into small cells, and the filter keeps the probability of each, and that there is nothing.
-Between two frames the object walks at random; a frame's picture weighs the cells. That is the filter of the hidden
-Markov model (Rabiner 1989, equation 20) for this walk. Nothing is assumed of the shape of what is known: an object
-may be in two places at once until a picture tells, and one that is lost is found again.
+The hidden volume is divided into small cells, and the filter keeps the probability of each and of an empty scene.
+Between two frames the object makes a random walk; each picture weights the cells. This is the filter of the hidden
+Markov model (Rabiner 1989, equation 20) for this walk. The shape of the distribution is free: it may have two peaks
+until a picture decides between them, and an object that was lost is found again.
 
-Within a cell, place and code are taken for jointly normal, by the moments of the atlas' poses there. For no pose of
-the atlas is where the object is, and where a picture is sharp each of them alone would be as good as ruled out.
+Within a cell, position and code are modelled as jointly normal, with the moments of the atlas' poses there. No pose
+of the atlas is exactly that of the object, so a sharp picture would practically rule out each of them alone.
 """
 
 from __future__ import annotations
@@ -26,27 +26,27 @@ from generator.model.arrays import Array
 from generator.model.errors import NlosError
 
 _CELLS = 15
-"""Along the longer of the grid's horizontal edges: of 10 cm in the room."""
+"""Number of cells along the longer of the grid's horizontal edges: 10 cm each in the preset room."""
 _ENOUGH = 12
-"""Poses that a cell's moments take at least, the nearest to its own if it has fewer."""
+"""Least number of poses for the moments of a cell; if it has fewer, those nearest to their mean are taken."""
 _WAYS = 8
-"""In which codes differ within a cell, the strongest: three for the place, some for rotations."""
+"""Number of principal directions of the codes in a cell: three for the position, some for rotations."""
 
 
 @dataclass(frozen=True)
 class Step:
-    """What is known after a frame.
+    """Posterior after a frame.
 
     Attributes
     ----------
     presence : float
-        Probability that there is something.
+        Probability that there is an object.
     voxels : ndarray of shape (n_voxels,)
-        Probability of each, if there is.
+        Probability of each voxel, if there is an object.
     position : ndarray of shape (3,)
-        Mean, metres, if there is.
+        Mean position, metres, if there is an object.
     covariance : ndarray of shape (3, 3)
-        m^2.
+        Covariance of the position, m^2.
     """
 
     presence: float
@@ -56,30 +56,30 @@ class Step:
 
     @property
     def found(self) -> bool:
-        """Whether something is more probable than nothing."""
+        """Whether an object is more probable than an empty scene."""
         return self.presence > 0.5
 
 
 @dataclass(frozen=True)
 class _Cells:
-    """Moments of places and codes in each of n cells, r ways in which codes differ there.
+    """Moments of positions and codes in each of n cells, with r principal directions of the codes.
 
     Attributes
     ----------
     means : ndarray of shape (n, k)
-        Of the codes.
+        Means of the codes.
     ways : ndarray of shape (n, r, k)
-        Orthonormal.
+        Principal directions of the codes, orthonormal.
     strengths : ndarray of shape (n, r)
-        Variance of the codes along each.
+        Variance of the codes along each direction.
     places : ndarray of shape (n, 3)
-        Means, metres.
+        Mean positions, metres.
     spreads : ndarray of shape (n, 3, 3)
-        Covariances of the places, m^2.
+        Covariances of the positions, m^2.
     along : ndarray of shape (n, 3, r)
-        Covariances of the places with the codes' ways.
+        Covariances of the positions with the codes along each direction.
     voxels : ndarray of shape (n, n_voxels)
-        Share of each in a cell.
+        Share of each voxel in a cell.
     """
 
     means: Array
@@ -92,33 +92,33 @@ class _Cells:
 
     @classmethod
     def of(cls, atlas: Atlas, members: list[NDArray[np.int64]]) -> _Cells:
-        """Return the moments of cells, given the numbers of the poses in each."""
+        """Return the moments of cells, given the indices of the poses in each."""
         tree = cKDTree(atlas.positions)
         n, k, r = len(members), atlas.codes.shape[1], min(_WAYS, atlas.codes.shape[1])
         means, ways, strengths = np.zeros((n, k)), np.zeros((n, r, k)), np.zeros((n, r))
         places, spreads, along = np.zeros((n, 3)), np.zeros((n, 3, 3)), np.zeros((n, 3, r))
         voxels = np.zeros((n, atlas.grid.n_voxels))
         least = min(_ENOUGH, len(atlas.codes))
-        for cell, own in enumerate(members):
-            voxels[cell] = np.bincount(atlas.voxels[own], minlength=atlas.grid.n_voxels) / len(own)
-            some = own if len(own) >= least else tree.query(atlas.positions[own].mean(axis=0), least)[1]
-            some = np.atleast_1d(some)
-            root = math.sqrt(max(len(some) - 1, 1))
-            codes, points = atlas.codes[some].astype(np.float64), atlas.positions[some]
+        for cell, poses in enumerate(members):
+            voxels[cell] = np.bincount(atlas.voxels[poses], minlength=atlas.grid.n_voxels) / len(poses)
+            sample = poses if len(poses) >= least else tree.query(atlas.positions[poses].mean(axis=0), least)[1]
+            sample = np.atleast_1d(sample)
+            root = math.sqrt(max(len(sample) - 1, 1))
+            codes, points = atlas.codes[sample].astype(np.float64), atlas.positions[sample]
             means[cell], places[cell] = codes.mean(axis=0), points.mean(axis=0)
-            apart, offsets = (codes - means[cell]) / root, (points - places[cell]) / root
-            left, sizes, right = np.linalg.svd(apart, full_matrices=False)
-            kept = min(r, len(sizes))
-            ways[cell, :kept], strengths[cell, :kept] = right[:kept], sizes[:kept] ** 2
+            deviations, offsets = (codes - means[cell]) / root, (points - places[cell]) / root
+            left_vectors, singular_values, right_vectors = np.linalg.svd(deviations, full_matrices=False)
+            kept = min(r, len(singular_values))
+            ways[cell, :kept], strengths[cell, :kept] = right_vectors[:kept], singular_values[:kept] ** 2
             spreads[cell] = offsets.T @ offsets
-            along[cell, :, :kept] = offsets.T @ (left[:, :kept] * sizes[:kept])
+            along[cell, :, :kept] = offsets.T @ (left_vectors[:, :kept] * singular_values[:kept])
         return cls(means, ways, strengths, places, spreads, along, voxels)
 
     def weigh(self, code: Array) -> tuple[Array, Array]:
-        """Return how much better each cell explains a picture than an empty scene, and the place if it is there.
+        """Return the log-likelihood ratio of each cell to an empty scene, and the mean position given the cell.
 
-        The logarithm of one normal density over another, the covariance's inverse and determinant by Woodbury's
-        identity; and the mean of one normal variable given the other (Kay 1993, equation 10.24).
+        The ratio is of two normal densities, with the covariance's inverse and determinant by Woodbury's identity.
+        The position is the mean of one normal variable given the other (Kay 1993, equation 10.24).
 
         Returns
         -------
@@ -126,37 +126,37 @@ class _Cells:
         places : ndarray of shape (n, 3)
             Metres.
         """
-        apart = self.ways @ code - np.einsum("nrk,nk->nr", self.ways, self.means)
-        known = self.strengths / (1.0 + self.strengths)
+        deviations = self.ways @ code - np.einsum("nrk,nk->nr", self.ways, self.means)
+        shrinkage = self.strengths / (1.0 + self.strengths)
         logs = self.means @ code - 0.5 * (self.means**2).sum(axis=1)
-        logs += 0.5 * (known * apart**2).sum(axis=1) - 0.5 * np.log1p(self.strengths).sum(axis=1)
-        moved = np.einsum("nar,nr->na", self.along, apart / (1.0 + self.strengths))
-        return logs, self.places + moved
+        logs += 0.5 * (shrinkage * deviations**2).sum(axis=1) - 0.5 * np.log1p(self.strengths).sum(axis=1)
+        shifts = np.einsum("nar,nr->na", self.along, deviations / (1.0 + self.strengths))
+        return logs, self.places + shifts
 
     @cached_property
     def left(self) -> Array:
-        """Covariances of the places once the code is known, (n, 3, 3), m^2."""
-        gained = np.einsum("nar,nr,nbr->nab", self.along, 1.0 / (1.0 + self.strengths), self.along)
-        left: Array = self.spreads - gained
+        """Covariances of the positions given the code, (n, 3, 3), m^2."""
+        reduction = np.einsum("nar,nr,nbr->nab", self.along, 1.0 / (1.0 + self.strengths), self.along)
+        left: Array = self.spreads - reduction
         return left
 
 
 class Filter:
-    """Follows one object.
+    """Tracks one object.
 
     Parameters
     ----------
     atlas : Atlas
-        Whose poses fill the hidden volume (``--inside centre``): between them the object could not pass.
+        Atlas whose poses fill the hidden volume (``--inside centre``): the object could not cross gaps between them.
     step : float
         Standard deviation of the walk along each axis from frame to frame, metres.
     appear, vanish : float
-        Probability from frame to frame.
+        Probability, from frame to frame, that the object appears or vanishes.
 
     Raises
     ------
     NlosError
-        One of these cannot be, or the atlas is of an object of unknown size and albedo.
+        If one of these is out of range, or the atlas is of an object of unknown size and albedo.
     """
 
     def __init__(self, atlas: Atlas, *, step: float, appear: float = 0.02, vanish: float = 0.02) -> None:
@@ -179,7 +179,7 @@ class Filter:
         order = np.argsort(cells, kind="stable")
         self._cells, starts, counts = np.unique(cells[order], return_index=True, return_counts=True)
         self._moments = _Cells.of(atlas, np.split(order, starts[1:]))
-        # The discrete Gaussian (Lindeberg 1990, equation 16) has the walk's variance however short its steps are.
+        # The discrete Gaussian (Lindeberg 1990, equation 16) has the walk's variance even if its steps are short.
         spread = (step / edge) ** 2
         reach = np.arange(math.ceil(6.0 * math.sqrt(spread)) + 2)
         half = ive(reach, spread)
@@ -188,34 +188,34 @@ class Filter:
         self._inside[self._cells] = 1.0
         self._known = counts / counts.sum()
         self._presence = 0.5
-        # Where the walk would leave the volume it does not: the other steps take what that one would have.
+        # Steps out of the volume are not taken: their probability is distributed over the other steps.
         self._spread = np.maximum(self._walk(self._inside[self._cells]), 1e-12)
 
     def update(self, code: NDArray[np.float32]) -> Step:
-        """Take a frame's picture, by its code (k,), and return what is known after it."""
-        moved = self._walk(self._known / self._spread)
-        moved /= moved.sum()
-        fresh = np.full(len(moved), 1.0 / len(moved))
-        # One that was gone, or has just gone, may be back anywhere.
-        coming = (1.0 - self._presence * (1.0 - self._vanish)) * self._appear
-        staying = self._presence * (1.0 - self._vanish)
-        there = coming + staying
-        moved = (staying * moved + coming * fresh) / there
+        """Update with the code (k,) of a frame's picture, and return the posterior."""
+        predicted = self._walk(self._known / self._spread)
+        predicted /= predicted.sum()
+        uniform = np.full(len(predicted), 1.0 / len(predicted))
+        # An object that was absent, or has just vanished, may appear anywhere.
+        appeared = (1.0 - self._presence * (1.0 - self._vanish)) * self._appear
+        stayed = self._presence * (1.0 - self._vanish)
+        present = appeared + stayed
+        predicted = (stayed * predicted + appeared * uniform) / present
         logs, places = self._moments.weigh(code.astype(np.float64))
         top = max(float(logs.max()), 0.0)
-        joint = there * moved * np.exp(logs - top)
-        seen = float(joint.sum())
-        self._presence = seen / (seen + (1.0 - there) * math.exp(-top))
-        self._known = joint / seen if seen > 0.0 else moved
+        joint = present * predicted * np.exp(logs - top)
+        total = float(joint.sum())
+        self._presence = total / (total + (1.0 - present) * math.exp(-top))
+        self._known = joint / total if total > 0.0 else predicted
         mean = self._known @ places
-        apart = places - mean
+        offsets = places - mean
         covariance = (
-            np.einsum("n,nab->ab", self._known, self._moments.left) + (apart * self._known[:, None]).T @ apart
+            np.einsum("n,nab->ab", self._known, self._moments.left) + (offsets * self._known[:, None]).T @ offsets
         )
         return Step(self._presence, self._known @ self._moments.voxels, mean, covariance)
 
     def _walk(self, known: Array) -> Array:
-        """What a random step makes of the probability of each cell."""
+        """Probability of each cell after a random step."""
         volume = np.zeros(len(self._inside))
         volume[self._cells] = known
         moved = volume.reshape(self._shape)

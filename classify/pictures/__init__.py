@@ -1,1 +1,1 @@
-"""What a picture becomes before it is learned from: sensor, features, tables of features."""
+"""Preparation of pictures before learning: sensor model, features, tables of features."""

@@ -1,4 +1,4 @@
-"""Features and labels in HDF5, with all that is needed to know where they come from."""
+"""Features and labels in HDF5, together with their provenance."""
 
 from __future__ import annotations
 
@@ -30,9 +30,9 @@ from generator.sets.readable import PictureSet, check_colours
 FORMAT = 1
 
 _BLOCK, _FEW = 64, 32
-"""Pictures described at once, and blocks that one process does as fast as several."""
+"""Pictures per block, and number of blocks up to which one process is as fast as several."""
 _SPARE, _COPIES = 2**28, 3
-"""Bytes that reading a file may take, besides so many times what it claims to hold."""
+"""Memory that reading a file may take: bytes, plus this many times the size that the file declares."""
 
 
 @dataclass(frozen=True)
@@ -42,7 +42,7 @@ class Features:
     Attributes
     ----------
     values : ndarray of shape (n_samples, n_features), float64
-        Not scaled: that belongs inside the folds.
+        Not scaled, since scaling belongs inside the folds.
     names : list of str
     labels : ndarray of shape (n_samples,), str
     voxels : ndarray of shape (n_samples,), int
@@ -50,9 +50,9 @@ class Features:
         Metres and degrees.
     files : list of str
     background : ndarray of shape (height, width, 3), float32
-        W/m^2/sr.
+        Background picture, W/m^2/sr.
     reference_radiance : float
-        W/m^2/sr.
+        Reference radiance of the scene, W/m^2/sr.
     settings : FeatureSettings
     grid : VoxelGrid
     target : str
@@ -77,12 +77,12 @@ class Features:
 
     @property
     def colour_space(self) -> str:
-        """The linear space that the pictures' channels are of."""
+        """The linear colour space of the pictures."""
         return str(self.provenance.get("colour_space", COLOUR_SPACE))
 
     @property
     def duplicates(self) -> int:
-        """How many pictures have exactly the features of an earlier one."""
+        """Number of pictures whose features equal those of an earlier one."""
         return len(self.values) - len(np.unique(self.values, axis=0))
 
 
@@ -101,20 +101,20 @@ def extract(
     ----------
     dataset : Dataset or SimulatedSet
     settings : FeatureSettings
-        For ``physics`` without a setup, that of the data set's scene.
+        If they ask for ``physics`` without a setup, that of the data set's scene is taken.
     partial : bool
-        Take an unfinished data set as it is.
+        Whether to accept an unfinished data set.
     sensor : Sensor, optional
-        That sees the pictures; without one, their clean radiance is described.
+        Sensor that sees the pictures; without one, their clean radiance is described.
     seed : int
-        Of the sensor's noise.
+        Seed of the sensor's noise.
     progress : callable
-        Is told how many pictures are done, and of how many.
+        Called with (done, total), in pictures.
 
     Raises
     ------
     NlosError
-        The data set is unfinished or empty, or a picture is broken or holds NaN.
+        If the data set is unfinished or empty, or a picture is broken or holds NaN.
     """
     records = dataset.records
     if not records:
@@ -128,15 +128,15 @@ def extract(
         settings = replace(settings, setup=Setup.of(from_dict(Scene, dataset.meta["scene"], "scene.")))
     camera = dataset if sensor is None else Camera(dataset, sensor, seed)
     background = camera.background()
-    blocks = [records[at : at + _BLOCK] for at in range(0, len(records), _BLOCK)]
-    # A process costs more to start than a few pictures to describe.
-    crew = joblib.Parallel(n_jobs=-1 if len(blocks) > _FEW else 1, return_as="generator")
+    blocks = [records[start : start + _BLOCK] for start in range(0, len(records), _BLOCK)]
+    # Starting a process costs more than describing a few pictures.
+    workers = joblib.Parallel(n_jobs=-1 if len(blocks) > _FEW else 1, return_as="generator")
     rows: list[NDArray[np.float64]] = []
-    for made in crew(
+    for block_rows in workers(
         joblib.delayed(_described)(camera, dataset.path, block, settings, dataset.reference_radiance, background)
         for block in blocks
     ):
-        rows += made
+        rows += block_rows
         progress(len(rows), len(records))
     return Features(
         values=np.array(rows),
@@ -170,7 +170,7 @@ def _described(
     reference: float,
     background: Picture,
 ) -> list[NDArray[np.float64]]:
-    """Features of some pictures."""
+    """Features of the pictures of some records."""
     return [
         describe(
             camera.picture(record),
@@ -184,7 +184,7 @@ def _described(
 
 
 def write(path: Path, features: Features) -> None:
-    """Write features to HDF5, by temporary name and rename."""
+    """Write features to a temporary HDF5 file, and rename it."""
     text = h5py.string_dtype()
     with atomic(path) as temporary, h5py.File(temporary, "w") as file:
         file.attrs["format"] = FORMAT
@@ -209,20 +209,20 @@ def write(path: Path, features: Features) -> None:
 
 @contextlib.contextmanager
 def open_table(path: Path, what: str, newest: int) -> Iterator[Any]:
-    """Open an HDF5 file of ours to read; whatever is wrong with it is one sentence.
+    """Open an HDF5 file of this software for reading; any fault is raised as one sentence.
 
     Parameters
     ----------
     path : Path
     what : str
-        It should hold, for messages.
+        Kind of contents that the file should have, for messages.
     newest : int
-        Format that is known.
+        Newest format that can be read.
 
     Raises
     ------
     NlosError
-        The file is missing, of a newer format, refers to other files, or holds something else.
+        If the file is missing, has a newer format, refers to other files, or holds something else.
     """
     if not path.is_file():
         raise NlosError(f"{path}: no such {what} file")
@@ -237,13 +237,13 @@ def open_table(path: Path, what: str, newest: int) -> Iterator[Any]:
                 yield file
     except NlosError as error:
         raise NlosError(f"{path}: {error}") from None
-    except Exception as error:  # of HDF5, of its types, of JSON: of many kinds
+    except Exception as error:  # many kinds: from HDF5, its types and JSON
         article = "an" if what[0] in "aeiou" else "a"
         raise NlosError(f"{path}: is not {article} {what} file of this software ({error})") from None
 
 
 def _check_inside(file: Any, what: str, newest: int) -> int:
-    """Return how many bytes an open HDF5 file claims to hold; NlosError if it is newer, or refers to others."""
+    """Return the bytes that an open HDF5 file declares; NlosError if it is newer, or refers to other files."""
     version = int(file.attrs["format"])
     if version > newest:
         raise NlosError(f"has {what} format {version}; this software reads up to {newest}, so update it")
@@ -258,16 +258,16 @@ def _check_inside(file: Any, what: str, newest: int) -> int:
 
 
 def numbers(file: Any, name: str, dtype: Any) -> NDArray[Any]:
-    """Return a dataset of an open HDF5 file as real or whole numbers; ValueError if it holds others."""
-    found = file[name]
-    if found.dtype.kind not in ("iu" if np.issubdtype(dtype, np.integer) else "iuf"):
-        raise ValueError(f"{name} holds {found.dtype}")
-    with np.errstate(over="ignore"):  # too large a number is infinite, which whoever reads it refuses
-        return np.asarray(found[()], dtype=dtype)
+    """Return a dataset of an open HDF5 file as floats or integers; ValueError if it has another type."""
+    dataset = file[name]
+    if dataset.dtype.kind not in ("iu" if np.issubdtype(dtype, np.integer) else "iuf"):
+        raise ValueError(f"{name} holds {dataset.dtype}")
+    with np.errstate(over="ignore"):  # too large a number becomes infinite, which the callers reject
+        return np.asarray(dataset[()], dtype=dtype)
 
 
 def texts(file: Any, name: str) -> list[str]:
-    """Return a dataset of an open HDF5 file as texts."""
+    """Return a dataset of an open HDF5 file as strings."""
     return list(map(str, file[name].asstr()[()]))
 
 
@@ -277,7 +277,7 @@ def read(path: Path) -> Features:
     Raises
     ------
     NlosError
-        The file is missing, of a newer format, or does not hold features.
+        If the file is missing, has a newer format, or does not hold features.
     """
     with open_table(path, "features", FORMAT) as file:
         features = Features(
@@ -297,8 +297,8 @@ def read(path: Path) -> Features:
         )
     if features.background.ndim != 3 or features.background.shape[2] != 3:
         raise NlosError(f"{path}: its background has shape {features.background.shape}, not (height, width, 3)")
-    told = features.provenance
-    if not isinstance(told, dict) or not isinstance(told.get("sensor", {}), dict):
+    provenance = features.provenance
+    if not isinstance(provenance, dict) or not isinstance(provenance.get("sensor", {}), dict):
         raise NlosError(f"{path}: does not tell where its features come from (attribute provenance)")
     columns = (features.labels, features.voxels, features.positions, features.rotations, features.files)
     if features.values.ndim != 2 or {features.positions.ndim, features.rotations.ndim} != {2}:
@@ -318,22 +318,22 @@ def read(path: Path) -> Features:
 
 
 def check_comparable(a: Features, b: Features, names: tuple[str, str]) -> None:
-    """Raise NlosError, naming what differs, unless one file's model can be tested on the other."""
+    """Raise NlosError that names the difference, unless a model of one file can be tested on the other."""
     if a.grid != b.grid:
         raise NlosError(
             f"{names[0]} and {names[1]}: have different voxel grids ({_grid(a.grid)} against {_grid(b.grid)}), so "
             "their labels mean different places; compare data sets of one grid"
         )
     check_colours(Path(names[0]), a.colour_space, b.colour_space, names[1])
-    seen = [{k: v for k, v in f.provenance.get("sensor", {}).items() if k != "exposure"} for f in (a, b)]
-    if seen[0] != seen[1]:
+    sensors = [{k: v for k, v in f.provenance.get("sensor", {}).items() if k != "exposure"} for f in (a, b)]
+    if sensors[0] != sensors[1]:
         raise NlosError(
             f"{names[0]} and {names[1]}: were seen by different sensors; extract both with one --sensor and --frames"
         )
     if a.settings != b.settings:
         ours, theirs = json.loads(a.settings.to_json()), json.loads(b.settings.to_json())
-        differ = ", ".join(f"{k} is {ours[k]} and {theirs[k]}" for k in ours if ours[k] != theirs[k])
-        raise NlosError(f"{names[0]} and {names[1]}: have different feature settings ({differ}); extract both alike")
+        unequal = ", ".join(f"{k} is {ours[k]} and {theirs[k]}" for k in ours if ours[k] != theirs[k])
+        raise NlosError(f"{names[0]} and {names[1]}: have different feature settings ({unequal}); extract both alike")
 
 
 def _grid(grid: VoxelGrid) -> str:

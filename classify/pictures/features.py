@@ -1,8 +1,8 @@
-"""Picture -> named feature vector: the paper's two sets, and one of physics.
+"""Named feature vectors of pictures: the paper's two feature sets, and one from physics.
 
-Pictures are averaged in linear light first and tone-mapped after, and the tone mapping's constants follow from the
-scene (the radiance of the directly lit patch), never from the pictures: nothing leaks from one fold into another, and
-the same constants hold for every target of that scene.
+Pictures are averaged in linear light first and tone-mapped afterwards. The constants of the tone mapping follow from
+the scene (the radiance of the directly lit patch), never from the pictures: no information leaks from one fold into
+another, and the same constants hold for every target of that scene.
 """
 
 from __future__ import annotations
@@ -38,7 +38,7 @@ _SMALLEST = 1e-300
 
 @dataclass(frozen=True, kw_only=True)
 class FeatureSettings:
-    """All that decides a picture's features; stored beside them, and in every model trained on them.
+    """All settings that determine a picture's features; stored with them, and in every model trained on them.
 
     Attributes
     ----------
@@ -51,15 +51,15 @@ class FeatureSettings:
         Signed asinh, linear below ``floor`` and logarithmic above, so that near and far voxels both keep their
         shades; or linear up to ``ceiling``.
     floor, ceiling : float
-        In units of the scene's reference radiance.
+        Limits of the tone mapping, in units of the scene's reference radiance.
     size : int
         Larger pictures are averaged down to this many pixels a side.
     bins : int
-        Of the histogram, per channel.
+        Histogram bins per channel.
     levels : int
         Grey levels of the co-occurrence matrices behind Haralick's texture.
     setup : Setup, optional
-        Of the scene: what ``physics`` needs.
+        Setup of the scene, which ``physics`` needs.
     """
 
     set: Literal["global", "spatial-hog", "physics"] = "global"
@@ -84,12 +84,12 @@ class FeatureSettings:
 
     @classmethod
     def from_json(cls, text: str) -> FeatureSettings:
-        """Return the settings of `to_json`'s text; NlosError if it is none."""
+        """Return the settings from the text of `to_json`; NlosError if the text is not valid."""
         try:
-            plain = json.loads(text)
+            values = json.loads(text)
         except json.JSONDecodeError:
             raise NlosError("feature settings: are not JSON") from None
-        settings: FeatureSettings = from_dict(cls, plain, "feature settings: ")
+        settings: FeatureSettings = from_dict(cls, values, "feature settings: ")
         return settings
 
 
@@ -104,7 +104,7 @@ def tone_map(light: Array, settings: FeatureSettings, reference: float) -> Array
     reference : float
         The scene's reference radiance, W/m^2/sr.
     """
-    with np.errstate(over="ignore"):  # without any light in the scene the scale is infinite, and clipped below
+    with np.errstate(over="ignore"):  # without light in the scene the quotient may overflow; it is clipped below
         scaled = light / max(reference, _SMALLEST)
         if settings.tone == "linear":
             shades = scaled / settings.ceiling
@@ -145,19 +145,19 @@ def describe(
     reference : float
         The scene's reference radiance, W/m^2/sr.
     background : ndarray of shape (height, width, 3), optional
-        Needed where the settings ask for the difference.
+        Background picture, needed if the settings ask for the difference.
     name : str
-        For messages.
+        Name of the picture, for messages.
 
     Returns
     -------
     ndarray of shape (n_features,)
-        Finite, whatever the picture.
+        Finite for any picture.
 
     Raises
     ------
     NlosError
-        The picture holds NaN or infinite pixels, or does not fit the background.
+        If the picture holds NaN or infinite pixels, or its size is not that of the background.
     """
     light = np.asarray(picture, dtype=np.float64)
     _check_finite(light, name)
@@ -175,8 +175,8 @@ def describe(
     if settings.set == "physics":
         if settings.setup is None:
             raise NlosError(f"{name}: features of physics need to know the scene's setup, and there is none")
-        made = physics.PhysicsFeatures(settings.setup, reference, settings.floor).transform(light[None])
-        return np.asarray(made[0], dtype=np.float64)
+        features = physics.PhysicsFeatures(settings.setup, reference, settings.floor).transform(light[None])
+        return np.asarray(features[0], dtype=np.float64)
     histogram = _histogram(tone_map(light, settings, reference), settings.bins)
     grey = light.mean(axis=2)
     if settings.set == "global":
@@ -203,7 +203,7 @@ def _average(light: Array, size: int) -> Array:
 
 def _histogram(shades: Array, bins: int) -> Array:
     """Share of pixels per shade, channel by channel."""
-    # OpenCV's upper limit is exclusive; a clipped white pixel belongs to the last bin all the same.
+    # OpenCV's upper limit is exclusive, but a clipped white pixel must count in the last bin.
     channels = [np.ascontiguousarray(shades[..., i], dtype=np.float32) for i in range(3)]
     counts = [cv2.calcHist([c], [0], None, [bins], [-1.0, 1.0 + 1e-6]).ravel() for c in channels]
     shares: Array = np.concatenate(counts).astype(np.float64) / shades[..., 0].size
@@ -228,7 +228,7 @@ def _hu(grey: Array) -> Array:
 def _haralick(shades: Array, levels: int) -> Array:
     """Haralick's thirteen texture measures, averaged over the four directions (Haralick et al. 1973)."""
     grey = np.round((shades + 1.0) / 2.0 * (levels - 1)).astype(np.uint8)
-    if min(grey.shape) < 2:  # no neighbours, so no co-occurrence: a pixel is its own
+    if min(grey.shape) < 2:  # co-occurrence needs neighbours: repeat the single row or column
         grey = np.pad(grey, [(0, 1 if n < 2 else 0) for n in grey.shape], mode="edge")
     with np.errstate(all="ignore"):  # a constant picture has no correlation: 0/0, which counts as 0
         texture = mahotas.features.haralick(grey).mean(axis=0)
@@ -239,7 +239,7 @@ def _haralick(shades: Array, levels: int) -> Array:
 def _hog(grey: Array) -> Array:
     """Histogram of oriented gradients (Dalal and Triggs 2005) of the picture stretched to its own range.
 
-    Its blocks are normalised anyway, so the level would drop out; stretched, eight bits keep the faint pictures too.
+    Its blocks are normalised, so the level drops out anyway; stretching keeps faint pictures visible in eight bits.
     """
     small = cv2.resize(grey, (_HOG_SIZE, _HOG_SIZE), interpolation=cv2.INTER_AREA)
     low, spread = small.min(), np.ptp(small)
@@ -251,5 +251,5 @@ def _hog(grey: Array) -> Array:
 
 
 def software() -> dict[str, Any]:
-    """Return the versions of the libraries that the features come from."""
+    """Return the versions of the libraries that compute the features."""
     return {"opencv": cv2.__version__, "mahotas": mahotas.__version__, "numpy": np.__version__}

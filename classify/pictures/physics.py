@@ -1,9 +1,10 @@
-"""Picture -> what the light transport says of it: level, shape without level, and the fit of an unknown target.
+"""Features from the light transport: level, shape without level, and the fit of an unknown target.
 
-An object of unknown shape is taken for one small surface element: where it is, which way it faces, how much
-light it sends. The picture of such an element before a bare wall is one term of the paper's sum over surfels (section
-3.1), so many of them are drawn beforehand, and a picture is weighed against all. What comes out are means over what
-explains the picture, which change smoothly with it and need no start.
+An object of unknown shape is modelled as one small surface element with a position, a normal and a strength. The
+picture of such an element in front of a bare wall is one term of the paper's sum over surfels (section 3.1), so the
+pictures of many elements are computed in advance and a picture is compared with all of them. The features are means
+over the elements, weighted by how well each explains the picture: they change smoothly with the picture and need no
+initial guess.
 """
 
 from __future__ import annotations
@@ -25,38 +26,38 @@ from generator.model.scene import Scene
 Array = NDArray[np.float64]
 
 _DEGREES = 6
-"""Polynomials along each edge of the picture: more hold nothing but noise (docs/answers.md)."""
+"""Number of polynomials along each edge of the picture: more would hold only noise (docs/answers.md)."""
 _SHAPE = 4
-"""Of these, the ones whose products up to this total degree make the shape."""
+"""Largest total degree of the products of these polynomials that describe the shape."""
 _PLACES = 12, 10, 7
 _OUTSIDE = 0.15
-"""How far elements reach beyond the voxel grid, in its size: a body's bright side is not its middle."""
+"""How far elements reach beyond the voxel grid, relative to its size: a body's bright side is not its centre."""
 _TURNS = np.radians([-60.0, -30.0, 0.0, 30.0, 60.0])
 _TILTS = np.radians([-40.0, 0.0, 40.0])
 _MISFIT = 0.03
-"""Of a picture, relative, by which no real object is an element: a likelihood sharper than that is none."""
+"""Relative error of modelling a real object as one element; the likelihood must not be sharper than that."""
 _USUAL, _SPREAD = 0.1, 1.5
-"""An element's usual strength: the share of a voxel's face that it fills, and the spread of its logarithm."""
+"""Prior of an element's strength: share of a voxel's face that it fills, and standard deviation of the logarithm."""
 _SMALLEST = 1e-300
 
 
 @dataclass(frozen=True, kw_only=True)
 class Setup:
-    """Where light comes from, where it is seen, and where an object may be.
+    """Geometry of a scene: the lit patch, the watched part of the wall, and where an object may be.
 
     Attributes
     ----------
     lit : (float, float, float)
-        w1, metres.
+        Lit wall point w1, metres.
     lit_area : float
-        Of the lit patch, m^2.
+        Area of the lit patch, m^2.
     watched : (float, float, float, float)
-        The watched rectangle of the wall: x of its right edge in the picture and of its left, z of its lower edge
-        and its upper, metres.
+        The watched rectangle of the wall, metres: x of its right and of its left edge in the picture, z of its lower
+        and of its upper edge.
     lo, hi : (float, float, float)
         Opposite corners of the voxel grid, metres.
     face : float
-        Smallest face of a voxel, m^2.
+        Area of the smallest face of a voxel, m^2.
     """
 
     lit: Vector
@@ -77,9 +78,9 @@ class Setup:
     def of(cls, scene: Scene) -> Setup:
         """Return the setup of a scene."""
         spot, camera, grid = scene.spot, scene.camera, scene.grid
-        way = np.subtract(spot.location, spot.aim)
-        distance = float(np.linalg.norm(way))
-        area = math.pi * (distance * math.tan(math.radians(spot.half_angle))) ** 2 * distance / max(way[1], 1e-9)
+        beam = np.subtract(spot.location, spot.aim)
+        distance = float(np.linalg.norm(beam))
+        area = math.pi * (distance * math.tan(math.radians(spot.half_angle))) ** 2 * distance / max(beam[1], 1e-9)
         x, y, z = grid.size
         return cls(
             lit=spot.aim,
@@ -94,7 +95,7 @@ class Setup:
 def names() -> list[str]:
     """Return the names of the features, in order."""
     shape = [f"shape_{i}_{j}" for i, j in _shapes()]
-    return ["level", "strength", *shape, *(f"fit_{what}" for what in _FITTED)]
+    return ["level", "strength", *shape, *(f"fit_{name}" for name in _FITTED)]
 
 
 _FITTED = ("x", "y", "z", "normal_x", "normal_y", "normal_z", "round", "strength", "share", "spread", "evidence")
@@ -105,7 +106,7 @@ def _shapes() -> list[tuple[int, int]]:
 
 
 class PhysicsFeatures(TransformerMixin, BaseEstimator):  # type: ignore[misc]  # scikit-learn has no types
-    """Turns difference pictures into features, as a step of any scikit-learn pipeline.
+    """Transformer of difference pictures into features, for any scikit-learn pipeline.
 
     Parameters
     ----------
@@ -113,7 +114,7 @@ class PhysicsFeatures(TransformerMixin, BaseEstimator):  # type: ignore[misc]  #
     reference : float, default=1.0
         The scene's reference radiance, W/m^2/sr.
     floor : float, default=1e-7
-        In units of it: fainter levels are counted linearly, brighter ones by their logarithm.
+        Level, in units of ``reference``, up to which the scale is linear; above it is logarithmic.
 
     Attributes
     ----------
@@ -139,11 +140,11 @@ class PhysicsFeatures(TransformerMixin, BaseEstimator):  # type: ignore[misc]  #
         return self
 
     def get_feature_names_out(self, input_features: Any = None) -> NDArray[np.object_]:
-        """Return the features' names."""
+        """Return the names of the features."""
         return np.array(names(), dtype=object)
 
     def transform(self, pictures: Any) -> Array:
-        """Return features, (n, n_features), finite whatever the pictures.
+        """Return features, (n, n_features), which are finite for any pictures.
 
         Parameters
         ----------
@@ -153,7 +154,7 @@ class PhysicsFeatures(TransformerMixin, BaseEstimator):  # type: ignore[misc]  #
         Raises
         ------
         NlosError
-            They have another shape, or hold NaN or infinite pixels.
+            If the pictures have another shape, or hold NaN or infinite pixels.
         """
         light = np.asarray(pictures, dtype=np.float64)
         if light.ndim == 4:
@@ -165,44 +166,46 @@ class PhysicsFeatures(TransformerMixin, BaseEstimator):  # type: ignore[misc]  #
         if not np.isfinite(light).all():
             raise NlosError("pictures: hold NaN or infinite values")
         light = light / max(self.reference, _SMALLEST)
-        # Squares of what is above this would not be finite; no scene is brighter than its own lit patch by as much.
+        # Squares of larger values would overflow; no scene is brighter than its own lit patch by such a factor.
         light = np.clip(light, -1e100, 1e100)
         return np.stack([self._describe(picture) for picture in light])
 
     def _describe(self, picture: Array) -> Array:
         height, width = picture.shape
         across, down = _polynomials(width), _polynomials(height)
-        found = down.T @ picture @ across / math.sqrt(picture.size)
-        energy = float((found**2).sum())
-        size = math.sqrt(energy)
-        rest = max(float((picture**2).mean()) - energy, 0.0)
-        free = picture.size - found.size
-        noise = rest / free if free > 0 else 0.0  # mean square, of one coefficient
+        projection = down.T @ picture @ across / math.sqrt(picture.size)
+        energy = float((projection**2).sum())
+        norm = math.sqrt(energy)
+        residual = max(float((picture**2).mean()) - energy, 0.0)
+        free = picture.size - projection.size
+        noise = residual / free if free > 0 else 0.0  # mean square, per coefficient
         coefficients = np.zeros((_DEGREES, _DEGREES))
-        coefficients[: found.shape[0], : found.shape[1]] = found
+        coefficients[: projection.shape[0], : projection.shape[1]] = projection
         level = _signed_log(coefficients[0, 0] / self.floor)
-        shape = [coefficients[i, j] / max(size, _SMALLEST) for i, j in _shapes()]
-        return np.array([level, _signed_log(size / self.floor), *shape, *self._fit(found, energy, noise)])
+        shape = [coefficients[i, j] / max(norm, _SMALLEST) for i, j in _shapes()]
+        return np.array([level, _signed_log(norm / self.floor), *shape, *self._fit(projection, energy, noise)])
 
     def _fit(self, found: Array, energy: float, noise: float) -> list[float]:
-        """Means over the elements that explain a picture."""
-        drawn = _elements(self.setup, found.shape)
+        """Means over the elements, weighted by how well each explains a picture."""
+        elements = _elements(self.setup, found.shape)
         measured = found.ravel() / (math.sqrt(energy) or 1.0)
         variance = noise / max(energy, _SMALLEST) + _MISFIT**2
-        along = drawn.pictures @ measured  # of unit pictures
-        strength = np.maximum(along, 1e-6) * math.sqrt(energy) / drawn.sizes
-        usual = _USUAL * self.setup.face * self.setup.lit_area / math.pi
-        unusual = np.log(np.maximum(strength, _SMALLEST) / usual)
-        logs = 0.5 * np.maximum(along, 0.0) ** 2 / variance - 0.5 * (unusual / _SPREAD) ** 2
+        cosines = elements.pictures @ measured  # both sides have length 1
+        strength = np.maximum(cosines, 1e-6) * math.sqrt(energy) / elements.sizes
+        typical = _USUAL * self.setup.face * self.setup.lit_area / math.pi
+        log_ratios = np.log(np.maximum(strength, _SMALLEST) / typical)
+        logs = 0.5 * np.maximum(cosines, 0.0) ** 2 / variance - 0.5 * (log_ratios / _SPREAD) ** 2
         top = float(logs.max())
         weights = np.exp(logs - top)
         weights /= weights.sum()
-        share = float(weights @ along**2)  # of the picture's energy
-        mean = weights @ drawn.poses
-        spread = math.sqrt(max(float(weights @ (drawn.poses[:, :3] ** 2).sum(axis=1) - (mean[:3] ** 2).sum()), 0.0))
-        log = float(weights @ unusual)
-        faint = _signed_log(energy / max(noise, _SMALLEST)) if energy else 0.0
-        return [*mean, max(log, -50.0), share, min(spread, 1e3), min(faint, 700.0)]
+        share = float(weights @ cosines**2)  # explained share of the picture's energy
+        mean = weights @ elements.poses
+        spread = math.sqrt(
+            max(float(weights @ (elements.poses[:, :3] ** 2).sum(axis=1) - (mean[:3] ** 2).sum()), 0.0)
+        )
+        mean_log_ratio = float(weights @ log_ratios)
+        evidence = _signed_log(energy / max(noise, _SMALLEST)) if energy else 0.0
+        return [*mean, max(mean_log_ratio, -50.0), share, min(spread, 1e3), min(evidence, 700.0)]
 
 
 @dataclass(frozen=True)
@@ -212,11 +215,11 @@ class _Elements:
     Attributes
     ----------
     poses : ndarray of shape (n, 7)
-        Place, metres; normal; and 1 for one that faces all ways, as a ball does, whose normal is 0.
+        Position, metres; normal; and 1 for a ball, which faces all directions and has the normal 0, otherwise 0.
     pictures : ndarray of shape (n, k)
-        Each of length 1.
+        Coefficients, each row of length 1.
     sizes : ndarray of shape (n,)
-        By which they were divided: coefficients of an element of strength 1.
+        Lengths that the rows were divided by: those of the coefficients of an element of strength 1.
     """
 
     poses: Array
@@ -226,7 +229,7 @@ class _Elements:
 
 @lru_cache(maxsize=8)
 def _elements(setup: Setup, shape: tuple[int, int]) -> _Elements:
-    """Draw the elements; ``shape`` is how many polynomials the picture can hold along its height and width."""
+    """Compute the elements; ``shape`` is the number of polynomials along the height and width of the picture."""
     x0, x1, z0, z1 = setup.watched
     nodes, weights = legendre.leggauss(2 * _DEGREES)
     # Column 0 is the largest x and row 0 the largest z.
@@ -238,44 +241,44 @@ def _elements(setup: Setup, shape: tuple[int, int]) -> _Elements:
     low, high = lo - margin, hi + margin
     low[1] = max(low[1], 0.5 * lo[1])
     axes = [np.linspace(a, b, n) for a, b, n in zip(low, high, _PLACES, strict=True)]
-    axes[1] = np.geomspace(low[1], high[1], _PLACES[1])  # light changes with its logarithm
+    axes[1] = np.geomspace(low[1], high[1], _PLACES[1])  # the light varies with the logarithm of the distance
     places = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, 3)
     turn, tilt = (a.ravel() for a in np.meshgrid(_TURNS, _TILTS, indexing="ij"))
     normals = np.stack([np.sin(turn) * np.cos(tilt), -np.cos(turn) * np.cos(tilt), np.sin(tilt)], axis=1)
     to_lit = np.array(setup.lit) - places
-    near = np.linalg.norm(to_lit, axis=1)
-    to_lit /= near[:, None]
-    arriving = places[:, 1] / near / near**2  # the lit patch's own cosine, and the distance
+    lit_distance = np.linalg.norm(to_lit, axis=1)
+    to_lit /= lit_distance[:, None]
+    arriving = places[:, 1] / lit_distance / lit_distance**2  # cosine at the lit patch, inverse square law
     to_wall = wall[None] - places[:, None, None]
-    far = np.linalg.norm(to_wall, axis=3)
-    to_wall /= far[..., None]
-    leaving = places[:, 1, None, None] / far / far**2
-    both = (arriving[:, None, None] * leaving)[:, None]
-    # A sheet shines on the side that is lit: what leaves on the other has a cosine of the other sign.
-    first, second = to_lit @ normals.T, np.einsum("pxzc,nc->pnxz", to_wall, normals)
-    flat = np.maximum(first[:, :, None, None] * second, 0.0)
-    # A Lambertian ball's phase function (Schoenberg 1929), of the angle between where light comes from and goes to.
+    wall_distance = np.linalg.norm(to_wall, axis=3)
+    to_wall /= wall_distance[..., None]
+    leaving = places[:, 1, None, None] / wall_distance / wall_distance**2
+    falloff = (arriving[:, None, None] * leaving)[:, None]
+    # A sheet reflects only on the side that is lit: towards the other side, the two cosines differ in sign.
+    cos_lit, cos_wall = to_lit @ normals.T, np.einsum("pxzc,nc->pnxz", to_wall, normals)
+    flat = np.maximum(cos_lit[:, :, None, None] * cos_wall, 0.0)
+    # A Lambertian ball's phase function (Schoenberg 1929) of the angle between the directions to w1 and to w2.
     angle = np.arccos(np.clip(np.einsum("pc,pxzc->pxz", to_lit, to_wall), -1.0, 1.0))
     ball = (2.0 / (3.0 * math.pi)) * (np.sin(angle) + (math.pi - angle) * np.cos(angle))
-    light = both * np.concatenate([flat, ball[:, None]], axis=1)
+    light = falloff * np.concatenate([flat, ball[:, None]], axis=1)
     across = _at(nodes, shape[1]) * weights[:, None] / 2.0
     down = _at(nodes, shape[0]) * weights[:, None] / 2.0
-    made = np.einsum("pnxz,zi,xj->pnij", light, down, across, optimize=True).reshape(-1, shape[0] * shape[1])
-    sizes = np.linalg.norm(made, axis=1)
+    coefficients = np.einsum("pnxz,zi,xj->pnij", light, down, across, optimize=True).reshape(-1, shape[0] * shape[1])
+    sizes = np.linalg.norm(coefficients, axis=1)
     kinds = np.concatenate([np.hstack([normals, np.zeros((len(normals), 1))]), [[0.0, 0.0, 0.0, 1.0]]])
     poses = np.hstack([np.repeat(places, len(kinds), axis=0), np.tile(kinds, (len(places), 1))])
-    seen = sizes > 1e-9 * sizes.max()  # edge-on, an element sends nothing
-    return _Elements(poses[seen], made[seen] / sizes[seen, None], sizes[seen])
+    visible = sizes > 1e-9 * sizes.max()  # an element seen edge-on sends no light
+    return _Elements(poses[visible], coefficients[visible] / sizes[visible, None], sizes[visible])
 
 
 def _at(nodes: Array, count: int) -> Array:
-    """Legendre polynomials of mean square 1 at places from -1 to 1, (n, count)."""
+    """Legendre polynomials of mean square 1 at points from -1 to 1, (n, count)."""
     return legendre.legvander(nodes, count - 1) * np.sqrt(2.0 * np.arange(count) + 1.0)
 
 
 @lru_cache(maxsize=32)
 def _polynomials(pixels: int) -> Array:
-    """The same, averaged over each of some pixels and made orthonormal again, (pixels, count)."""
+    """Legendre polynomials averaged over each pixel of an edge and made orthonormal again, (pixels, count)."""
     count = min(_DEGREES, pixels)
     edges = np.linspace(-1.0, 1.0, pixels + 1)
     integrals = np.stack(

@@ -1,4 +1,4 @@
-"""What a real camera makes of a radiance picture: photons are counted, a chip adds noise, a converter rounds.
+"""Model of a real camera: it counts photons, the chip adds noise, and the converter rounds.
 
 The terms are those of the linear model of the standard EMVA 1288: photon shot noise, temporal dark noise (here read
 noise: exposures are short), full well (saturation capacity), spread of the pixels' gain (PRNU) and offset (DSNU), and
@@ -26,13 +26,13 @@ from generator.sets.readable import PictureSet
 Floats = NDArray[Any]
 
 _BLACK = 8.0
-"""Read noises by which the black level lies above zero, so that rounding at zero biases no mean."""
+"""Black level, in standard deviations of the dark noise, high enough that clipping at zero biases no mean."""
 _BRIGHTER = 4.0
-"""A well that is filled this many times over overflows whatever the photons do."""
+"""A well whose expected charge is this many times its capacity overflows for any shot noise."""
 _SAME_SHAPE = 0.02
-"""Two pictures are one in other light if, brought to one level, they differ by less, relative, root mean square."""
+"""Relative RMS difference, after scaling to one level, below which two pictures differ in the level alone."""
 _SAME_LEVEL = 0.01
-"""Levels are one if they differ by less: lamps drift by as much."""
+"""Relative difference below which two levels count as equal: lamps drift by as much."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -42,25 +42,25 @@ class Sensor:
     Attributes
     ----------
     full_well : float
-        Electrons that a pixel holds.
+        Electrons that a pixel can hold.
     read_noise : float
-        Standard deviation, electrons, of every readout.
+        Standard deviation of every readout, electrons.
     bits : int
-        Of the converter; its range is the full well's. 0 does not round.
+        Bits of the converter, whose range is the full well; 0 does not round.
     exposure : float
         Electrons in a frame per W/m^2/sr; 0 puts the brightest pixel of the scene at ``fill``.
     fill : float
-        Share of the full well that the brightest pixel fills where the exposure follows from the scene.
+        Share of the full well that the brightest pixel fills if the exposure follows from the scene.
     frames : int
-        Averaged for a picture.
+        Number of frames averaged for a picture.
     background_frames : int
-        Averaged for the background picture; it stands still, so there is time.
+        Number of frames averaged for the background picture; it is static, so there is time for many.
     gain_spread : float
         Standard deviation of the pixels' gain, relative (PRNU): a fixed pattern, the same in every frame.
     offset_spread : float
-        Standard deviation of the pixels' offset, electrons (DSNU); likewise.
+        Standard deviation of the pixels' offset, electrons (DSNU): also a fixed pattern.
     drift : float
-        By how much the ambient light has changed since the background was taken, relative.
+        Relative change of the ambient light since the background was taken.
     """
 
     full_well: float = 10_500.0
@@ -98,12 +98,12 @@ class Sensor:
             )
 
     def exposed(self, pictures: Iterable[Picture]) -> Sensor:
-        """Return the sensor with an exposure; if it has none, the brightest of the pictures' pixels fills it.
+        """Return the sensor with an exposure; if it has none, the brightest pixel of the pictures defines it.
 
         Raises
         ------
         NlosError
-            There is no light.
+            If there is no light in the pictures.
         """
         if self.exposure:
             return self
@@ -115,10 +115,10 @@ class Sensor:
         return replace(self, exposure=self.fill * self.full_well / brightest)
 
     def electrons(self, picture: Picture | Array) -> Array:
-        """Return the electrons expected in a frame, (height, width), of radiance (height, width, 3), W/m^2/sr."""
+        """Return the electrons expected in a frame, (height, width), for radiance (height, width, 3), W/m^2/sr."""
         if not self.exposure:
             raise NlosError("sensor.exposure: is not chosen yet")
-        # A renderer's noise can go below zero, photons cannot.
+        # Rendering noise can make a radiance negative, but photon counts cannot be.
         expected: Array = np.maximum(_grey(picture), 0.0) * self.exposure
         return expected
 
@@ -134,32 +134,32 @@ class Sensor:
         picture : ndarray of shape (height, width, 3)
             Scene-linear radiance, W/m^2/sr.
         rng : Generator
-            Of the temporal noise.
+            Generator of the temporal noise.
         frames : int
-            Averaged; 0 takes the sensor's own.
+            Number of frames averaged; 0 takes the sensor's own.
         pattern : int
             Seed of the fixed pattern: which specimen of the sensor it is.
 
         Raises
         ------
         NlosError
-            No exposure is chosen yet.
+            If no exposure is chosen yet.
         """
         expected = self.electrons(picture)
         gain, offset = self._pattern(expected.shape, pattern)
         expected = np.minimum(expected * gain, _BRIGHTER * self.full_well + 100.0)
         count, total = frames or self.frames, np.zeros(expected.shape)
         for _ in range(count):
-            held = np.minimum(rng.poisson(expected), self.full_well)
-            total += self._convert(held + offset + rng.normal(scale=self.read_noise, size=held.shape))
+            electrons = np.minimum(rng.poisson(expected), self.full_well)
+            total += self._convert(electrons + offset + rng.normal(scale=self.read_noise, size=electrons.shape))
         radiance = total / count / self.exposure
         return np.repeat(radiance[..., None], 3, axis=2).astype(np.float32)
 
     def variance(self, picture: Picture | Array, *, frames: int = 0) -> Array:
         """Return the variance of what `measure` reports, (height, width), (W/m^2/sr)^2, where no well overflows.
 
-        The photons', the readout's and the rounding's (EMVA 1288, the linear model's temporal noise, divided by the
-        squared gain). Without the fixed pattern, which picture and background share.
+        It is the sum for photons, readout and rounding (EMVA 1288, the linear model's temporal noise, divided by the
+        squared gain). The fixed pattern is left out, since picture and background share it.
         """
         rounding = self._step**2 / 12.0
         electrons = self.electrons(picture) + self.read_noise**2 + rounding
@@ -167,33 +167,33 @@ class Sensor:
         return variance
 
     def stabilised(self, picture: Picture | Array) -> Array:
-        """Return measured light on a scale where its noise has variance 1 however bright it is, (height, width).
+        """Return measured light on a scale where its noise has variance 1 at any brightness, (height, width).
 
         The generalised Anscombe transform 2 sqrt(n + 3/8 + s^2) of n electrons with read noise s, in all frames
         together (Anscombe 1948, equation 2.1; Murtagh, Starck and Bijaoui 1995, equation 4).
         """
-        held = self._held(picture)  # what is measured of darkness can be below zero
-        made: Array = 2.0 * np.sqrt(np.maximum(held + 0.375 + self._dark, 0.0))
-        return made
+        electrons = self._held(picture)  # measured darkness can be below zero
+        transformed: Array = 2.0 * np.sqrt(np.maximum(electrons + 0.375 + self._dark, 0.0))
+        return transformed
 
     def stabilised_mean(self, picture: Picture | Array) -> Array:
-        """Return the mean of `stabilised` over measurements of light that is known, (height, width).
+        """Return the mean of `stabilised` over measurements of a known radiance, (height, width).
 
-        The root bends, so that is less than the root of the mean: by half its curvature times the variance.
+        As the root is concave, this is less than the root of the mean, by half its curvature times the variance.
         """
-        held = np.maximum(self._held(picture), 0.0)
-        inside = held + 0.375 + self._dark
-        mean: Array = 2.0 * np.sqrt(inside) - (held + self._dark) / (4.0 * inside**1.5)
+        electrons = np.maximum(self._held(picture), 0.0)
+        argument = electrons + 0.375 + self._dark
+        mean: Array = 2.0 * np.sqrt(argument) - (electrons + self._dark) / (4.0 * argument**1.5)
         return mean
 
     def _held(self, picture: Picture | Array) -> Array:
-        """Electrons in all frames; of what overflows, nobody knows how much it was."""
-        held: Array = float(self.frames) * np.minimum(self.exposure * _grey(picture), self.full_well)
-        return held
+        """Electrons in all frames together, limited to the full well."""
+        electrons: Array = float(self.frames) * np.minimum(self.exposure * _grey(picture), self.full_well)
+        return electrons
 
     @property
     def _dark(self) -> float:
-        """Variance of what all frames add to the photons' own, squared electrons."""
+        """Variance of readout and rounding in all frames together, squared electrons."""
         return self.frames * (self.read_noise**2 + self._step**2 / 12.0)
 
     @property
@@ -208,12 +208,12 @@ class Sensor:
 
     @property
     def _black(self) -> float:
-        """Grey level of no light."""
+        """Grey level without light."""
         noise = math.hypot(self.read_noise, self.offset_spread)
         return float(math.ceil(_BLACK * noise * self._white / (self.full_well + _BLACK * noise)))
 
     def _convert(self, electrons: Array) -> Array:
-        """Electrons as the converter reports them, rounded and cut at its ends."""
+        """Electrons as the converter reports them, rounded and clipped to its range."""
         if not self.bits:
             return electrons
         levels = np.clip(np.rint(electrons / self._step + self._black), 0.0, self._white)
@@ -236,25 +236,25 @@ class Camera:
     ----------
     dataset : Dataset or SimulatedSet
     sensor : Sensor
-        Where it has no exposure, the brightest pixel of the data set fills it to ``fill``.
+        If it has no exposure, the brightest pixel of the data set fills the well to ``fill``.
     seed : int
-        Of all noise; a picture's own follows from it, the data set, the voxel and the pose's index. So no order
-        changes it, and no two data sets share it: what is trained on one could know the other's by heart.
+        Seed of all noise. The noise of a picture follows from it, the data set, the voxel and the pose's index. So it
+        does not depend on the order, and no two data sets share noise that a classifier could learn by heart.
     like : ndarray of shape (height, width), optional
-        Background, W/m^2/sr, to whose level the exposure is set where the data set's own is the same but for a
-        factor: another albedo of the wall, a stronger lamp. All light that goes over the wall twice has that factor.
+        Background, W/m^2/sr. If the data set's own background differs from it only by a factor (another albedo of the
+        wall, a stronger lamp), the exposure makes up for it: all light that meets the wall twice has that factor.
 
     Attributes
     ----------
     sensor : Sensor
-        With its exposure.
+        The sensor with its exposure.
     level : float
-        What the radiance of all pictures is multiplied with: above 1 where the exposure is longer.
+        Factor on the radiance of all pictures: above 1 if the exposure is longer.
 
     Raises
     ------
     NlosError
-        The data set has no light, or a picture is broken.
+        If the data set has no light, or a picture is broken.
     """
 
     def __init__(self, dataset: PictureSet, sensor: Sensor, seed: int = 0, *, like: Array | None = None) -> None:
@@ -263,8 +263,8 @@ class Camera:
         self.level = 1.0 if like is None else _level(_grey(dataset.background()), like)
         digest = hashlib.sha256(str(dataset.meta["fingerprint"]).encode()).digest()
         self._set = int.from_bytes(digest[:8], "big")
-        every = itertools.chain([dataset.background()], map(dataset.picture, dataset.records))
-        self.sensor = sensor.exposed(every)
+        pictures = itertools.chain([dataset.background()], map(dataset.picture, dataset.records))
+        self.sensor = sensor.exposed(pictures)
 
     def background(self) -> Picture:
         """Return the measured background, (height, width, 3), W/m^2/sr."""
@@ -286,7 +286,7 @@ class Camera:
 
 
 def _level(own: Array, wanted: Array) -> float:
-    """Return the factor that makes one picture of another in other light; 1 if they are not the same picture."""
+    """Return the factor from one picture to another that differs in the level alone; 1 if it differs otherwise."""
     if own.shape != wanted.shape or not (own.any() and wanted.any()):
         return 1.0
     factor = float((own * wanted).sum() / (own * own).sum())

@@ -1,4 +1,4 @@
-"""The pictures and the page that a person reads."""
+"""Figures, tables and HTML page of a comparison of classifiers."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ from generator.files.writing import atomic, csv_text, write_text
 from generator.model.grid import VoxelGrid
 
 # Table 1 of the paper: accuracy, precision, recall, F1. Its data set 1 is the sheet and 2 the sphere (5.2, and the
-# accuracies named in section 6); 5.3.2 says the reverse, a slip.
+# accuracies named in section 6); section 5.3.2 says the reverse by mistake.
 PAPER: dict[str, dict[str, tuple[float, float, float, float]]] = {
     "sheet": {
         "LR": (0.61, 0.45, 0.53, 0.47),
@@ -60,23 +60,23 @@ def paper_row(result: Result) -> tuple[float, float, float, float] | None:
 def write(
     folder: Path, results: Sequence[Result], sets: Sequence[Features], names: Sequence[str], folds: int
 ) -> Path:
-    """Write tables, figures and the page into a folder, each file by temporary name and rename.
+    """Write tables, figures and the page into a folder, each to a temporary file that is then renamed.
 
     Parameters
     ----------
     folder : Path
-        Files of other names in it are left alone.
+        Output folder; files of other names in it are kept.
     results : sequence of Result
     sets : sequence of Features
-        That the results are of.
+        Sets that the results come from.
     names : sequence of str
-        Of their files.
+        File names of the sets.
     folds : int
 
     Returns
     -------
     Path
-        Of the HTML page, which needs no other file.
+        Path of the HTML page, which needs no other file.
     """
     write_text(folder / "results.csv", csv_text(_RESULT_COLUMNS, [_result_row(r) for r in results]))
     write_text(
@@ -89,9 +89,11 @@ def write(
     figures = {"comparison.png": comparison_figure(results)}
     best = {}
     for scenario in dict.fromkeys(r.scenario for r in results):
-        mine = [r for r in results if r.scenario == scenario]
-        best[scenario] = max(mine, key=lambda r: r.accuracy.value)
-        shown = {(r.classifier, r.settings): r for r in [*(r for r in mine if r.classifier == "SVM"), best[scenario]]}
+        subset = [r for r in results if r.scenario == scenario]
+        best[scenario] = max(subset, key=lambda r: r.accuracy.value)
+        shown = {
+            (r.classifier, r.settings): r for r in [*(r for r in subset if r.classifier == "SVM"), best[scenario]]
+        }
         figures[f"confusion-{_slug(scenario)}.png"] = confusion_figure(list(shown.values()))
     images = {}
     for name, figure in figures.items():
@@ -112,12 +114,12 @@ def comparison_figure(results: Sequence[Result]) -> Figure:
     for axis in axes.flat[len(scenarios) :]:
         axis.set_visible(False)
     for axis, scenario in zip(axes.flat, scenarios, strict=False):
-        mine = [r for r in results if r.scenario == scenario]
-        order = [c for c in NAMES if any(r.classifier == c for r in mine)]
-        kinds = [s for s in _COLOURS if any(r.settings == s for r in mine)]
+        subset = [r for r in results if r.scenario == scenario]
+        order = [c for c in NAMES if any(r.classifier == c for r in subset)]
+        kinds = [s for s in _COLOURS if any(r.settings == s for r in subset)]
         width = 0.8 / len(kinds)
         for k, kind in enumerate(kinds):
-            for r in (r for r in mine if r.settings == kind):
+            for r in (r for r in subset if r.settings == kind):
                 x = order.index(r.classifier) + (k - (len(kinds) - 1) / 2) * width
                 _draw_accuracy(axis, x, width, r)
         published = [(i, PAPER.get(scenario, {}).get(c)) for i, c in enumerate(order)]
@@ -130,7 +132,7 @@ def comparison_figure(results: Sequence[Result]) -> Figure:
                 ms=5,
                 zorder=4,
             )
-        chance = 1.0 / len(mine[0].labels)
+        chance = 1.0 / len(subset[0].labels)
         axis.axhline(chance, color="#57606a", lw=0.8, ls=":")
         axis.set_xticks(range(len(order)), order)
         axis.set_title(
@@ -159,13 +161,13 @@ def _draw_accuracy(axis: Any, x: float, width: float, r: Result) -> None:
         box["medians"][0].set(color="black")
         for flier in box["fliers"]:
             flier.set(marker=".", markersize=4)
-    else:  # one test set has no folds to spread over: its interval instead
+    else:  # a single test set has no folds: draw its interval instead
         a = r.accuracy
         axis.errorbar([x], [a.value], [[a.value - a.low], [a.high - a.value]], fmt="o", color=colour, ms=4, capsize=3)
 
 
 def confusion_figure(results: Sequence[Result]) -> Figure:
-    """Confusion matrices side by side, each row in per cent of the truth."""
+    """Confusion matrices side by side, each row in per cent of the pictures of that true voxel."""
     figure, axes = plt.subplots(1, len(results), figsize=(4.3 * len(results), 4.4), squeeze=False)
     for axis, r in zip(axes[0], results, strict=True):
         share = 100.0 * r.confusion / np.maximum(r.confusion.sum(axis=1, keepdims=True), 1)
@@ -188,9 +190,9 @@ def confusion_figure(results: Sequence[Result]) -> Figure:
 
 
 def confusions(result: Result, grid: VoxelGrid, most: int = 5) -> list[tuple[str, str, int, str]]:
-    """Return the pairs of voxels most often taken for one another: two labels, how often, how they lie."""
-    both = np.triu(result.confusion + result.confusion.T, 1)
-    pairs = sorted(((int(both[i, j]), i, j) for i, j in np.argwhere(both > 0)), reverse=True)[:most]
+    """Return the pairs of voxels that are confused most often: two labels, count, and relative position in words."""
+    symmetric = np.triu(result.confusion + result.confusion.T, 1)
+    pairs = sorted(((int(symmetric[i, j]), i, j) for i, j in np.argwhere(symmetric > 0)), reverse=True)[:most]
     index = {label: i for i, label in enumerate(grid.labels)}
     return [
         (a, b, count, _relation(grid, index[a], index[b]))
@@ -199,24 +201,24 @@ def confusions(result: Result, grid: VoxelGrid, most: int = 5) -> list[tuple[str
 
 
 def _relation(grid: VoxelGrid, a: int, b: int) -> str:
-    apart = np.abs(np.subtract(grid.cell(a), grid.cell(b)))
+    offsets = np.abs(np.subtract(grid.cell(a), grid.cell(b)))
     words = [
-        f"{n} {'voxel' if n == 1 else 'voxels'} apart {how}"
-        for n, how in zip(apart, ("along the wall", "in distance from the wall", "in height"), strict=True)
+        f"{n} {'voxel' if n == 1 else 'voxels'} apart {direction}"
+        for n, direction in zip(offsets, ("along the wall", "in distance from the wall", "in height"), strict=True)
         if n
     ]
     return " and ".join(words)
 
 
 def text_table(results: Sequence[Result]) -> list[tuple[str, ...]]:
-    """Return the accuracy table as text: scenario, classifier, the paper's, ours by its settings, and tuned."""
+    """Return the accuracy table as text: scenario, classifier, paper, here with its settings, and here tuned."""
     rows = []
     for scenario in dict.fromkeys(r.scenario for r in results):
         for classifier in NAMES:
-            mine = {r.settings: r for r in results if r.scenario == scenario and r.classifier == classifier}
-            if mine:
-                published = paper_row(next(iter(mine.values())))
-                cells = [mine[s].accuracy.percent() if s in mine else "" for s in _COLOURS]
+            by_settings = {r.settings: r for r in results if r.scenario == scenario and r.classifier == classifier}
+            if by_settings:
+                published = paper_row(next(iter(by_settings.values())))
+                cells = [by_settings[s].accuracy.percent() if s in by_settings else "" for s in _COLOURS]
                 rows.append((_words(scenario), classifier, f"{published[0]:.0%}" if published else "-", *cells))
     return rows
 
@@ -273,7 +275,7 @@ def _png(figure: Figure) -> bytes:
 
 
 def _map(result: Result, grid: VoxelGrid) -> list[list[tuple[str, float | None]]]:
-    """Recall per voxel as seen from above, farthest row first, the layers of height averaged."""
+    """Recall per voxel as seen from above, farthest row first, averaged over the layers of height."""
     recall = np.diagonal(result.confusion) / np.maximum(result.confusion.sum(axis=1), 1)
     by_cell: dict[tuple[int, int], list[tuple[str, float]]] = {}
     index = {label: i for i, label in enumerate(grid.labels)}

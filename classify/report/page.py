@@ -1,4 +1,4 @@
-"""A page of answers that a person reads: what was found, figures, tables, and where it all comes from."""
+"""HTML report of answers: conclusions, figures, tables, and the sources of all of them."""
 
 from __future__ import annotations
 
@@ -32,24 +32,24 @@ def write(
     tables: Sequence[Table],
     sources: Mapping[str, object],
 ) -> Path:
-    """Write ``report.html``, which needs no other file, by temporary name and rename.
+    """Write ``report.html``, which needs no other file, to a temporary file that is then renamed.
 
     Parameters
     ----------
     folder : Path
     title : str
     lead : sequence of str
-        What was found, a sentence each.
+        Conclusions, one sentence each.
     figures : mapping of str to str
-        Pictures in the folder, and what stands under each.
+        File names of figures in the folder, and the caption of each.
     tables : sequence of Table
     sources : mapping
-        Where the figures come from; the command line is added.
+        Sources of the results by name; the command line is added.
 
     Returns
     -------
     Path
-        Of the page.
+        Path of the page.
     """
     loader = jinja2.FileSystemLoader(Path(__file__).parent / "templates")
     environment = jinja2.Environment(loader=loader, autoescape=True, undefined=jinja2.StrictUndefined)
@@ -70,7 +70,7 @@ def write(
 
 
 def of_atlas(atlas: Atlas) -> dict[str, object]:
-    """Return what is to be known of an atlas."""
+    """Return the facts about an atlas that a report states."""
     sensor = ", ".join(f"{name} {value:g}" for name, value in asdict(atlas.sensor).items())
     return {
         "simulated sets": ", ".join(atlas.about["sets"]),

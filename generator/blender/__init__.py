@@ -1,1 +1,1 @@
-"""The only room that imports bpy: what runs inside Blender."""
+"""What runs inside Blender: the only package that imports bpy."""

@@ -1,8 +1,8 @@
-"""One process, one Blender: plans a bulk set from a scene, and makes the parts it is told to.
+"""Worker process with one Blender: plans a bulk set from a scene, and makes the parts that are requested.
 
-Run as ``python -m generator.blender.bulk_worker REQUEST`` by the coordinator (`generator.jobs.bulk`), as
-`generator.blender.worker` is, which must do without what Blender lacks: HDF5. Blender is here for the scene, once,
-and to tell whether a pose cuts a surface; the pictures need none.
+Run as ``python -m generator.blender.bulk_worker REQUEST`` by the coordinator (`generator.jobs.bulk`). It is separate
+from `generator.blender.worker`, which must run without HDF5, because Blender lacks it. Blender is needed to read the
+scene once and to test whether a pose cuts a surface; the pictures need no Blender.
 """
 
 from __future__ import annotations
@@ -54,24 +54,24 @@ def plan(
     ----------
     scene : bpy.types.Scene
     source : Path
-        The file the scene was opened from; its hash is recorded.
+        File that the scene was opened from; its hash is recorded.
     path : Path
-        Of the set.
+        Folder of the bulk set.
     chosen : mapping
         Fields of `Settings` that the user chose; ``resolution`` may be text. The rest follow from the scene.
     force : bool
-        In spite of errors that the check finds; the set then remembers them.
+        Create the set in spite of errors that the check finds; the set then records them.
     tell : callable
-        Is told what the check finds short of that.
+        Called with each warning of the check, and with each error that `force` overrules.
     probe : bool
-        Whether the engine is held against plain Cycles first (`generator.blender.start_check`), with the target that
-        the scene has.
+        Whether the engine is first compared with plain Cycles (`generator.blender.start_check`), with the scene's own
+        target.
 
     Raises
     ------
     NlosError
-        The scene lacks a role, the engine cannot honour it, the target fits nowhere, or nothing can be written;
-        or it refers to files elsewhere; or plain Cycles makes another picture of it.
+        The scene lacks a role or refers to files elsewhere, the engine cannot render it, the target fits nowhere,
+        nothing can be written, or plain Cycles renders a different picture.
     """
     bulk_set.check_free(path)
     linked = links.recorded(references.refuse(source), path)
@@ -85,20 +85,20 @@ def plan(
             f"{source}: a bulk set is made by the engine 'surfel', which cannot honour that "
             f"{', nor that '.join(reasons)}; use nlos-generate sweep"
         )
-    found = misgivings.look(scene)
+    doubts = misgivings.look(scene)
     if not force:
-        misgivings.refuse(found)
-    for words in found.notes:
+        misgivings.refuse(doubts)
+    for words in doubts.notes:
         tell(words)
     draw = _poses(scene, settings)
     for voxel in range(min(described.grid.n_voxels, settings.pictures)):
-        draw(voxel, 0)  # refuses now a target that fits nowhere
+        draw(voxel, 0)  # raises now if the target fits nowhere
     background = Transport(world, accuracy=settings.accuracy).background().astype(np.float32)
     meta = {
         "reference_radiance": described.reference_radiance,
         "colour_space": sweep_worker.colour_space(),
         "scene": to_dict(described),
-        **({"forced": found.errors} if found.errors else {}),
+        **({"forced": doubts.errors} if doubts.errors else {}),
         **({"links": linked} if linked else {}),
         "software": {
             "nlos-lab": sweep_worker.version(),
@@ -107,48 +107,48 @@ def plan(
             "numba": sweep_worker.version("numba"),
         },
     }
-    first = _first(scene, settings) if probe else None
+    pose = _first(scene, settings) if probe else None
     with start_check.withdrawn(path, SCENE):
         blend_file.save_file(path / SCENE)
-        if first:
+        if pose:
             sweep = replace(settings.sweep, engine="surfel", accuracy=settings.accuracy)
-            likewise = {**meta, "sweep": {**to_dict(sweep), "scene_sha256": scene_hash(source)}}
-            known = links.of_dataset(linked, path)
+            check_meta = {**meta, "sweep": {**to_dict(sweep), "scene_sha256": scene_hash(source)}}
+            linked_files = links.of_dataset(linked, path)
             meta["start_check"] = start_check.run(
-                path / SCENE, source, known, likewise, first, settings.pictures, sweep_worker.render
+                path / SCENE, source, linked_files, check_meta, pose, settings.pictures, sweep_worker.render
             )
     return Bulk.create(path, settings, meta, world, background, scene_hash(source))
 
 
 def _first(scene: bpy.types.Scene, settings: Settings) -> PoseRecord | None:
-    """Return a pose of the scene's own target, as the start check wants it; None if the target fits nowhere."""
+    """Return a pose of the scene's own target for the start check; None if the target fits nowhere."""
     try:
-        place, turn = _poses(scene, replace(settings, unknown=False))(0, 0)
-    except NlosError:  # which does not matter where unknown objects take its place
+        position, rotation = _poses(scene, replace(settings, unknown=False))(0, 0)
+    except NlosError:  # no fault where unknown objects replace the target
         return None
-    return PoseRecord(0, 0, roles.read_grid(scene).labels[0], place, turn, seed=0, file="")
+    return PoseRecord(0, 0, roles.read_grid(scene).labels[0], position, rotation, seed=0, file="")
 
 
 def _poses(scene: bpy.types.Scene, settings: Settings) -> Callable[[int, int], poses.Pose]:
-    """What draws the pose of (voxel, index)."""
+    """Return the function that draws the pose of (voxel, index)."""
     described = read_scene(scene)
     if not settings.unknown:
         is_free = clearance(scene, described, engine="surfel")
         return poses.Sampler(described.grid, settings.sweep, geometry.hull(scene), is_free).draw
-    around = Surroundings(scene, described, engine="surfel")
-    sweep = replace(settings.sweep, rotation=(0.0, 0.0, 0.0))  # they come turned
+    surroundings = Surroundings(scene, described, engine="surfel")
+    sweep = replace(settings.sweep, rotation=(0.0, 0.0, 0.0))  # unknown objects are already rotated
 
     @lru_cache(maxsize=2)
     def sampler(index: int) -> poses.Sampler:
         corners = unknown_object(described.grid, settings.sweep, index).triangles.reshape(-1, 3)
         faces = np.arange(len(corners)).reshape(-1, 3).tolist()
-        return poses.Sampler(described.grid, sweep, corners, around.free(corners, faces))
+        return poses.Sampler(described.grid, sweep, corners, surroundings.free(corners, faces))
 
     return lambda voxel, index: sampler(index).draw(voxel, index)
 
 
 def render(found: Bulk, parts: Iterable[int], *, threads: int = 0) -> None:
-    """Make parts of a set, telling of each."""
+    """Make parts of a set, and send an answer after each."""
     sweep_worker.check_blender(found)
     scene = sweep_worker.open_scene(found)
     draw = _poses(scene, found.plan)

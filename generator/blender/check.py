@@ -1,4 +1,4 @@
-"""Says what is wrong with a scene before it is rendered for a night: NLOS scenes that are wrong look right."""
+"""Checks a scene for faults before a long render, because a faulty NLOS scene looks right."""
 
 from __future__ import annotations
 
@@ -22,12 +22,12 @@ from generator.model.settings import Sweep
 
 
 def mend(scene: bpy.types.Scene, fix: str) -> None:
-    """Do what a finding proposes.
+    """Apply the fix that a finding proposes.
 
     Raises
     ------
     NlosError
-        There is no such remedy, or it cannot be done here.
+        There is no such fix, or it cannot be applied to this scene.
     """
     if fix == "metres":
         adopt.to_metres(scene)
@@ -44,98 +44,98 @@ def mend(scene: bpy.types.Scene, fix: str) -> None:
 
 
 def findings(scene: bpy.types.Scene, *, engine: str = "patch") -> list[Finding]:
-    """Return all that is found without rendering: errors first.
+    """Return all findings that need no rendering, errors first.
 
     Parameters
     ----------
     scene : bpy.types.Scene
     engine : {"path", "patch", "surfel", "auto"}
-        What is going to render it.
+        Engine that will render the scene.
     """
-    found = _roles(scene)
-    if not found:
+    results = _roles(scene)
+    if not results:
         try:
-            found = _frame(scene)
-            readable = not hopeless(found)
-            found += _settings(scene)
+            results = _frame(scene)
+            readable = not hopeless(results)
+            results += _settings(scene)
             if readable:
                 described = read_scene(scene)
-                found += [*check_sight.findings(scene, described), *_engine(scene, engine)]
+                results += [*check_sight.findings(scene, described), *_engine(scene, engine)]
         except NlosError as error:
-            found.append(_told(scene, error))
-    order = [ERROR, WARNING, NOTE, GOOD]
-    return sorted(found, key=lambda f: order.index(f.level))
+            results.append(_told(scene, error))
+    levels = [ERROR, WARNING, NOTE, GOOD]
+    return sorted(results, key=lambda f: levels.index(f.level))
 
 
 def hopeless(found: Sequence[Finding]) -> bool:
-    """Whether an error is among what was found."""
+    """Whether there is an error among the findings."""
     return any(f.level == ERROR for f in found)
 
 
 def _told(scene: bpy.types.Scene, error: NlosError) -> Finding:
-    """An error's sentence, without the file's name before it, as a finding."""
+    """Return an error's message, without the leading file name, as a finding."""
     text = str(error).removeprefix(f"{bpy.data.filepath or 'scene'}: ")
     fix = "voxels" if "voxel grid" in text else ""
     return Finding(ERROR, text, _named(scene, text), fix)
 
 
 def _named(scene: bpy.types.Scene, text: str) -> str:
-    """The first object that a sentence names."""
+    """Return the first object of the scene that a sentence names; empty if there is none."""
     return next((name for name in re.findall(r"'([^']*)'", text) if name in scene.objects), "")
 
 
 def _roles(scene: bpy.types.Scene) -> list[Finding]:
-    found = []
+    results = []
     for role in roles.SINGLE_ROLES:
-        players, words = roles.players(scene, role), role.replace("_", " ")
+        players, title = roles.players(scene, role), role.replace("_", " ")
         if not players:
-            found.append(Finding(ERROR, f"No object is the {words}: select yours and adopt it, or build a preset"))
+            results.append(Finding(ERROR, f"No object is the {title}: select yours and adopt it, or build a preset"))
         elif len(players) > 1:
             names = ", ".join(o.name for o in players)
-            found.append(
-                Finding(ERROR, f"{len(players)} objects are the {words}: {names}; adopt one", players[0].name)
+            results.append(
+                Finding(ERROR, f"{len(players)} objects are the {title}: {names}; adopt one", players[0].name)
             )
-    return found
+    return results
 
 
 def _frame(scene: bpy.types.Scene) -> list[Finding]:
-    found = []
+    results = []
     wall, target = roles.find(scene, "relay_wall"), roles.find(scene, "target")
     if why := roles.unseen(scene, target):
-        found.append(Finding(ERROR, f"The target {target.name!r} {why}", target.name, "show"))
+        results.append(Finding(ERROR, f"The target {target.name!r} {why}", target.name, "show"))
     if not adopt.in_metres(scene):
         unit = scene.unit_settings.scale_length
         text = f"A Blender unit is {unit:g} m here; light, voxels and poses count in metres"
-        found.append(Finding(ERROR, text, fix="metres"))
+        results.append(Finding(ERROR, text, fix="metres"))
     if not geometry.in_frame(wall, geometry.snapshot(scene)):
         text = f"The relay wall {wall.name!r} is not in the plane y = 0, which the lab's frame starts from"
-        found.append(Finding(ERROR, text, wall.name, "align"))
-    return found
+        results.append(Finding(ERROR, text, wall.name, "align"))
+    return results
 
 
 def _settings(scene: bpy.types.Scene) -> list[Finding]:
-    found = []
+    results = []
     if scene.render.engine != "CYCLES":
-        found.append(
+        results.append(
             Finding(WARNING, "Cycles is not the scene's render engine: F12 shows another picture", fix="reflections")
         )
     order = roles.reflection_order(scene)
     if order < MAX_ORDER:
         text = f"Light makes {order} reflections at most: by way of the hidden object it takes three"
-        found.append(Finding(ERROR, text, fix="reflections"))
+        results.append(Finding(ERROR, text, fix="reflections"))
     elif order > MAX_ORDER:
         text = f"Light makes up to {order} reflections: more than three cost time and wash the signal out"
-        found.append(Finding(NOTE, text, fix="reflections"))
+        results.append(Finding(NOTE, text, fix="reflections"))
     if others := roles.others(scene):
-        some = ", ".join(others[:3]) + (f" and {len(others) - 3} more" if len(others) > 3 else "")
-        found.append(Finding(NOTE, f"Also rendered, without a role: {some}", others[0]))
+        listed = ", ".join(others[:3]) + (f" and {len(others) - 3} more" if len(others) > 3 else "")
+        results.append(Finding(NOTE, f"Also rendered, without a role: {listed}", others[0]))
     if differing := replaced.replaced(scene):
-        usual = [setting.words for setting in differing if replaced.is_default(scene, setting)]
-        chosen = [replaced.told(scene, setting) for setting in differing if not replaced.is_default(scene, setting)]
-        parts = [f"settings of the file: {', '.join(chosen)}"] if chosen else []
-        parts += [f"some of Blender's defaults: {', '.join(usual)}"] if usual else []
-        found.append(Finding(NOTE, f"A sweep replaces {'; and '.join(parts)}"))
-    return found
+        defaults = [setting.words for setting in differing if replaced.is_default(scene, setting)]
+        changed = [replaced.told(scene, setting) for setting in differing if not replaced.is_default(scene, setting)]
+        parts = [f"settings of the file: {', '.join(changed)}"] if changed else []
+        parts += [f"some of Blender's defaults: {', '.join(defaults)}"] if defaults else []
+        results.append(Finding(NOTE, f"A sweep replaces {'; and '.join(parts)}"))
+    return results
 
 
 def _engine(scene: bpy.types.Scene, engine: str) -> list[Finding]:
@@ -145,21 +145,21 @@ def _engine(scene: bpy.types.Scene, engine: str) -> list[Finding]:
     chosen, _ = renderers.choose(scene, surveyed)
     if engine in (AUTO, chosen):
         return []
-    # Whoever asks for `surfel` gets ambient light to a few per cent; nobody is advised to.
+    # `surfel` renders ambient light to a few per cent: accepted if the user asks for it, but never advised.
     reasons = (survey.survey(scene, ambient=True) if engine == "surfel" else surveyed).reasons(engine)
     if reasons:
         return [
             Finding(ERROR, f"The engine {engine!r} cannot honour that {why}; {chosen!r} can", _named(scene, why))
             for why in reasons
         ]
-    by_cost = list(ENGINES)  # the dearest first
+    by_cost = list(ENGINES)  # the most expensive first
     if by_cost.index(chosen) > by_cost.index(engine):
         return [Finding(NOTE, f"The engine {chosen!r} can render this scene too, in less time")]
     return []
 
 
 def places(scene: bpy.types.Scene, sweep: Sweep) -> list[Finding]:
-    """Return the voxel, if there is one, in which the target finds no place."""
+    """Return a finding about the first voxel into which the target does not fit, if there is one."""
     described = read_scene(scene)
     is_free = clearance.clearance(scene, described, engine=sweep.engine)
     sampler = poses.Sampler(described.grid, sweep, geometry.hull(scene), is_free)
@@ -172,10 +172,10 @@ def places(scene: bpy.types.Scene, sweep: Sweep) -> list[Finding]:
 
 
 def check_scene(scene: bpy.types.Scene, chosen: Mapping[str, Any]) -> list[Finding]:
-    """Return what is to be said of a scene before a sweep with the settings that the user chose."""
-    found = findings(scene, engine=chosen.get("engine", AUTO))
-    if hopeless(found):
-        return found
+    """Return all findings about a scene before a sweep with the settings that the user chose."""
+    results = findings(scene, engine=chosen.get("engine", AUTO))
+    if hopeless(results):
+        return results
     sweep, _ = settled(scene, read_scene(scene), chosen)
-    found += places(scene, sweep)
-    return found if hopeless(found) else [*found, *check_signal.probe(scene, sweep).findings()]
+    results += places(scene, sweep)
+    return results if hopeless(results) else [*results, *check_signal.probe(scene, sweep).findings()]

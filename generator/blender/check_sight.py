@@ -1,4 +1,4 @@
-"""Lines of sight in a scene: those that must not be, and those that must."""
+"""Checks lines of sight in a scene: those that must be blocked, and those that must be open."""
 
 from __future__ import annotations
 
@@ -19,37 +19,37 @@ from generator.model.grid import VoxelGrid
 from generator.model.scene import Scene
 
 _LATTICE = np.array([0.1, 0.5, 0.9])
-"""Where voxels are looked at, in their edges."""
+"""Sample points along each edge of a voxel, relative to its length."""
 _MOST = 512
-"""Of more than these, so many, evenly spread: a window waits for it."""
+"""Most voxels that are checked, evenly spread over the grid: a window waits for the result."""
 _MANY = 64
-"""Of more voxels the middle has to do: a window waits for it."""
+"""With more voxels than this only their centres are checked: a window waits for the result."""
 _PIXELS = (np.arange(5) + 0.5) / 5.0
-"""Where the watched patch is, in its edges."""
+"""Sample points along each edge of the watched patch, relative to its length."""
 _RINGS = (0.0, 0.25, 0.5, 0.75, 1.0)
-"""Where a cone of light is looked at, in its radius."""
+"""Radii at which a cone of light is sampled, relative to its own."""
 _HALF = 0.5
 
 
 def findings(scene: bpy.types.Scene, described: Scene) -> list[Finding]:
-    """Return what is found about what sees what: lamp, camera and voxels, wall and voxels, other lights."""
+    """Return findings about lines of sight: lamp, camera and voxels, wall and voxels, other lights."""
     return _Sight(scene, described).findings()
 
 
 class _Sight:
-    """A scene, and the points of its voxels that are looked at."""
+    """A scene, and the sample points of its voxels."""
 
     def __init__(self, scene: bpy.types.Scene, described: Scene) -> None:
         self._scene, self._described = scene, described
         self._seen, self._grid = geometry.snapshot(scene), described.grid
         self._eyes = Eyes.of(scene, self._seen)
         grid = self._grid
-        along = _LATTICE if grid.n_voxels <= _MANY else _LATTICE[1:2]
-        u, v, w = np.meshgrid(along, along, along, indexing="ij")
+        ticks = _LATTICE if grid.n_voxels <= _MANY else _LATTICE[1:2]
+        u, v, w = np.meshgrid(ticks, ticks, ticks, indexing="ij")
         lattice = np.stack([u.ravel(), v.ravel(), w.ravel()], axis=1)
-        looked = np.unique(np.linspace(0, grid.n_voxels - 1, min(grid.n_voxels, _MOST)).astype(int))
-        self._labels = [grid.labels[voxel] for voxel in looked]
-        self._bounds = [grid.bounds(int(voxel)) for voxel in looked]
+        checked = np.unique(np.linspace(0, grid.n_voxels - 1, min(grid.n_voxels, _MOST)).astype(int))
+        self._labels = [grid.labels[voxel] for voxel in checked]
+        self._bounds = [grid.bounds(int(voxel)) for voxel in checked]
         self._points = [lo + lattice * (hi - lo) for lo, hi in self._bounds]
         self._lamp, self._camera = roles.find(scene, "spot"), roles.find(scene, "camera")
         self._starts, self._corners = geometry.view(scene, self._camera, self._seen.matrices["camera"])
@@ -59,93 +59,93 @@ class _Sight:
         self._watched = weights @ self._corners
 
     def findings(self) -> list[Finding]:
-        """Return what is found."""
+        """Return all findings about lines of sight."""
         voxels = dict(zip(self._labels, zip(self._bounds, self._points, strict=True), strict=True))
-        found = [*self._around_the_corner(), *self._lit(), *self._open()]
-        found += _lights(self._scene, self._eyes, self._watched, voxels, self._grid)
-        if not any(f.level in (WARNING, ERROR) for f in found):
-            words = f"V{_voxels(self._labels, self._grid.labels)[1:]}"
-            found.append(Finding(GOOD, f"{words}: hidden from lamp and camera, seen by the wall"))
-        return found
+        results = [*self._around_the_corner(), *self._lit(), *self._open()]
+        results += _lights(self._scene, self._eyes, self._watched, voxels, self._grid)
+        if not any(f.level in (WARNING, ERROR) for f in results):
+            subject = f"V{_voxels(self._labels, self._grid.labels)[1:]}"
+            results.append(Finding(GOOD, f"{subject}: hidden from lamp and camera, seen by the wall"))
+        return results
 
     def _around_the_corner(self) -> list[Finding]:
-        """Voxels that lamp or camera point at, and those that are not hidden from them."""
-        found = []
-        at, every = self._seen.matrices["spot"][:3, 3], self._grid.labels
+        """Return findings about voxels that lamp or camera point at, and about those not hidden from them."""
+        results = []
+        lamp, labels = self._seen.matrices["spot"][:3, 3], self._grid.labels
         solids = clearance.sights(self._scene, self._described.spot, self._seen)
-        for obj, solid, does in zip((self._lamp, self._camera), solids, ("shines", "looks"), strict=True):
-            shown = self._shown[obj]
-            passed = shown.passed(*solid.rays(_RINGS))
+        for obj, solid, verb in zip((self._lamp, self._camera), solids, ("shines", "looks"), strict=True):
+            eyes = self._shown[obj]
+            beam_points = eyes.passed(*solid.rays(_RINGS))
             direct = [
                 label
                 for label, (lo, hi) in zip(self._labels, self._bounds, strict=True)
-                if _any_inside(passed, lo, hi)
+                if _any_inside(beam_points, lo, hi)
             ]
             unhidden = []
-            for label, inside in zip(self._labels, self._points, strict=True):
-                # An orthographic camera sees along parallel rays, each from a place of its own.
+            for label, points in zip(self._labels, self._points, strict=True):
+                # The rays of an orthographic camera are parallel and start at different points.
                 is_camera = obj == self._camera
-                froms = _opposite(self._starts, self._corners, inside) if is_camera else [at] * len(inside)
-                if label not in direct and any(map(shown.open, froms, inside)):
+                origins = _opposite(self._starts, self._corners, points) if is_camera else [lamp] * len(points)
+                if label not in direct and any(map(eyes.open, origins, points)):
                     unhidden.append(label)
             if direct:
                 text = (
-                    f"{obj.name!r} {does} straight into {_voxels(direct, every)}: nothing is around the corner there"
+                    f"{obj.name!r} {verb} straight into {_voxels(direct, labels)}: nothing is around the corner there"
                 )
-                found.append(Finding(ERROR, text, obj.name))
+                results.append(Finding(ERROR, text, obj.name))
             if unhidden:
-                which = _voxels(unhidden, every)
-                text = f"Nothing hides {which} from {obj.name!r}, which only happens to point elsewhere"
-                found.append(Finding(NOTE, text, obj.name))
-        return found
+                voxels = _voxels(unhidden, labels)
+                text = f"Nothing hides {voxels} from {obj.name!r}, which only happens to point elsewhere"
+                results.append(Finding(NOTE, text, obj.name))
+        return results
 
     def _lit(self) -> list[Finding]:
-        """Whether the lamp lights the wall, and beside the watched patch."""
-        found, lamp = [], self._lamp
+        """Return findings about whether the lamp lights the wall, and does so outside the watched patch."""
+        results, lamp = [], self._lamp
         w1, camera = np.asarray(self._described.spot.aim), self._described.camera
         if camera.x[0] <= w1[0] <= camera.x[1] and camera.z[0] <= w1[2] <= camera.z[1]:
             text = f"{lamp.name!r} lights the watched patch itself, which outshines the hidden object"
-            found.append(Finding(WARNING, f"{text} thousands of times", lamp.name))
+            results.append(Finding(WARNING, f"{text} thousands of times", lamp.name))
         if not self._shown[lamp].open(self._seen.matrices["spot"][:3, 3], w1):
             text = f"Something stands between {lamp.name!r} and the wall that it lights"
-            found.append(Finding(ERROR, text, lamp.name))
-        return found
+            results.append(Finding(ERROR, text, lamp.name))
+        return results
 
     def _open(self) -> list[Finding]:
-        """Voxels that the lit or the watched patch does not see."""
-        found, low = [], []
+        """Return findings about voxels that the lit or the watched patch does not see."""
+        results, partly_open = [], []
         w1 = np.asarray(self._described.spot.aim)
-        for label, inside in zip(self._labels, self._points, strict=True):
-            lights = self._eyes.share(inside, w1[None])
-            reach = float((lights * self._eyes.share(inside, self._watched)).mean())
-            if reach == 0.0:
-                what = "the lit patch" if not lights.any() else "the watched patch"
-                found.append(Finding(ERROR, f"Voxel {label} does not see {what}: what stands there stays unseen"))
-            elif reach < _HALF:
-                low.append(f"{label} {reach:.0%}")
-        if low:
+        for label, points in zip(self._labels, self._points, strict=True):
+            lit_share = self._eyes.share(points, w1[None])
+            open_share = float((lit_share * self._eyes.share(points, self._watched)).mean())
+            if open_share == 0.0:
+                patch = "the lit patch" if not lit_share.any() else "the watched patch"
+                results.append(Finding(ERROR, f"Voxel {label} does not see {patch}: what stands there stays unseen"))
+            elif open_share < _HALF:
+                partly_open.append(f"{label} {open_share:.0%}")
+        if partly_open:
             text = "Of the ways from the lit patch by way of a voxel to the watched patch, few are open"
-            found.append(Finding(WARNING, f"{text}: {', '.join(low)}"))
-        return found
+            results.append(Finding(WARNING, f"{text}: {', '.join(partly_open)}"))
+        return results
 
 
 def _lights(
     scene: bpy.types.Scene, eyes: Eyes, watched: Array, voxels: Mapping[str, Any], grid: VoxelGrid
 ) -> list[Finding]:
-    """What lights there are besides the spot, and what they shine on directly."""
-    told: dict[tuple[str, str], list[str]] = {}
-    shining: dict[str, list[Light]] = {}
+    """Return findings about the lights other than the spot, and what they shine on directly."""
+    names_by_verdict: dict[tuple[str, str], list[str]] = {}
+    lights_by_name: dict[str, list[Light]] = {}
     for light in other_lights(lights(scene)):
-        shining.setdefault(light.name, []).append(light)
-    for name, alike in shining.items():
-        what = _one_light(scene, alike, eyes, watched, voxels, grid.labels)
-        if what is not None:
-            told.setdefault(what, []).append(name)
-    found = []
-    for (level, text), names in told.items():
-        some = ", ".join(map(repr, names[:3])) + (f" and {len(names) - 3} more" if len(names) > 3 else "")
-        found.append(Finding(level, f"Light of {some} {text}", names[0] if names[0] in scene.objects else ""))
-    return found
+        lights_by_name.setdefault(light.name, []).append(light)
+    for name, instances in lights_by_name.items():
+        verdict = _one_light(scene, instances, eyes, watched, voxels, grid.labels)
+        if verdict is not None:
+            names_by_verdict.setdefault(verdict, []).append(name)
+    results = []
+    for (level, text), names in names_by_verdict.items():
+        listed = ", ".join(map(repr, names[:3])) + (f" and {len(names) - 3} more" if len(names) > 3 else "")
+        results.append(Finding(level, f"Light of {listed} {text}", names[0] if names[0] in scene.objects else ""))
+    return results
 
 
 def _one_light(
@@ -156,12 +156,12 @@ def _one_light(
     voxels: Mapping[str, Any],
     every: Sequence[str],
 ) -> tuple[str, str] | None:
-    """What is to be said of the lights that are the same object, instanced; None if they light nothing here."""
+    """Return level and text of the finding about the instances of one light; None if they light nothing here."""
     wall, target = roles.find(scene, "relay_wall"), roles.find(scene, "target")
     if alike[0].kind == "WORLD":
         layers = [layer for layer in scene.view_layers if layer.use]
-        shows = scene.world is None or scene.world.cycles_visibility.diffuse
-        if not shows or not any(layer.use_sky for layer in layers):
+        visible = scene.world is None or scene.world.cycles_visibility.diffuse
+        if not visible or not any(layer.use_sky for layer in layers):
             return None
         return NOTE, "of the world is in every picture, and in its background"
     if alike[0].role == "target":
@@ -169,26 +169,26 @@ def _one_light(
     if alike[0].role == "relay_wall":
         return WARNING, "comes from the relay wall itself, and outshines what it reflects"
     beams = [Beam(light, eyes) for light in alike]
-    holding = [
+    voxels_around = [
         label
         for label, ((lo, hi), _) in voxels.items()
         if any(
             _any_inside(beam.points, lo, hi) for light, beam in zip(alike, beams, strict=True) if light.kind != "SUN"
         )
     ]
-    into = [
+    lit = [
         label
-        for label, ((lo, hi), inside) in voxels.items()
-        if any(beam.meets(target, inside) or beam.passes(target, lo, hi) for beam in beams)
+        for label, ((lo, hi), points) in voxels.items()
+        if any(beam.meets(target, points) or beam.passes(target, lo, hi) for beam in beams)
     ]
-    onto = any(beam.meets(wall, watched) for beam in beams)
-    if holding and into:
-        return ERROR, f"comes from within {_voxels(holding, every)}, where the hidden object is looked for"
-    lit = [*(["the watched patch"] if onto else []), *([_voxels(into, every)] if into else [])]
-    if onto:
-        return WARNING, f"falls directly on {' and '.join(lit)}, and outshines what the hidden object adds"
-    if into:
-        return WARNING, f"falls directly on {lit[0]}: the object is seen there not by the lit patch alone"
+    lights_patch = any(beam.meets(wall, watched) for beam in beams)
+    if voxels_around and lit:
+        return ERROR, f"comes from within {_voxels(voxels_around, every)}, where the hidden object is looked for"
+    receivers = [*(["the watched patch"] if lights_patch else []), *([_voxels(lit, every)] if lit else [])]
+    if lights_patch:
+        return WARNING, f"falls directly on {' and '.join(receivers)}, and outshines what the hidden object adds"
+    if lit:
+        return WARNING, f"falls directly on {receivers[0]}: the object is seen there not by the lit patch alone"
     if not any(beam.counts for beam in beams):
         return None
     return NOTE, "is in the scene too, hidden from the watched patch and from the voxels"
@@ -199,12 +199,12 @@ def _any_inside(points: Array, lo: Array, hi: Array) -> bool:
 
 
 def _opposite(starts: Array, corners: Array, points: Array) -> Array:
-    """Where a camera's rays to points start; its corner rays go from starts (4, 3) to corners (4, 3)."""
+    """Return where a camera's rays to points start; its corner rays go from starts (4, 3) to corners (4, 3)."""
     if np.ptp(starts, axis=0).max() == 0.0:
         return np.tile(starts[0], (len(points), 1))
-    along = corners[0] - starts[0]
-    ahead = (points - starts[0]) @ along / (along @ along)
-    origins: Array = points - ahead[:, None] * along
+    axis = corners[0] - starts[0]
+    depths = (points - starts[0]) @ axis / (axis @ axis)
+    origins: Array = points - depths[:, None] * axis
     return origins
 
 
@@ -213,5 +213,5 @@ def _voxels(labels: Sequence[str], every: Sequence[str]) -> str:
         return f"voxel {labels[0]}"
     first = every.index(labels[0])
     in_a_row = len(labels) > 3 and list(labels) == list(every[first : first + len(labels)])
-    shown = f"{labels[0]} to {labels[-1]}" if in_a_row else ", ".join(labels)
-    return f"voxels {shown}"
+    listed = f"{labels[0]} to {labels[-1]}" if in_a_row else ", ".join(labels)
+    return f"voxels {listed}"

@@ -1,4 +1,4 @@
-"""How much light the hidden object adds, against the noise: measured by a few quick renders."""
+"""Measures how much light the hidden object adds, compared with the noise, by a few quick renders."""
 
 from __future__ import annotations
 
@@ -18,33 +18,33 @@ from generator.model.quantities import byte_size, rough_time
 from generator.model.settings import Sweep
 
 _PROBE_SAMPLES, _PROBES, _PATIENCE = 16, 64, 8.0
-"""Of a probe's pictures; how many pairs where another engine can be asked; and for how many seconds at most."""
+"""Samples of a probe's pictures; most pairs of pictures if `surfel` can measure instead; and most seconds."""
 _SMALL, _ROUGH = 32, 1e-2
-"""What `surfel` is asked with, where it only has to say how much the object adds: pixels a side, and accuracy."""
+"""Pixels of the longer side, and accuracy, of pictures by `surfel` that only measure how much the object adds."""
 _BYTES_PER_VALUE = 3.7
-"""Of a float32 in a compressed EXR file: noise hardly packs."""
+"""Size of a float32 in a compressed EXR file: noise hardly compresses."""
 
 
 @dataclass(frozen=True)
 class Probe:
-    """What a few quick renders tell of a sweep; see `probe`.
+    """What a few quick renders predict for a sweep; see `probe`.
 
     Attributes
     ----------
     engine : str
     share : float
-        Mean of the difference picture, of the picture's.
+        Mean of the difference picture, relative to the mean of the picture.
     signal_to_noise : float
         Root mean square of the difference picture over that of its noise, at the sweep's samples; for `surfel`, over
-        that of the error asked for. NaN if the pictures do not tell.
+        that of the requested error. NaN if the pictures do not determine it.
     seconds : float
-        That the sweep takes on all cores, without starting Blender.
+        Time of the sweep on all cores, without starting Blender.
     bytes : float
-        That its pictures take on disk.
+        Size of its pictures on disk.
     error : float
-        Standard error of the share, where it was not told from the noise; else 0.
+        Standard error of the share, if it could not be separated from the noise; else 0.
     missed : int
-        Samples taken, if the object changed none of them; else 0.
+        Number of samples taken, if the object changed none of them; else 0.
     exact : bool
         Whether the share is known without noise, from the engine `surfel`.
     other : bool
@@ -62,7 +62,7 @@ class Probe:
     other: bool = False
 
     def findings(self) -> list[Finding]:
-        """Return it in sentences."""
+        """Return the prediction as findings."""
         cost = f"A sweep takes about {rough_time(self.seconds)} and {byte_size(self.bytes)} on disk"
         return [self._signal(), Finding(NOTE, cost)]
 
@@ -72,7 +72,7 @@ class Probe:
         more = " or the engine 'surfel'" if self.other and self.engine != "surfel" else ""
         missed = f"none of {self.missed:,} samples of {self.engine!r} met it"
         if self.missed and not self.exact:
-            # Three in n is what, with 95 %, is not exceeded by what was met in none of n tries.
+            # Rule of three: a share met in none of n tries is, with 95 % confidence, at most 3 / n.
             text = (
                 f"What the object adds to the picture is not known: {missed}, nor do more than {3 / self.missed:.1g}"
             )
@@ -93,10 +93,10 @@ class Probe:
 def probe(scene: bpy.types.Scene, sweep: Sweep) -> Probe:
     """Measure what a sweep's pictures will be like, with the target where it stands.
 
-    Pairs of pictures with and without the target, with few samples and noise of their own: what their differences
-    share is signal, where they differ is noise, whose mean square falls with the samples. So many pairs, and no more
-    than some seconds, as tell the signal from the noise. Where they do not, the signal is `surfel`'s, if that can
-    render the scene.
+    Pairs of pictures with and without the target are rendered with few samples and independent noise. What their
+    differences have in common is signal; what varies is noise, whose mean square falls with the samples. Pairs are
+    added until the signal is significant, or for some seconds. If it stays insignificant, `surfel` measures the
+    signal, if it can render the scene.
 
     Parameters
     ----------
@@ -110,37 +110,37 @@ def probe(scene: bpy.types.Scene, sweep: Sweep) -> Probe:
     """
     voxels = read_scene(scene).grid.n_voxels
     pictures = sweep.poses * voxels
-    few = min(_PROBE_SAMPLES, sweep.samples)
+    samples = min(_PROBE_SAMPLES, sweep.samples)
     exact = not sweep.noisy
     other = exact or not survey.survey(scene, ambient=True).reasons("surfel")
     with renderers.opened(scene, sweep.engine, **renderers.settings(sweep)) as renderer:
-        renderer.render(samples=few, seed=0)  # what is made once is no part of a picture's time
+        renderer.render(samples=samples, seed=0)  # warm-up: one-off work is not part of a picture's time
         if not exact:
-            renderer.render(samples=few, seed=0, target=False)
-        differences, level, start = [], 0.0, time.perf_counter()
+            renderer.render(samples=samples, seed=0, target=False)
+        differences, radiance, start = [], 0.0, time.perf_counter()
         for seed in itertools.count(1):
-            picture = renderer.render(samples=few, seed=seed).astype(np.float64)
-            begun = time.perf_counter()
-            differences.append((picture - renderer.render(samples=few, seed=seed, target=False)).mean(axis=2))
-            level += float(picture.mean())
-            seconds = ((begun if exact else time.perf_counter()) - start) / seed
-            signal, noise, sure = _signal(np.array(differences))
-            if exact or sure or (other and seed >= _PROBES) or time.perf_counter() - start > _PATIENCE:
+            picture = renderer.render(samples=samples, seed=seed).astype(np.float64)
+            picture_end = time.perf_counter()
+            differences.append((picture - renderer.render(samples=samples, seed=seed, target=False)).mean(axis=2))
+            radiance += float(picture.mean())
+            seconds = ((picture_end if exact else time.perf_counter()) - start) / seed
+            signal, noise, significant = _signal(np.array(differences))
+            if exact or significant or (other and seed >= _PROBES) or time.perf_counter() - start > _PATIENCE:
                 break
-    shares = np.array([d.mean() for d in differences]) / (level / len(differences) or 1.0)
+    shares = np.array([d.mean() for d in differences]) / (radiance / len(differences) or 1.0)
     share, error, missed = float(shares.mean()), 0.0, 0
     if not exact:
-        noise *= few / sweep.samples
-        seconds *= sweep.samples / few * (1.0 if sweep.paired else 0.5)
-        missed = 0 if np.any(differences) else few * picture[..., 0].size * len(differences)
-    if not exact and not sure and other:
+        noise *= samples / sweep.samples
+        seconds *= sweep.samples / samples * (1.0 if sweep.paired else 0.5)
+        missed = 0 if np.any(differences) else samples * picture[..., 0].size * len(differences)
+    if not exact and not significant and other:
         share, signal = _exactly(scene, sweep.resolution)
-    elif not exact and not sure:
+    elif not exact and not significant:
         error = float(shares.std(ddof=1) / np.sqrt(len(shares))) if len(shares) > 1 else abs(share)
-    told = exact or (other and not sure)
+    known_exactly = exact or (other and not significant)
     if exact:
         ratio = 1.0 / sweep.accuracy if signal else 0.0
-    elif told and not signal:
+    elif known_exactly and not signal:
         ratio = 0.0
     else:
         ratio = float(np.sqrt(signal / noise)) if noise > 0.0 else math.nan
@@ -152,36 +152,36 @@ def probe(scene: bpy.types.Scene, sweep: Sweep) -> Probe:
         bytes=_BYTES_PER_VALUE * 3.0 * sweep.resolution[0] * sweep.resolution[1] * pictures,
         error=error,
         missed=missed,
-        exact=told,
+        exact=known_exactly,
         other=other,
     )
 
 
 def _exactly(scene: bpy.types.Scene, resolution: tuple[int, int]) -> tuple[float, float]:
-    """What the object changes by the engine `surfel`: mean, of the picture's, and mean square of the difference."""
-    longer = max(1.0, max(resolution) / _SMALL)
-    size = (max(1, round(resolution[0] / longer)), max(1, round(resolution[1] / longer)))
+    """Return the difference picture's mean, relative to the picture's, and its mean square, by `surfel`."""
+    reduction = max(1.0, max(resolution) / _SMALL)
+    size = (max(1, round(resolution[0] / reduction)), max(1, round(resolution[1] / reduction)))
     with renderers.opened(scene, "surfel", resolution=size, accuracy=_ROUGH) as renderer:
         picture = renderer.render(samples=0, seed=0).astype(np.float64).mean(axis=2)
         difference = picture - renderer.render(samples=0, seed=0, target=False).mean(axis=2)
-    level = float(picture.mean())
-    return (float(difference.mean()) / level if level else 0.0), float((difference**2).mean())
+    mean = float(picture.mean())
+    return (float(difference.mean()) / mean if mean else 0.0), float((difference**2).mean())
 
 
 def _signal(pictures: Array) -> tuple[float, float, bool]:
-    """Return mean squares of what pictures (n, height, width) share, and of a picture's noise; whether it is sure.
+    """Return mean squares of pictures' (n, height, width) common signal and noise, and if the signal is significant.
 
-    The mean of n pictures has a n-th of the noise, which its square is too large by.
+    The square of the mean of n pictures is too large by an n-th of one picture's noise, which is subtracted.
     """
     n = len(pictures)
     if n < 2:
         return float((pictures**2).mean()), 0.0, False
     noise = float(pictures.var(axis=0, ddof=1).mean())
-    left = noise / n
-    signal = float((pictures.mean(axis=0) ** 2).mean()) - left
-    return max(signal, 0.0), noise, signal > 6.0 * left * np.sqrt(2.0 / pictures[0].size)
+    residual = noise / n
+    signal = float((pictures.mean(axis=0) ** 2).mean()) - residual
+    return max(signal, 0.0), noise, signal > 6.0 * residual * np.sqrt(2.0 / pictures[0].size)
 
 
 def _share(share: float) -> str:
-    """A share in per cent, with two digits that say something."""
+    """Return a share in per cent, with two significant digits if it is small."""
     return f"{share:.2%}" if abs(share) >= 1e-3 or share == 0.0 else f"{100.0 * share:.2g} %"

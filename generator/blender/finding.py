@@ -1,4 +1,4 @@
-"""What a check finds in a scene."""
+"""Findings of the check of a scene."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ GOOD, NOTE, WARNING, ERROR = "good", "note", "warning", "error"
 
 @dataclass(frozen=True)
 class Finding:
-    """One thing found.
+    """One finding.
 
     Attributes
     ----------
@@ -18,9 +18,9 @@ class Finding:
     text : str
         One sentence.
     object : str
-        The object it names, else empty.
+        Name of the object that it is about; else empty.
     fix : str
-        What `mend` can do about it, else empty.
+        Key of `FIXES` that `check.mend` can apply; else empty.
     """
 
     level: str
@@ -36,4 +36,4 @@ FIXES = {
     "voxels": "Fit Voxels",
     "show": "Show",
 }
-"""What `check.mend` can do, by the name that a finding gives it, and what the panel calls it."""
+"""Fixes that `check.mend` can apply, by the name that a finding gives, with the label of the panel's button."""

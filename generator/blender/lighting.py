@@ -1,4 +1,4 @@
-"""What a scene's lights shine on directly, and what sees what: as a render has it."""
+"""Visibility and direct light between points of a scene, as a render treats them."""
 
 from __future__ import annotations
 
@@ -17,13 +17,13 @@ from generator.blender.scene import clearance, geometry, roles
 from generator.model.arrays import Array
 
 _STEPS = np.linspace(0.0, 1.0, 200)
-"""Where a cone of light is looked at, along it."""
+"""Sample points along a ray, relative to its length."""
 _SHORT = 1e-4
-"""What a ray leaves out at both ends, in its length: there it meets what it starts from."""
+"""Share of its length that a ray leaves out at both ends, where it would hit the surface that it starts from."""
 _MOST = 24
-"""Points that stand for a light with a surface."""
+"""Most points that represent a light with a surface."""
 _NARROW = math.radians(60.0)
-"""Half angle of a cone that points of a voxel may all be beside though it meets the voxel."""
+"""Largest half angle of a cone that may cross a voxel and still miss all of its sample points."""
 _RAYS = ("diffuse", "glossy", "transmission")
 _BARYCENTRIC = np.array(
     [[1, 1, 1], [5, 1, 1], [1, 5, 1], [1, 1, 5], [2, 2, 1], [1, 2, 2], [2, 1, 2]], dtype=np.float64
@@ -37,13 +37,13 @@ class _Obstacle:
 
 
 class Eyes:
-    """What sees what past everything but the target.
+    """Visibility between points past all surfaces but the target.
 
     Parameters
     ----------
     obstacles : sequence of _Obstacle
     size : float
-        Of the scene, metres: no obstacle is farther from another.
+        Diagonal of the scene, metres: no two obstacles are farther apart.
     """
 
     def __init__(self, obstacles: Sequence[_Obstacle], size: float) -> None:
@@ -52,7 +52,7 @@ class Eyes:
 
     @classmethod
     def of(cls, scene: bpy.types.Scene, seen: geometry.Snapshot) -> Eyes:
-        """Return those of a scene in which everything is in the way."""
+        """Return the visibility in a scene in which every surface is an obstacle."""
         obstacles, corners = [], [np.zeros((0, 3))]
         for shape in clearance.others(scene, seen):
             placed = shape.placed
@@ -61,63 +61,63 @@ class Eyes:
             tree = BVHTree.FromPolygons(placed.tolist(), np.asarray(shape.triangles).tolist())
             obstacles.append(_Obstacle(objects, tree))
             corners.append(placed)
-        every = np.concatenate(corners)
-        return cls(obstacles, float(np.linalg.norm(np.ptp(every, axis=0))) if len(every) else 1.0)
+        points = np.concatenate(corners)
+        return cls(obstacles, float(np.linalg.norm(np.ptp(points, axis=0))) if len(points) else 1.0)
 
     def rays(self, kind: str) -> Eyes:
-        """Return those for which only what is visible to a kind of rays ("shadow", "camera") is in the way."""
+        """Return the visibility if the only obstacles are those visible to a kind of rays ("shadow", "camera")."""
         kept = [o for o in self._obstacles if all(getattr(obj, f"visible_{kind}") for obj in o.objects)]
         return Eyes(kept, self.size)
 
     def of_lamp(self, lamp: bpy.types.Object | None) -> Eyes:
-        """Return those for which only what casts a shadow in a lamp's light is in the way."""
+        """Return the visibility if the only obstacles are those that cast a shadow in a lamp's light."""
         if lamp is None:
             return self.rays("shadow")
         if lamp.type == "LIGHT" and not (lamp.data.use_shadow and getattr(lamp.data.cycles, "cast_shadow", True)):
             return Eyes([], self.size)
-        linked = getattr(getattr(lamp, "light_linking", None), "blocker_collection", None)
-        return Eyes([o for o in self.rays("shadow")._obstacles if _linked(linked, o.objects)], self.size)
+        blockers = getattr(getattr(lamp, "light_linking", None), "blocker_collection", None)
+        return Eyes([o for o in self.rays("shadow")._obstacles if _linked(blockers, o.objects)], self.size)
 
     def open(self, start: Array, end: Array) -> bool:
         """Whether nothing stands between two points, each of shape (3,)."""
-        way = end - start
-        length = float(np.linalg.norm(way))
+        offset = end - start
+        length = float(np.linalg.norm(offset))
         if length == 0.0:
             return True
-        origin, unit = Vector(start + _SHORT * way), Vector(way / length)
+        origin, direction = Vector(start + _SHORT * offset), Vector(offset / length)
         reach = (1.0 - 2.0 * _SHORT) * length
-        return all(o.tree.ray_cast(origin, unit, reach)[0] is None for o in self._obstacles)
+        return all(o.tree.ray_cast(origin, direction, reach)[0] is None for o in self._obstacles)
 
     def passed(self, starts: Array, ends: Array) -> Array:
-        """Return points along rays from starts (n, 3) to ends (n, 3), as far as nothing is in the way, (m, 3)."""
-        found = []
+        """Return points (m, 3) along rays from starts (n, 3) to ends (n, 3), each up to the first obstacle."""
+        segments = []
         for start, end in zip(starts, ends, strict=True):
-            origin, way = Vector(start), Vector(end - start)
-            length = way.length
-            hits = [o.tree.ray_cast(origin, way.normalized(), length)[3] for o in self._obstacles]
+            origin, offset = Vector(start), Vector(end - start)
+            length = offset.length
+            hits = [o.tree.ray_cast(origin, offset.normalized(), length)[3] for o in self._obstacles]
             reach = min([hit for hit in hits if hit is not None], default=length) / (length or 1.0)
-            found.append(start + reach * _STEPS[:, None] * (end - start))
-        every: Array = np.concatenate(found)
-        return every
+            segments.append(start + reach * _STEPS[:, None] * (end - start))
+        points: Array = np.concatenate(segments)
+        return points
 
     def share(self, starts: Array, ends: Array) -> Array:
-        """Return the open share of the ways from each of starts (n, 3) to ends (m, 3), (n,)."""
+        """Return the unblocked share of the lines from each of starts (n, 3) to all ends (m, 3), as an array (n,)."""
         return np.array([np.mean([self.open(a, b) for b in ends]) for a in starts])
 
 
 class Beam:
-    """Where a light shines directly.
+    """Direct light of one lamp.
 
     Parameters
     ----------
     light : Light
     eyes : Eyes
-        Of the scene.
+        Visibility in the scene.
 
     Attributes
     ----------
     points : ndarray of shape (n, 3)
-        Where it stands, or some points of its surface.
+        Position of the light, or some points of its surface.
     """
 
     def __init__(self, light: Light, eyes: Eyes) -> None:
@@ -130,49 +130,49 @@ class Beam:
 
     @property
     def counts(self) -> bool:
-        """Whether it lights anything at all."""
+        """Whether the light illuminates anything at all."""
         return self._object is None or any(getattr(self._object, f"visible_{kind}") for kind in _RAYS)
 
     def meets(self, receiver: bpy.types.Object, points: Array) -> bool:
-        """Whether it lights one of points (n, 3) of the target, wherever it may be, or of the front of the wall."""
+        """Whether the light reaches one of points (n, 3): of the target, at any place, or of the wall's front."""
         if self._object is not None and not self._lights(receiver):
             return False
         return any(self._reaches(point, front=receiver.get(roles.ROLE) == "relay_wall") for point in points)
 
     def passes(self, receiver: bpy.types.Object, low: Array, high: Array) -> bool:
-        """Whether a narrow cone of light goes through a box on its way, between its corners (3,)."""
+        """Whether a narrow cone of light crosses a box, given by its lowest and highest corner (3,)."""
         if self._sun or self._half > _NARROW or (self._object is not None and not self._lights(receiver)):
             return False
-        starts, ways = self._cone()
-        along = self._eyes.passed(starts, starts + 2.0 * self._eyes.size * ways)
+        starts, directions = self._cone()
+        along = self._eyes.passed(starts, starts + 2.0 * self._eyes.size * directions)
         return bool(((along > low) & (along < high)).all(axis=1).any())
 
     def _cone(self) -> tuple[Array, Array]:
         across = np.cross(self._axis, np.eye(3)[int(np.argmin(np.abs(self._axis)))])
         across /= np.linalg.norm(across)
-        turns = np.linspace(0.0, 2.0 * math.pi, 12, endpoint=False)[:, None]
-        around = np.cos(turns) * across + np.sin(turns) * np.cross(self._axis, across)
-        lean = [math.tan(share * self._half) for share in (0.0, 0.5, 0.95)]
-        ways = np.concatenate([self._axis + tangent * around for tangent in lean])
-        ways /= np.linalg.norm(ways, axis=1, keepdims=True)
-        return np.tile(self.points[0], (len(ways), 1)), ways
+        angles = np.linspace(0.0, 2.0 * math.pi, 12, endpoint=False)[:, None]
+        radial = np.cos(angles) * across + np.sin(angles) * np.cross(self._axis, across)
+        tangents = [math.tan(share * self._half) for share in (0.0, 0.5, 0.95)]
+        directions = np.concatenate([self._axis + tangent * radial for tangent in tangents])
+        directions /= np.linalg.norm(directions, axis=1, keepdims=True)
+        return np.tile(self.points[0], (len(directions), 1)), directions
 
     def _reaches(self, point: Array, *, front: bool) -> bool:
-        """Whether it reaches a point; if that is on the wall, the plane y = 0, from before it."""
+        """Whether the light reaches a point; if `front`, from in front of the wall, which is the plane y = 0."""
         if self._sun:
-            before = not front or self._axis[1] < 0.0
-            return before and self._eyes.open(point - 2.0 * self._eyes.size * self._axis, point)
-        ways = point - self.points
-        lengths = np.linalg.norm(ways, axis=1)
-        ahead = ways @ self._axis >= math.cos(self._half) * lengths
+            in_front = not front or self._axis[1] < 0.0
+            return in_front and self._eyes.open(point - 2.0 * self._eyes.size * self._axis, point)
+        offsets = point - self.points
+        lengths = np.linalg.norm(offsets, axis=1)
+        ahead = offsets @ self._axis >= math.cos(self._half) * lengths
         if front:
-            ahead &= ways[:, 1] < 0.0
+            ahead &= offsets[:, 1] < 0.0
         return any(self._eyes.open(start, point) for start in self.points[ahead])
 
     def _lights(self, receiver: bpy.types.Object) -> bool:
-        """Whether its rays may be reflected by an object at all."""
+        """Whether an object may reflect the light's rays at all."""
         lamp: Any = self._object
-        # What the target is made of may change; the wall is diffuse.
+        # The target's material may change, so every kind of ray counts; the wall is diffuse.
         kinds = _RAYS if receiver.get(roles.ROLE) == "target" else ("diffuse",)
         if not any(getattr(lamp, f"visible_{kind}") for kind in kinds):
             return False
@@ -181,22 +181,22 @@ class Beam:
 
 
 def _shape(light: Light, lamp: Any) -> tuple[Array, float]:
-    """Points of a light (n, 3), and the half angle of the cone around its axis that it shines into."""
-    place = light.matrix[:3, 3]
+    """Return points of a light (n, 3), and the half angle of the cone around its axis into which it shines."""
+    position = light.matrix[:3, 3]
     if light.kind == "SPOT" and lamp is not None:
-        return place[None], lamp.data.spot_size / 2.0
+        return position[None], lamp.data.spot_size / 2.0
     if light.kind == "AREA" and lamp is not None:
         data = lamp.data
-        wide = data.size
-        high = data.size_y if data.shape in ("RECTANGLE", "ELLIPSE") else wide
+        width = data.size
+        height = data.size_y if data.shape in ("RECTANGLE", "ELLIPSE") else width
         local = np.array([[0.0, 0.0], [1.0, 1.0], [-1.0, 1.0], [-1.0, -1.0], [1.0, -1.0]]) * (
-            0.35 * wide,
-            0.35 * high,
+            0.35 * width,
+            0.35 * height,
         )
-        # An area lamp shines to one side.
-        return place + local @ light.matrix[:3, :2].T, min(data.spread / 2.0, math.radians(89.9))
+        # An area lamp emits on one side only.
+        return position + local @ light.matrix[:3, :2].T, min(data.spread / 2.0, math.radians(89.9))
     if not len(light.corners):
-        return place[None], math.pi
+        return position[None], math.pi
     count = min(len(light.corners), _MOST)
     triangles = light.corners[np.linspace(0, len(light.corners) - 1, count).astype(int)]
     weights = _BARYCENTRIC[: max(1, _MOST // count)]
@@ -205,7 +205,7 @@ def _shape(light: Light, lamp: Any) -> tuple[Array, float]:
 
 
 def _linked(collection: Any, objects: Collection[bpy.types.Object]) -> bool:
-    """Whether light linking lets objects count: those included, if any are, else all that are not excluded."""
+    """Whether light linking includes objects: those that it includes, if any, else all that are not excluded."""
     if collection is None:
         return True
     included: set[str] = set()
@@ -215,7 +215,7 @@ def _linked(collection: Any, objects: Collection[bpy.types.Object]) -> bool:
         *zip((c.all_objects for c in collection.children), collection.collection_children, strict=True),
     ]
     for members, entry in pairs:
-        into = included if entry.light_linking.link_state == "INCLUDE" else excluded
-        into |= {obj.name for obj in members}
+        group = included if entry.light_linking.link_state == "INCLUDE" else excluded
+        group |= {obj.name for obj in members}
     names = {obj.name for obj in objects}
     return not names & excluded and (not included or bool(names & included))

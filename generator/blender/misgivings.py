@@ -1,4 +1,4 @@
-"""What a new set is not begun with unasked: a scene in which the check, short of rendering, finds errors."""
+"""Refuses to begin a new set, unless forced, if the check finds errors in the scene without rendering."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from generator.model.errors import NlosError
 
 @dataclass(frozen=True)
 class Misgivings:
-    """What is wrong with a scene, or may be, a sentence each.
+    """Errors and warnings about a scene, one sentence each.
 
     Attributes
     ----------
@@ -26,24 +26,24 @@ class Misgivings:
 
     @property
     def first(self) -> str:
-        """The first error, and how many more there are; empty if there is none."""
+        """First error, and how many more there are; empty if there is none."""
         more = len(self.errors) - 1
         return "".join(self.errors[:1]) + (f" (and {more} more, see nlos-generate check)" if more > 0 else "")
 
     @property
     def notes(self) -> list[str]:
-        """What is to be said though the set is begun."""
+        """Errors and warnings as notes, to be shown if the set is begun in spite of them."""
         return [f"note: {text}" for text in [*self.errors, *self.warnings]]
 
 
 def look(scene: bpy.types.Scene) -> Misgivings:
-    """Return what is wrong with a scene, whatever the engine: one that cannot honour it says so itself."""
-    found = check.findings(scene, engine=AUTO)
-    return Misgivings(*([f.text for f in found if f.level == level] for level in (ERROR, WARNING)))
+    """Return errors and warnings for any engine: one that cannot render the scene raises by itself."""
+    findings = check.findings(scene, engine=AUTO)
+    return Misgivings(*([f.text for f in findings if f.level == level] for level in (ERROR, WARNING)))
 
 
 def refuse(found: Misgivings) -> None:
-    """Raise NlosError if there is an error among them."""
+    """Raise NlosError if there is an error among the misgivings."""
     if found.errors:
         raise NlosError(
             f"{bpy.data.filepath or 'scene'}: {found.first}; mend that, or begin the set in spite of it with --force"

@@ -1,6 +1,6 @@
-"""The scene's file as an artist would render it: opened in Blender, the target put where a pose says, and F12.
+"""Renders the scene's file as an artist would: opened in Blender, the target moved to a pose, and F12.
 
-Nothing of `generator.blender.engines` takes part, so that a fault there shows.
+Uses nothing of `generator.blender.engines`, so that a fault there becomes visible.
 """
 
 from __future__ import annotations
@@ -21,14 +21,14 @@ from generator.model.arrays import Array
 from generator.model.poses import PoseRecord
 
 SIDE = 16
-"""Longer side of the pictures, pixels: radiance is a mean over a pixel, and the fewer there are the more paths has
-each."""
+"""Longer side of the pictures, pixels. Radiance is a mean over a pixel, so with fewer pixels each one has more
+paths."""
 
 _WIDER = (16.0, 11.0, 8.0, 5.6, 4.0, 2.8, 2.0, 1.4)
 WIDEST = math.radians(60.0)
-"""Half angle of a spot that is widened."""
+"""Largest half angle to which a spot is widened, radians."""
 _DARK = 0.4
-"""Least share of the picture that the widened spot may leave without direct light."""
+"""Least share of the picture that must stay without direct light of the widened spot."""
 
 
 class Plain:
@@ -37,10 +37,10 @@ class Plain:
     Parameters
     ----------
     scene : bpy.types.Scene
-        Is changed for good.
+        Scene of the open file; it is changed permanently.
     pose : PoseRecord
     size : (int, int)
-        Of its pictures, width and height.
+        Width and height of the pictures, pixels.
     """
 
     def __init__(self, scene: bpy.types.Scene, pose: PoseRecord, size: tuple[int, int]) -> None:
@@ -64,7 +64,7 @@ class Plain:
             return self._render(samples, seed)
 
     def _render(self, samples: int, seed: int) -> Array:
-        scene, begun = self.scene, time.perf_counter()
+        scene, start = self.scene, time.perf_counter()
         scene.cycles.samples, scene.cycles.seed = samples, seed
         with tempfile.TemporaryDirectory(prefix="nlos-") as folder:
             scene.render.filepath = str(Path(folder) / "plain.exr")
@@ -72,71 +72,71 @@ class Plain:
             with quiet():
                 bpy.ops.render.render(write_still=True, scene=scene.name)
             pixels = read_picture(Path(scene.render.filepath))[0].astype(np.float64)
-        self.seconds = time.perf_counter() - begun
+        self.seconds = time.perf_counter() - start
         return pixels
 
     def widths(self) -> dict[float, Array]:
         """Return full angles, radians, to which the spot may be widened, the widest first.
 
-        Nothing but the wall may be in the wider cone, and most of the picture must stay out of its direct light. Each
-        comes with 1 where a pixel (height, width, 1) does, and 0 where not.
+        Nothing but the wall may be in the wider cone, and enough of the picture must stay out of its direct light.
+        Each angle comes with a mask (height, width, 1): 1 where a pixel stays out of the light, else 0.
         """
         light = self.spot.data
         if light.type != "SPOT" or light.library is not None:
             return {}
-        half = light.spot_size / 2.0
-        made = {}
+        half_angle = light.spot_size / 2.0
+        masks = {}
         with Overrides() as overrides:
             for name in ("max_bounces", "volume_bounces"):
                 overrides.set(self.scene.cycles, name, 0)
             overrides.set(self.scene, "world", None)
-            for other in self.scene.objects:
-                if other.type == "LIGHT" and other != self.spot:
-                    overrides.set(other, "hide_render", True)
+            for obj in self.scene.objects:
+                if obj.type == "LIGHT" and obj != self.spot:
+                    overrides.set(obj, "hide_render", True)
             overrides.set(light, "spot_size", light.spot_size)
-            for factor in _WIDER if half < WIDEST / 1.2 else ():
-                angle = math.atan(min(factor * math.tan(half), math.tan(WIDEST)))
+            for factor in _WIDER if half_angle < WIDEST / 1.2 else ():
+                angle = math.atan(min(factor * math.tan(half_angle), math.tan(WIDEST)))
                 light.spot_size = 2.0 * angle
-                if 2.0 * angle not in made and self._is_clear(angle):
-                    dark = _away_from(self._render(64, 0).max(axis=2) > 0.0)
-                    if dark.mean() >= _DARK:
-                        made[2.0 * angle] = dark[..., None]
-        return made
+                if 2.0 * angle not in masks and self._is_clear(angle):
+                    mask = _away_from(self._render(64, 0).max(axis=2) > 0.0)
+                    if mask.mean() >= _DARK:
+                        masks[2.0 * angle] = mask[..., None]
+        return masks
 
     def _is_clear(self, half: float) -> bool:
-        """Whether the lamp sees nothing but the wall where it shines, by what it sees with nothing else there."""
-        eye = bpy.data.objects.new("NLOS eye", bpy.data.cameras.new("NLOS eye"))
-        place, turn, _ = self.spot.matrix_world.decompose()
-        eye.matrix_world = Matrix.LocRotScale(place, turn, None)
-        eye.data.angle = 2.0 * half
-        eye.data.clip_start = 1e-4 * max(abs(place.y), 1e-6)
-        eye.data.clip_end = 1e6 * max(abs(place.y), 1e-6)
-        self.scene.collection.objects.link(eye)
+        """Whether the cone holds nothing but the wall: hiding all else changes nothing in a picture from the lamp."""
+        camera = bpy.data.objects.new("NLOS eye", bpy.data.cameras.new("NLOS eye"))
+        position, rotation, _ = self.spot.matrix_world.decompose()
+        camera.matrix_world = Matrix.LocRotScale(position, rotation, None)
+        camera.data.angle = 2.0 * half
+        camera.data.clip_start = 1e-4 * max(abs(position.y), 1e-6)
+        camera.data.clip_end = 1e6 * max(abs(position.y), 1e-6)
+        self.scene.collection.objects.link(camera)
         try:
             with Overrides() as overrides:
-                overrides.set(self.scene, "camera", eye)
+                overrides.set(self.scene, "camera", camera)
                 overrides.set(self.scene.render, "resolution_x", 2 * SIDE)
                 overrides.set(self.scene.render, "resolution_y", 2 * SIDE)
-                whole = self._render(4, 0)
-                for other in self.scene.objects:
-                    if other not in (self.wall, self.spot):
-                        overrides.set(other, "hide_render", True)
-                return bool(whole.any() and np.allclose(whole, self._render(4, 0), rtol=1e-4))
+                picture = self._render(4, 0)
+                for obj in self.scene.objects:
+                    if obj not in (self.wall, self.spot):
+                        overrides.set(obj, "hide_render", True)
+                return bool(picture.any() and np.allclose(picture, self._render(4, 0), rtol=1e-4))
         finally:
-            bpy.data.cameras.remove(eye.data)  # takes the object with it
+            bpy.data.cameras.remove(camera.data)  # also removes the object
 
 
 def _away_from(lit: Array) -> Array:
-    """Return which pixels (height, width) are neither lit nor next to one that is."""
+    """Return which pixels (height, width) are neither lit nor next to a lit one."""
     padded = np.pad(lit, 1)
     height, width = lit.shape
-    near = [padded[i : i + height, j : j + width] for i in range(3) for j in range(3)]
-    dark: Array = ~np.any(near, axis=0)
+    neighbours = [padded[i : i + height, j : j + width] for i in range(3) for j in range(3)]
+    dark: Array = ~np.any(neighbours, axis=0)
     return dark
 
 
 def widen(spot: Any, width: float) -> None:
-    """Widen a spot to a full angle, radians, unless it is wider; 0 leaves it."""
+    """Widen a spot to a full angle, radians, unless it is wider; 0 leaves it unchanged."""
     if width and spot.type == "LIGHT" and spot.data.type == "SPOT" and spot.data.library is None:
         spot.data.spot_size = max(spot.data.spot_size, width)
 
@@ -144,20 +144,20 @@ def widen(spot: Any, width: float) -> None:
 def player_of(scene: bpy.types.Scene, role: str) -> Any:
     """Return the object that the file names for a role."""
     player = next(obj for obj in scene.objects if obj.get("nlos_role") == role)
-    if player.hide_viewport:  # changes no render, but what Blender knows of its place
+    if player.hide_viewport:  # changes no render, but Blender does not update its matrices
         player.hide_viewport = False
         bpy.context.view_layer.update()
     return player
 
 
 def _put(target: Any, pose: PoseRecord) -> None:
-    """Put the target's origin at a pose and turn it, with nothing that would move it again, and its shape kept."""
+    """Move and rotate the target to a pose, keep its shape, and remove whatever would move it again."""
     shape = target.matrix_world.copy()
-    turn = shape.to_quaternion().to_matrix().to_4x4()
+    rotation = shape.to_quaternion().to_matrix().to_4x4()
     shape.translation = (0.0, 0.0, 0.0)
-    shape = turn.inverted() @ shape
+    shape = rotation.inverted() @ shape
     angles = Euler([math.radians(angle) for angle in pose.rotation], "XYZ")
-    place = Matrix.Translation(Vector(pose.position)) @ angles.to_matrix().to_4x4() @ shape
+    matrix = Matrix.Translation(Vector(pose.position)) @ angles.to_matrix().to_4x4() @ shape
     target.animation_data_clear()
     for constraint in list(target.constraints):
         target.constraints.remove(constraint)
@@ -165,22 +165,22 @@ def _put(target: Any, pose: PoseRecord) -> None:
     target.delta_rotation_quaternion, target.delta_scale = (1.0, 0.0, 0.0, 0.0), (1.0, 1.0, 1.0)
     bpy.context.view_layer.update()
     if target.parent is not None:
-        # Only the matrix between a parent and its child holds every shape.
-        own = target.matrix_parent_inverse @ target.matrix_basis
-        above = target.matrix_world @ own.inverted()
-        target.matrix_parent_inverse = above.inverted() @ place @ target.matrix_basis.inverted()
-    elif (place.to_scale() - target.scale).length <= 1e-6 * place.to_scale().length:
+        # Only the parent inverse matrix can hold any shape, shear included.
+        local = target.matrix_parent_inverse @ target.matrix_basis
+        parent = target.matrix_world @ local.inverted()
+        target.matrix_parent_inverse = parent.inverted() @ matrix @ target.matrix_basis.inverted()
+    elif (matrix.to_scale() - target.scale).length <= 1e-6 * matrix.to_scale().length:
         target.rotation_mode = "XYZ"
         target.location, target.rotation_euler = pose.position, angles
     else:
-        target.matrix_world = place
+        target.matrix_world = matrix
     bpy.context.view_layer.update()
 
 
 def _raw_output(scene: bpy.types.Scene, size: tuple[int, int]) -> None:
-    """Float32 radiance as Cycles computes it, of a size; unbiased, where the file would have it clamped or cut short.
+    """Set up float32 output of a size, as Cycles computes radiance: unbiased, even if the file clamps or limits it.
 
-    What the product says that it replaces in every file is replaced here too, and nothing else.
+    Replaces exactly the settings that the product is documented to replace in every file.
     """
     render, image, cycles = scene.render, scene.render.image_settings, scene.cycles
     _set(image, media_type="IMAGE")
@@ -202,7 +202,7 @@ def _raw_output(scene: bpy.types.Scene, size: tuple[int, int]) -> None:
 
 
 def _set(owner: Any, **values: Any) -> None:
-    """Set attributes, as far as this Blender has them."""
+    """Set those of the attributes that this version of Blender has."""
     for name, value in values.items():
         if hasattr(owner, name):
             setattr(owner, name, value)

@@ -1,4 +1,4 @@
-"""Pictures of poses as arrays, without a data set."""
+"""Renders pictures of poses as arrays, without a data set."""
 
 from __future__ import annotations
 
@@ -30,25 +30,25 @@ def render(
     Parameters
     ----------
     scene : bpy.types.Scene
-        Of `generator.new_scene` or `generator.open_scene`.
+        From `generator.new_scene` or `generator.open_scene`.
     positions, rotations : sequences of (float, float, float)
-        Of the target's origin, metres, and about x, then y, then z, degrees; it is not turned where no rotation
-        is given. Whether anything is in the way there is not asked.
+        Positions of the target's origin, metres, and rotations about x, then y, then z, degrees; without rotations
+        the target is not turned. Collisions with the scene are not checked.
     **settings
         Fields of `generator.model.settings.Sweep` that decide on a picture: ``engine``, ``resolution``, ``samples``,
-        ``seed``, ``accuracy``, ``paired``, ``denoise``, ``device``. What is left out is as of a sweep.
+        ``seed``, ``accuracy``, ``paired``, ``denoise``, ``device``. The others have the defaults of a sweep.
 
     Returns
     -------
     pictures : ndarray of shape (n, height, width, 3), float32
         Radiance, W/m^2/sr; row 0 is the top.
     background : ndarray of shape (height, width, 3), float32
-        Likewise, without the target.
+        The same scene without the target.
 
     Raises
     ------
     NlosError
-        A setting cannot be, or the engine cannot honour something in the scene.
+        A setting is invalid, or the engine cannot honour something in the scene.
 
     Examples
     --------

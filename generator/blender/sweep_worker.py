@@ -39,7 +39,7 @@ if TYPE_CHECKING:
 
 
 _WRITERS = 4
-"""Threads that write a batch: while one waits for the disk the next packs, and the disk flushes several at once."""
+"""Threads that write a batch: while one waits for the disk, the next packs, and the disk flushes several at once."""
 
 
 def plan(
@@ -59,49 +59,49 @@ def plan(
     ----------
     scene : bpy.types.Scene
     source : Path
-        The file the scene was opened from; its hash is recorded.
+        File that the scene was opened from; its hash is recorded.
     path : Path
-        Of the data set.
+        Folder of the data set.
     chosen : mapping
         Fields of `Sweep` that the user chose; ``resolution`` may be text. The rest follow from the scene.
     force : bool
-        In spite of errors that the check finds; the set then remembers them.
+        Create the set in spite of errors that the check finds; the set then records them.
     tell : callable
-        Is told what the check finds short of that.
+        Called with each warning of the check, and with each error that `force` overrules.
     probe : bool
-        Whether the engine is held against plain Cycles first (`generator.blender.start_check`).
+        Whether the engine is first compared with plain Cycles (`generator.blender.start_check`).
     reference : Path, optional
-        The file that plain Cycles renders; if there is none, or the sweep leaves something out, the set's own scene.
+        File that plain Cycles renders; without one, or if the sweep leaves something out, the set's own scene.
 
     Raises
     ------
     NlosError
-        The scene lacks a role, the engine cannot honour it, the check finds an error, the target fits nowhere, or
-        nothing can be written; or it refers to files elsewhere; or plain Cycles makes another picture of it.
+        The scene lacks a role or refers to files elsewhere, the engine cannot render it, the check finds an error,
+        the target fits nowhere, nothing can be written, or plain Cycles renders a different picture.
     """
     check_no_set(path)
     linked = links.recorded(references.refuse(source), path)
-    references.require(scene, source)  # of a scene that is open already, in `batch`
+    references.require(scene, source)  # of a scene that was open before, as in `batch`
     described = read_scene(scene)
     roles.refuse_hidden(scene)
     sweep, reasons = settled(scene, described, chosen)
-    # What cannot be honoured is said before any work is done; what is left out may be just that, and is no matter.
+    # Refuse before any work what the engine cannot render, unless the sweep may be leaving out just that.
     survey.survey(scene, resolution=sweep.resolution, ambient=True).check("path" if sweep.leave_out else sweep.engine)
     described = read_scene(scene, sweep.resolution)
     if chosen.get("engine", AUTO) != AUTO:
         for name in Sweep.idle(sweep.engine):
             if name in chosen:
                 raise NlosError(f"{name}: means nothing to the engine {sweep.engine!r}; leave it out")
-    found = doubted(scene, sweep, force=force)
-    for words in found.notes:
+    doubts = doubted(scene, sweep, force=force)
+    for words in doubts.notes:
         tell(words)
     records = placed(scene, described, sweep)
     simplify.apply(scene, sweep.leave_out)
     with renderers.opened(scene, sweep.engine, **renderers.settings(sweep)) as renderer:
-        pass  # refuses now what it could not honour later
+        pass  # raises now, and not later, if the engine cannot render the scene
     meta = _described(scene, described, sweep, source)
     meta["engine_reasons"] = reasons
-    meta |= {name: value for name, value in (("forced", found.errors), ("links", linked)) if value}
+    meta |= {name: value for name, value in (("forced", doubts.errors), ("links", linked)) if value}
     with start_check.withdrawn(path, SCENE):
         blend_file.save_file(path / SCENE)
         if probe:
@@ -116,12 +116,12 @@ def plan(
             )
     dataset = Dataset.create(path, meta, records)
     if not sweep.noisy:
-        _background(renderer, dataset, sweep)  # needs no scene, and far less time than a process of its own to start
+        _background(renderer, dataset, sweep)  # needs no scene, and far less time than starting a process for it
     return dataset
 
 
 def _described(scene: bpy.types.Scene, described: Scene, sweep: Sweep, source: Path) -> dict[str, Any]:
-    """Return what a manifest says of a scene and a sweep."""
+    """Return the entries of a manifest about a scene and a sweep."""
     return {
         "sweep": {
             **{name: value for name, value in to_dict(sweep).items() if name not in sweep.unused},
@@ -137,26 +137,26 @@ def _described(scene: bpy.types.Scene, described: Scene, sweep: Sweep, source: P
 
 
 def doubted(scene: bpy.types.Scene, sweep: Sweep, *, force: bool) -> misgivings.Misgivings:
-    """Return what the check finds in a scene, without rendering; refuse its errors unless they are overruled."""
-    found = misgivings.look(scene)
-    if found.errors and not force:
+    """Return what the check finds in a scene without rendering; raise NlosError for errors unless `force`."""
+    doubts = misgivings.look(scene)
+    if doubts.errors and not force:
         with renderers.opened(scene, sweep.engine, **renderers.settings(sweep)):
-            pass  # what the engine itself refuses, nobody can overrule, so that comes first
-        misgivings.refuse(found)
-    return found
+            pass  # what the engine itself refuses cannot be overruled, so that is reported first
+        misgivings.refuse(doubts)
+    return doubts
 
 
 def placed(scene: bpy.types.Scene, described: Scene, sweep: Sweep) -> list[PoseRecord]:
-    """Return the poses of a sweep: where nothing is in the way, whether it is left out of the pictures or not."""
+    """Return the poses of a sweep, clear of all surfaces, also of those that are left out of the pictures."""
     with Overrides() as overrides:
-        geometry.shape_pictures(scene, sweep.resolution, overrides)  # on which the camera's view depends
+        geometry.shape_pictures(scene, sweep.resolution, overrides)  # the camera's view depends on their shape
         is_free = clearance(scene, described, engine=sweep.engine)
-    planned = poses.trajectory if sweep.frames else poses.plan
-    return planned(described.grid, sweep, geometry.hull(scene), is_free)
+    planner = poses.trajectory if sweep.frames else poses.plan
+    return planner(described.grid, sweep, geometry.hull(scene), is_free)
 
 
 def colour_space() -> str:
-    """Return the linear space that the open file's colours are of, and what Cycles renders; before Blender 5 one."""
+    """Return the linear colour space of the open file, in which Cycles renders; before Blender 5 there is one."""
     working = getattr(getattr(bpy.data, "colorspace", None), "working_space", "")
     return str(working).removeprefix("Linear ") or COLOUR_SPACE
 
@@ -180,7 +180,7 @@ def check_blender(dataset: Dataset | Bulk) -> None:
 
 
 def open_scene(dataset: Dataset | Bulk) -> bpy.types.Scene:
-    """Open the scene that a data set keeps; it may refer to the files that the set remembers, and to no others."""
+    """Open the scene stored in a data set; it may refer only to the files that the set records."""
     return blend_file.open_file(dataset.path / SCENE, links.of_dataset(dataset.meta.get("links", {}), dataset.path))
 
 
@@ -197,15 +197,15 @@ def render(
     Parameters
     ----------
     scene : bpy.types.Scene
-        The data set's own scene, open.
+        Open scene of the data set.
     dataset : Dataset
     batches : iterable of mappings of int to int
-        Which of ``dataset.poses``, and with how many samples each, where 0 is as many as the data set says. The
-        pixels do not depend on what is rendered together, only the time does.
+        Indices into ``dataset.poses``, each with its number of samples, where 0 takes that of the data set. Which
+        poses are rendered together changes the time, not the pixels.
     threads : int
         0 takes all cores.
     report : callable
-        Is told of each finished batch.
+        Called with the records of each finished batch.
     """
     sweep = dataset.sweep
     with (
@@ -215,10 +215,10 @@ def render(
         background = _background(renderer, dataset, sweep)
         for batch in batches:
             chosen = [dataset.poses[position] for position in batch]
-            samples = [(own or sweep.samples) if sweep.noisy else 0 for own in batch.values()]
+            samples = [(n or sweep.samples) if sweep.noisy else 0 for n in batch.values()]
             start = time.perf_counter()
             shots = [
-                Shot(pose.position, pose.rotation, own, pose.seed) for pose, own in zip(chosen, samples, strict=True)
+                Shot(pose.position, pose.rotation, n, pose.seed) for pose, n in zip(chosen, samples, strict=True)
             ]
             pictures = renderer.pictures(shots, background if sweep.paired else None)
             write = functools.partial(_write, dataset, (time.perf_counter() - start) / len(chosen))

@@ -1,4 +1,4 @@
-"""A few poses of a sweep rendered twice, to tell what all of it would take and how noisy it would be."""
+"""Renders a few poses of a sweep twice, to predict how long the whole sweep takes and how noisy it is."""
 
 from __future__ import annotations
 
@@ -20,8 +20,8 @@ from generator.model.poses import PoseRecord
 from generator.model.settings import Sweep
 
 SAMPLES = (8, 48)
-"""Of the two rounds, in pictures of `_PIXELS`; of smaller ones, as many more: the time of a few rays is all overhead,
-of which no sweep can be told the length."""
+"""Samples of the two rounds, in pictures of `_PIXELS`; smaller pictures take proportionally more, because the time of
+a few rays is all overhead and does not predict the time of a sweep."""
 _PIXELS = 64 * 64
 ACCURACIES = (1e-1, 1e-3)
 
@@ -31,8 +31,8 @@ def trial_render(
 ) -> TrialResult:
     """Render one pose in each of some voxels, with little work and with more.
 
-    The error of one round is its difference from the other, of which its samples are a part: with n samples out of
-    m, its variance is 1 / n - 1 / m of that of one.
+    The error of the first round is its difference from the second, which contains the same samples: with n samples
+    out of m, its variance is 1 / n - 1 / m of that of one sample.
 
     Parameters
     ----------
@@ -45,7 +45,7 @@ def trial_render(
     Raises
     ------
     NlosError
-        The scene cannot be swept so.
+        The scene cannot be swept with these settings.
     """
     described = read_scene(scene)
     voxels = np.unique(
@@ -53,12 +53,12 @@ def trial_render(
     )
     is_free = clearance(scene, described, engine=sweep.engine)
     planned = {r.voxel: r for r in poses.plan(described.grid, replace(sweep, poses=1), geometry.hull(scene), is_free)}
-    mine = [planned[int(voxel)] for voxel in voxels][share[0] :: share[1]]
+    records = [planned[int(voxel)] for voxel in voxels][share[0] :: share[1]]
     simplify.apply(scene, sweep.leave_out)
     if not sweep.noisy:
         work = (1.0 / ACCURACIES[0], 1.0 / ACCURACIES[1])
-        return TrialResult(sweep.engine, described.grid.n_voxels, work, _exact(scene, sweep, mine, threads), [])
-    seconds, noise = _noisy(scene, sweep, mine, threads)
+        return TrialResult(sweep.engine, described.grid.n_voxels, work, _exact(scene, sweep, records, threads), [])
+    seconds, noise = _noisy(scene, sweep, records, threads)
     few, many = samples_of(sweep.resolution)
     work = (float(few), float(many))
     return TrialResult(sweep.engine, described.grid.n_voxels, work, seconds, noise)
@@ -66,22 +66,22 @@ def trial_render(
 
 def samples_of(resolution: tuple[int, int]) -> tuple[int, int]:
     """Return the samples of the two rounds for pictures of a width and height."""
-    more = max(1, round(_PIXELS / (resolution[0] * resolution[1])))
-    return more * SAMPLES[0], more * SAMPLES[1]
+    factor = max(1, round(_PIXELS / (resolution[0] * resolution[1])))
+    return factor * SAMPLES[0], factor * SAMPLES[1]
 
 
 def _exact(scene: bpy.types.Scene, sweep: Sweep, mine: list[PoseRecord], threads: int) -> tuple[float, float]:
-    took = []
+    seconds = []
     settings = renderers.settings(sweep)
     for accuracy in ACCURACIES:
         settings["accuracy"] = accuracy
         with renderers.opened(scene, sweep.engine, threads=threads, **settings) as renderer:
             shots = [Shot(pose.position, pose.rotation) for pose in mine]
-            renderer.pictures(shots)  # what is compiled and made once is no part of a picture's time
+            renderer.pictures(shots)  # warm-up: compiling and other one-off work is not part of a picture's time
             start = time.perf_counter()
             renderer.pictures(shots)
-            took.append((time.perf_counter() - start) / max(1, len(mine)))
-    return took[0], took[1]
+            seconds.append((time.perf_counter() - start) / max(1, len(mine)))
+    return seconds[0], seconds[1]
 
 
 def _noisy(
@@ -89,24 +89,24 @@ def _noisy(
 ) -> tuple[tuple[float, float], list[float]]:
     rounds = few, many = samples_of(sweep.resolution)
     share = 1.0 / few - 1.0 / many
-    took, noise = np.zeros(2), []
+    seconds, noise = np.zeros(2), []
     with renderers.opened(scene, sweep.engine, threads=threads, **renderers.settings(sweep)) as renderer:
         renderer.render(samples=1, seed=0)
         for pose in mine:
             posing.move_target(scene, pose.position, pose.rotation)
-            seen: list[Array] = []
+            pictures: list[Array] = []
             for round_, samples in enumerate(rounds):
                 start = time.perf_counter()
                 picture = renderer.render(samples=samples, seed=pose.seed).astype(np.float64)
                 if sweep.paired:
                     picture -= renderer.render(samples=samples, seed=pose.seed, target=False)
-                took[round_] += time.perf_counter() - start
-                seen.append(picture.mean(axis=2))
-            variance = float(((seen[1] - seen[0]) ** 2).mean()) / share
+                seconds[round_] += time.perf_counter() - start
+                pictures.append(picture.mean(axis=2))
+            variance = float(((pictures[1] - pictures[0]) ** 2).mean()) / share
             if not sweep.paired:
-                seen[1] = seen[1] - renderer.render(samples=many, seed=pose.seed, target=False).mean(axis=2)
-            signal = float((seen[1] ** 2).mean()) - variance / many
-            # Where noise hides the signal, all that is known is that it is smaller.
+                pictures[1] = pictures[1] - renderer.render(samples=many, seed=pose.seed, target=False).mean(axis=2)
+            signal = float((pictures[1] ** 2).mean()) - variance / many
+            # Where noise hides the signal, only an upper bound of the signal is known.
             noise.append(variance / max(signal, 0.1 * variance / many) if variance else 0.0)
-    each = took / max(1, len(mine))
-    return (float(each[0]), float(each[1])), noise
+    mean_seconds = seconds / max(1, len(mine))
+    return (float(mean_seconds[0]), float(mean_seconds[1])), noise

@@ -1,7 +1,7 @@
-"""One process, one Blender: does what a request says, and answers.
+"""Worker process with one Blender: carries out a request, and answers.
 
-Run as ``python -m generator.blender.worker REQUEST`` by a coordinator, which never imports bpy itself; the talk is
-`generator.jobs.protocol`'s. When the coordinator dies its end of the pipe closes, and the worker ends too.
+Run as ``python -m generator.blender.worker REQUEST`` by a coordinator, which never imports bpy itself; the protocol
+is `generator.jobs.protocol`. When the coordinator dies, its end of the pipe closes, and the worker ends too.
 """
 
 from __future__ import annotations
@@ -95,7 +95,7 @@ COMMANDS: Commands = {
 
 
 def main(argv: list[str], commands: Commands = COMMANDS) -> int:
-    """Do what a request says; return 0, or 2 after the answer ``error`` if its input is bad."""
+    """Carry out a request; return 0, or 2 after the answer ``error`` if its input is bad."""
     request = read_request(argv[0])
     try:
         with links.trusting(request.trust_links):

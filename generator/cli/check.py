@@ -35,12 +35,12 @@ def add_parsers(commands: Commands) -> None:
 
 
 def run_check(options: argparse.Namespace) -> int:
-    """Print what would spoil a sweep; return 1 if an error is among it."""
+    """Print what would spoil a sweep; return 1 if there is an error."""
     from generator.blender import check
     from generator.blender.scene import blend_file
 
     chosen = chosen_settings(options)
-    found = check.check_scene(blend_file.open_file(options.scene), chosen)
-    for finding in found:
+    findings = check.check_scene(blend_file.open_file(options.scene), chosen)
+    for finding in findings:
         print(f"{finding.level}: {finding.text}")
-    return 1 if check.hopeless(found) else 0
+    return 1 if check.hopeless(findings) else 0

@@ -1,4 +1,4 @@
-"""Standard output and error of a command: who reads them may leave, and the disk below them may be full."""
+"""Standard output and error of a command, whose reader may close them and whose disk may be full."""
 
 from __future__ import annotations
 
@@ -10,12 +10,12 @@ from typing import Any
 
 
 class Unwritable(Exception):
-    """Standard output takes no more; it is no OSError, lest it be taken for another file's.
+    """Standard output cannot be written; not an OSError, so that it is not mistaken for one of another file.
 
     Attributes
     ----------
     unread : bool
-        Whoever read it has left.
+        Whether its reader has closed it.
     """
 
     def __init__(self, error: OSError) -> None:
@@ -24,7 +24,7 @@ class Unwritable(Exception):
 
 
 class _Output:
-    """A stream whose failures are `Unwritable`; whatever else is asked of it, the stream itself answers."""
+    """A stream whose failures raise `Unwritable`; all other attributes are those of the stream itself."""
 
     def __init__(self, stream: Any) -> None:
         self._stream = stream
@@ -33,12 +33,12 @@ class _Output:
         return getattr(self._stream, name)
 
     def write(self, text: str) -> int:
-        """Write, as a stream does."""
+        """Write a text to the stream."""
         with self._told():
             return int(self._stream.write(text))
 
     def flush(self) -> None:
-        """Flush, as a stream does."""
+        """Flush the stream."""
         with self._told():
             self._stream.flush()
 
@@ -53,27 +53,27 @@ class _Output:
 
 @contextlib.contextmanager
 def told_apart() -> Iterator[None]:
-    """Let standard output's failures be `Unwritable`, those of the last words too, which Python keeps to its end."""
-    before = sys.stdout
-    if before is None:  # closed; the next file opened would be taken for it, by Blender at least
-        before = open(os.devnull, "w", encoding="utf-8")  # noqa: SIM115 (stays open as long as the process)
-    output = _Output(before)
+    """Let failures of standard output raise `Unwritable`, also for buffered text, which is flushed at the end."""
+    original = sys.stdout
+    if original is None:  # closed: the next file to be opened would take its place, at least in Blender
+        original = open(os.devnull, "w", encoding="utf-8")  # noqa: SIM115 (stays open as long as the process)
+    output = _Output(original)
     sys.stdout = output  # type: ignore[assignment]
     try:
         yield
-    except SystemExit:  # of argparse, which has printed its help
+    except SystemExit:  # by argparse, after printing its help
         output.flush()
         raise
     except Unwritable:
         raise
     except BaseException:
-        with contextlib.suppress(Unwritable):  # there is worse to tell then
+        with contextlib.suppress(Unwritable):  # the first error matters more
             output.flush()
         raise
     else:
         output.flush()
     finally:
-        sys.stdout = before
+        sys.stdout = original
 
 
 def complain(words: str) -> None:
@@ -87,8 +87,8 @@ def complain(words: str) -> None:
 
 
 def _discard(stream: Any) -> None:
-    """Let what a stream still holds go nowhere, or Python complains of it on its end and exits with another code."""
-    with contextlib.suppress(OSError, ValueError):  # no file at all
-        nowhere = os.open(os.devnull, os.O_WRONLY)
-        os.dup2(nowhere, stream.fileno())
-        os.close(nowhere)
+    """Redirect a stream to the null device; else Python fails to flush it at its end, and changes the exit code."""
+    with contextlib.suppress(OSError, ValueError):  # the stream has no file descriptor
+        null_device = os.open(os.devnull, os.O_WRONLY)
+        os.dup2(null_device, stream.fileno())
+        os.close(null_device)

@@ -1,4 +1,4 @@
-"""The verbs ``status`` and ``verify``: how a sweep goes, and whether a set is whole."""
+"""The verbs ``status`` and ``verify``: how far a sweep is, and whether a set is complete and intact."""
 
 from __future__ import annotations
 
@@ -49,8 +49,8 @@ def run_status(options: argparse.Namespace) -> int:
 
     from generator.jobs import journal
 
-    found = journal.read(options.dataset)
-    print(json.dumps(found, indent=1) if options.json else "\n".join(journal.words(found)))
+    state = journal.read(options.dataset)
+    print(json.dumps(state, indent=1) if options.json else "\n".join(journal.words(state)))
     return 0
 
 
@@ -69,7 +69,7 @@ def run_verify(options: argparse.Namespace) -> int:
     faults = dataset.verify()
     for fault in faults:
         print(fault)
-    if words := audit.unchecked(dataset):
-        print(f"note: {words}")
+    if note := audit.unchecked(dataset):
+        print(f"note: {note}")
     print(f"{options.dataset}: {dataset.planned} poses, {len(faults)} faults")
     return 1 if faults else 0

@@ -1,4 +1,4 @@
-"""Command line of the generator: argument parsing and words for people; all work is done elsewhere."""
+"""Command line of the generator: argument parsing and messages for people; all work is done elsewhere."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ def main(argv: list[str] | None = None) -> int:
     Returns
     -------
     int
-        The exit code: 0 well, 1 unfinished or faulty, 2 bad input, 130 interrupted, 141 nobody reads on.
+        Exit code: 0 success, 1 unfinished or faulty, 2 bad input, 130 interrupted, 141 output closed by its reader.
     """
     return guarded(lambda: _run(argv))
 

@@ -16,9 +16,9 @@ from generator.model.quantities import fraction, parse_resolution, parse_shard
 from generator.model.settings import Sweep
 
 Commands: TypeAlias = "argparse._SubParsersAction[argparse.ArgumentParser]"
-"""What verbs are added to."""
+"""Subparsers to which verbs are added."""
 FRAMES = 200
-"""Of a trajectory, if none are named."""
+"""Default number of frames of a trajectory."""
 
 
 def add_setting(
@@ -30,13 +30,13 @@ def add_setting(
     ----------
     parser : argparse.ArgumentParser
     name : str
-        Of the field, and with two dashes of the option.
+        Name of the field and, with two dashes before it, of the option.
     kind : type
-        The dataclass.
+        Dataclass of the settings.
     default : str, optional
-        What is taken if the option is not given, in words; without, the field's default.
+        Words for the value that is taken if the option is not given; by default the field's default.
     **how
-        As `argparse.ArgumentParser.add_argument` takes it.
+        Further arguments of `argparse.ArgumentParser.add_argument`.
     """
     value = default_of(kind, name)
     if isinstance(value, bool):
@@ -92,7 +92,7 @@ def add_links_option(parser: argparse.ArgumentParser) -> None:
 
 
 def option(read: Callable[[str], float]) -> Callable[[str], float]:
-    """A reader of a number whose own words are shown when it refuses."""
+    """Return a reader of a number for argparse, which then shows the message of `read` when that refuses."""
 
     def reader(text: str) -> float:
         try:
@@ -104,11 +104,13 @@ def option(read: Callable[[str], float]) -> Callable[[str], float]:
 
 
 def add_engine_options(parser: argparse.ArgumentParser) -> None:
-    """Add what says how a picture is rendered."""
+    """Add the options that say how a picture is rendered."""
     parser.add_argument(
         "--engine",
         choices=[AUTO, *ENGINES],
-        help="; ".join([*(f"{name}: {of.help}" for name, of in ENGINES.items()), f"{AUTO}: {AUTO_HELP} (default)"]),
+        help="; ".join(
+            [*(f"{name}: {traits.help}" for name, traits in ENGINES.items()), f"{AUTO}: {AUTO_HELP} (default)"]
+        ),
     )
     add_setting(parser, "samples", type=int, metavar="N")
     add_setting(parser, "device", choices=["cpu", "gpu"])
@@ -118,7 +120,7 @@ def add_engine_options(parser: argparse.ArgumentParser) -> None:
 
 
 def add_pose_options(parser: argparse.ArgumentParser, *, inside: bool = True) -> None:
-    """Add what says where the target is put, and the pictures' size."""
+    """Add the options that say where the target is put, and the size of the pictures."""
     add_setting(parser, "seed", type=int, metavar="N")
     add_setting(parser, "resolution", default="the scene's", metavar="64|64x48")
     if inside:
@@ -128,7 +130,7 @@ def add_pose_options(parser: argparse.ArgumentParser, *, inside: bool = True) ->
 
 
 def batch_parser() -> argparse.ArgumentParser:
-    """Return the parser of what stands behind ``--`` on Blender's command line."""
+    """Return the parser of the arguments after ``--`` on Blender's command line."""
     parser = argparse.ArgumentParser(
         prog="blender -b scene.blend -P generator/batch.py --",
         description="Render a data set inside Blender, in this one process.",
@@ -146,12 +148,12 @@ def chosen_settings(options: argparse.Namespace, kind: type = Sweep, **needed: A
     kind : type
         A dataclass with a field ``resolution``.
     **needed
-        Stand-ins for fields that have no default, so that the others can be checked where these are not named.
+        Stand-ins for fields that have no default, so that the others can be checked if these are not given.
 
     Raises
     ------
     NlosError
-        One of them cannot be.
+        A value is invalid.
     """
     names = [f.name for f in fields(kind)]
     chosen = {name: getattr(options, name) for name in names if getattr(options, name, None) is not None}
@@ -165,7 +167,7 @@ def chosen_settings(options: argparse.Namespace, kind: type = Sweep, **needed: A
 
 
 def farm_of(options: argparse.Namespace) -> dict[str, Any]:
-    """Workers and shard."""
+    """Return the number of workers and the shard."""
     if options.workers < 0:
         raise NlosError(f"--workers {options.workers}: must be 1 or more, or 0 for one per core")
     return {"workers": options.workers, "shard": parse_shard(options.shard)}

@@ -99,17 +99,17 @@ def run_tradeoff(options: argparse.Namespace) -> int:
     if options.output.exists() and not options.output.is_dir():
         raise NlosError(f"{options.output}: is a file; name a folder")
     names = ("poses", "seed", "resolution", "most", "workers", "force")
-    found = tradeoff.run(
+    costs = tradeoff.run(
         options.scene,
         options.output,
         **{name: getattr(options, name) for name in names},
         tell=functools.partial(print, flush=True),
     )
     title = f"{options.scene.name}, {options.poses} poses a voxel, seed {options.seed}"
-    print_table(f"{title}; intervals of 95 %", tradeoff.HEADINGS, tradeoff.rows(found))
-    for line in tradeoff.advice(found):
+    print_table(f"{title}; intervals of 95 %", tradeoff.HEADINGS, tradeoff.rows(costs))
+    for line in tradeoff.advice(costs):
         print(line)
-    for path in tradeoff.write(options.output, found, title):
+    for path in tradeoff.write(options.output, costs, title):
         print(path)
     return 0
 
@@ -122,7 +122,7 @@ def run_plan(options: argparse.Namespace) -> int:
         raise NlosError(f"{options.output}: is a file; name a folder")
     if not 2 <= options.poses <= Sweep.poses:
         raise NlosError(f"--poses {options.poses}: must be from 2 to {Sweep.poses}")
-    found = planning.make(
+    plan = planning.make(
         options.scene,
         tolerance=options.tolerance,
         count=options.poses,
@@ -132,11 +132,11 @@ def run_plan(options: argparse.Namespace) -> int:
         tell=functools.partial(print, flush=True),
     )
     title = f"{options.scene.name}, seed {options.seed}, tolerance {100.0 * options.tolerance:g} %"
-    print_table(f"{title}; intervals of 95 %", scene_plan.HEADINGS, scene_plan.rows(found))
-    for line in scene_plan.words(found):
+    print_table(f"{title}; intervals of 95 %", scene_plan.HEADINGS, scene_plan.rows(plan))
+    for line in scene_plan.words(plan):
         print(line)
     if options.output:
-        for path in scene_plan.write(options.output, options.scene, found, title):
+        for path in scene_plan.write(options.output, options.scene, plan, title):
             print(path)
         print(f"nlos-generate sweep {options.scene} -o DATASET --plan {options.output}")
     return 0

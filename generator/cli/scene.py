@@ -41,13 +41,13 @@ def add_parsers(commands: Commands) -> None:
 
 
 def run_scene(options: argparse.Namespace) -> int:
-    """Build a preset scene, changed as asked for, and save or show it."""
-    plain = to_dict(preset(options.preset, options.target))
+    """Build a preset scene with the requested changes, and save or show it."""
+    fields = to_dict(preset(options.preset, options.target))
     if options.config:
-        plain = merge(plain, read_toml(options.config))
+        fields = merge(fields, read_toml(options.config))
     for assignment in options.set:
-        set_field(plain, assignment)
-    scene: Scene = from_dict(Scene, plain)
+        set_field(fields, assignment)
+    scene: Scene = from_dict(Scene, fields)
     if options.ambient is not None:
         scene = scene.with_ambient(options.ambient)
     if options.show:
@@ -62,12 +62,12 @@ def run_scene(options: argparse.Namespace) -> int:
     from generator.blender.scene import blend_file, build
     from generator.blender.scene.description import read_scene
 
-    made = blend_file.new_file()
-    build.build(made, scene)
-    if words := unlike(scene, read_scene(made)):  # what the file says is what a sweep will go by
-        raise NlosError(f"{words}; take a figure that it can hold")
+    blender_scene = blend_file.new_file()
+    build.build(blender_scene, scene)
+    if deviation := unlike(scene, read_scene(blender_scene)):  # a sweep reads the scene from the file
+        raise NlosError(f"{deviation}; take a figure that it can hold")
     blend_file.save_file(options.output)
-    for note in misgivings.look(made).notes:
+    for note in misgivings.look(blender_scene).notes:
         print(note)
     print(
         f"{options.output}: {options.preset} with a {scene.target.kind}, voxels {scene.grid.labels[0]} to "

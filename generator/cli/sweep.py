@@ -94,7 +94,7 @@ def run_sweep(options: argparse.Namespace) -> int:
     budget, accuracy = getattr(options, "budget", None), 0.0
     noisy = options.engine in ENGINES and ENGINES[options.engine].noisy
     if budget or (noisy and not getattr(options, "frames", None)):
-        # It decides on settings, and is none itself.
+        # Here the accuracy is a goal that decides on settings, and not a setting itself.
         accuracy, options.accuracy = options.accuracy or 0.0, None
     request = SweepRequest(
         scene=options.scene,
@@ -132,8 +132,8 @@ def _job_option(text: str) -> tuple[str, Any]:
 def run_trajectory(options: argparse.Namespace) -> int:
     """Render a trajectory, or what is missing of it."""
     if options.frames is None:
-        known = Dataset.open(options.output).settings if Dataset.exists(options.output) else {}
-        options.frames = known.get("frames", FRAMES)
+        settings = Dataset.open(options.output).settings if Dataset.exists(options.output) else {}
+        options.frames = settings.get("frames", FRAMES)
     if options.frames < 1:
         raise NlosError(f"--frames {options.frames}: must be 1 or more")
     return run_sweep(options)

@@ -23,9 +23,9 @@ if TYPE_CHECKING:
 def guarded(work: Callable[[], int], interrupted: str = "interrupted; the same command goes on from here") -> int:
     """Run a command and return its exit code.
 
-    Bad input, no Blender, or an output that cannot be written become one sentence and 2, Ctrl-C a word and 130. When
-    whoever reads the output has left, as ``head`` does, the command ends without a word and with 141, as one that the
-    system ends for it.
+    Bad input, a missing Blender or an output that cannot be written give one sentence and exit code 2; Ctrl-C gives a
+    short message and 130. When the reader of the output has closed it, as ``head`` does, the command ends silently
+    and with 141, like a command that SIGPIPE ends.
     """
     try:
         with console.told_apart():
@@ -40,15 +40,15 @@ def guarded(work: Callable[[], int], interrupted: str = "interrupted; the same c
         if error.name != "bpy":
             raise
         missing = isinstance(error, ModuleNotFoundError)
-        lacking = f"Blender's module bpy does not load, for a system library is missing: {error}"
-        return refused(NO_BLENDER if missing else lacking)
+        broken = f"Blender's module bpy does not load, for a system library is missing: {error}"
+        return refused(NO_BLENDER if missing else broken)
     except KeyboardInterrupt:
         console.complain(f"\n{interrupted}")
         return 130
 
 
 def refused(why: object) -> int:
-    """Say why a command is refused; return its exit code."""
+    """Print why a command is refused; return its exit code."""
     console.complain(f"error: {why}")
     return 2
 
@@ -80,12 +80,12 @@ class LineProgress:
 
 
 def left_words(left: float | None) -> str:
-    """Return the time that is left as the end of a line; nothing while it cannot be told."""
+    """Return the remaining time as the end of a line; empty while it is unknown."""
     return "" if left is None else f", about {clock(left)} left"
 
 
 def print_table(title: str, headings: Sequence[str], rows: Sequence[Sequence[str]]) -> None:
-    """Print a table; what its first column repeats is written once, and ends with a line."""
+    """Print a table; rows with the same first cell form a group, which shows it once and ends with a line."""
     from rich.console import Console
     from rich.table import Table
 
@@ -106,7 +106,7 @@ def print_table(title: str, headings: Sequence[str], rows: Sequence[Sequence[str
 
 @contextlib.contextmanager
 def progress_bar() -> Iterator[Callable[[int, int], None]]:
-    """Give what shows how many pictures are done: a bar, or lines in a log."""
+    """Yield a callable that shows how many pictures are done: as a bar, or as lines in a log."""
     if not sys.stderr.isatty():
         yield LineProgress()
         return
@@ -126,10 +126,10 @@ def progress_bar() -> Iterator[Callable[[int, int], None]]:
 
 
 def report(dataset: Dataset | Bulk, rendered: int, remaining: int, failed: list[str]) -> int:
-    """Say how a run ended; return its exit code."""
+    """Print how a run ended; return its exit code."""
     for failure in failed:
         console.complain(f"failed: {failure}")
-    if isinstance(dataset, Dataset) and (words := audit.words(dataset)):
-        console.complain(words)
+    if isinstance(dataset, Dataset) and (warning := audit.words(dataset)):
+        console.complain(warning)
     print(summary(dataset, rendered=rendered, remaining=remaining))
     return 1 if failed else 0

@@ -1,1 +1,1 @@
-"""What costs what, what matters and how sure that is, without Blender."""
+"""Measures costs, effects and their uncertainties, without Blender."""

@@ -1,4 +1,4 @@
-"""Whether two renderers agree on a picture, judged by their pixels' own scatter; needs no Blender and no SciPy."""
+"""Tests whether two renderers agree on a picture, from the scatter of its pixels; needs neither Blender nor SciPy."""
 
 from __future__ import annotations
 
@@ -12,15 +12,15 @@ from generator.model.arrays import Array
 
 SURE = 6.0
 """Standard errors beyond the tolerance from which on two figures differ. A normal figure goes so far once in 5e8; the
-rest is for the tails of figures that are not normal, and for the many that are looked at."""
+margin is for the tails of figures that are not normal, and for the many that are compared."""
 
 HITS = 30.0
-"""Fewest paths that must have found light, before their scatter tells anything of their mean's error."""
+"""Fewest paths that must have found light before their scatter estimates the error of their mean."""
 
 WHAT = ("background", "change by the target")
 
 _LEAST = 32
-"""Pixels of a part of the picture that is judged by itself."""
+"""Fewest pixels of a part of the picture that is compared by itself."""
 
 
 @dataclass(frozen=True)
@@ -32,19 +32,19 @@ class Figure:
     what : str
         One of `WHAT`.
     where : str
-        Which part; empty for the whole picture.
+        Name of the part; empty for the whole picture.
     colour : str
-        Which channel; empty if all are the same, or are averaged.
+        Name of the channel; empty if all are the same, or are averaged.
     plain, engine : float
-        W/m^2/sr.
+        Mean radiance by each renderer, W/m^2/sr.
     error : float
         Standard error of their difference, W/m^2/sr.
     hits : float
-        About how many paths found the light, as far as pixels tell them apart, or should have.
+        Approximate number of paths that found the light, as far as pixels tell them apart, or should have.
     tolerance : float
-        By which an engine may be wrong, relative to the larger of both.
+        Allowed error of the engine, relative to the larger of both.
     same : bool, optional
-        Of pictures that have the same noise: whether they are the same but for rounding. Then nothing else counts.
+        For pictures with the same noise: whether they are equal up to rounding. Then no other field counts.
     """
 
     what: str
@@ -59,7 +59,7 @@ class Figure:
 
     @property
     def excess(self) -> float:
-        """Standard errors by which the two differ beyond the tolerance; 0 where too few paths found the light."""
+        """Standard errors by which the two differ beyond the tolerance; 0 if too few paths found the light."""
         if self.same is not None:
             return 0.0 if self.same else math.inf
         allowed = self.tolerance * max(abs(self.plain), abs(self.engine))
@@ -84,11 +84,11 @@ class Figure:
 def compare(
     plain: Array, engine: Array, *, samples: float, peak: float, tolerances: Sequence[float] = (0.0, 0.0)
 ) -> list[Figure]:
-    """Compare a background, and what the target changes of it, in the whole picture and in its quarters.
+    """Compare a background, and its change by the target, in the whole picture and in its quarters.
 
-    Pixels have noise of their own, so their differences' scatter tells the error of a mean. But where much light is
-    found by rare chance, a sample that missed it looks calmer than it is. So the error is never taken to be smaller
-    than if the engine's figure were made of the brightest paths alone, whose number is Poisson's.
+    Pixels have independent noise, so the scatter of their differences gives the error of a mean. But where much light
+    is found by rare chance, a sample that missed it scatters too little. So the error is never taken to be smaller
+    than if the engine's figure were made of the brightest paths alone, whose number has a Poisson distribution.
 
     Parameters
     ----------
@@ -97,32 +97,32 @@ def compare(
     samples : float
         Paths per pixel of ``plain``.
     peak : float
-        Most radiance that one path can find, W/m^2/sr.
+        Highest radiance that one path can find, W/m^2/sr.
     tolerances : two of float
-        Relative errors that an engine may have, of the background and of the difference.
+        Allowed relative errors of the engine, of the background and of the difference.
 
     Returns
     -------
     list of Figure
-        The first are of the whole picture, all channels averaged: one of each of `WHAT`.
+        The first are of the whole picture, averaged over channels: one for each of `WHAT`.
     """
     grey = all(bool((a == a[..., :1]).all()) for a in (plain, engine))
     compared = WHAT[: len(plain)]
-    made = [
-        _figure(what, "", "", plain[k].mean(axis=2), engine[k].mean(axis=2), samples, peak, tolerances[k])
-        for k, what in enumerate(compared)
+    figures = [
+        _figure(name, "", "", plain[k].mean(axis=2), engine[k].mean(axis=2), samples, peak, tolerances[k])
+        for k, name in enumerate(compared)
     ]
-    for k, what in enumerate(compared):
+    for k, name in enumerate(compared):
         for where, part in _parts(*plain.shape[1:3]):
             for channel, colour in enumerate([""] if grey else ["red", "green", "blue"]):
                 if where or colour:
-                    two = plain[k][part][..., channel], engine[k][part][..., channel]
-                    made.append(_figure(what, where, colour, *two, samples, peak, tolerances[k]))
-    return made
+                    pair = plain[k][part][..., channel], engine[k][part][..., channel]
+                    figures.append(_figure(name, where, colour, *pair, samples, peak, tolerances[k]))
+    return figures
 
 
 def worst(figures: Sequence[Figure]) -> Figure:
-    """Return the figure that shows best that the renderers differ; the whole picture's where it is among them."""
+    """Return the figure with the clearest difference; the whole picture's one instead, if that differs too."""
     most = max(figures, key=lambda figure: figure.excess)
     whole = (figure for figure in figures if not figure.where and not figure.colour and figure.what == most.what)
     return next((figure for figure in whole if figure.differs), most)

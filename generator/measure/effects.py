@@ -1,6 +1,6 @@
-"""What each part of a scene contributes to the difference picture: measured by leaving it out.
+"""Measures what each part of a scene contributes to the difference picture, by leaving it out.
 
-The engine `surfel` has no noise, so what is left out of a plain diffuse scene shows to the last digit.
+The engine `surfel` has no noise, so in a plain diffuse scene each effect shows to the last digit.
 """
 
 from __future__ import annotations
@@ -20,11 +20,11 @@ from generator.transport.left_out import PARTS, PATCH
 
 _FEWEST_PIXELS = 4
 SAFE = 0.5
-"""Of the tolerance that what is left out may take by the upper end of its interval: what only shows at rare poses, a
-few of which a plan has not seen, has the rest."""
+"""Share of the tolerance that the effects left out may take, by the upper end of their interval. The rest is for
+what only shows at rare poses, a few of which a plan has not seen."""
 
 Variant = Callable[[Sequence[str]], tuple[World, bool]]
-"""Returns a world without some effects, and whether the object's shadow on its room is left."""
+"""Returns a world without some effects, and whether the object's shadow on its room is kept."""
 
 
 def parts(world: World, names: Sequence[str] = ()) -> list[str]:
@@ -44,40 +44,41 @@ def measure(
     planned: float = 0.0,
     progress: Callable[[int, int, str], None] = lambda done, total, what: None,
 ) -> tuple[list[Effect], list[str], Effect]:
-    """Leave out one effect after the other, and then all at once that a tolerance allows.
+    """Leave out one effect after the other, and then together all that a tolerance allows.
 
     Parameters
     ----------
     variant : callable
+        See `Variant`.
     every : sequence of str
-        What is tried.
+        Names of the effects that are measured.
     positions, rotations : ndarray of shape (n, 3)
-        Of the poses that are looked at, metres and degrees: round by round, in each one pose of every voxel.
+        Poses that are rendered, metres and degrees: round by round, in each one pose of every voxel.
     rounds : int
-        That they are.
+        Number of rounds.
     tolerance : float
-        Relative error of a difference picture that is allowed, root mean square over pixels and poses
+        Allowed relative error of a difference picture, root mean square over pixels and poses
         (`intervals.relative`).
     accuracy : float
-        Of the engine, where effects are measured.
+        Accuracy of the engine with which effects are measured.
     planned : float
-        Of the engine, as the sweep will have it; 0 is the same.
+        Accuracy of the engine in the planned sweep; 0 takes `accuracy`.
     progress : callable
-        Is told how many pictures were asked for, of how many, and what is left out next.
+        Called with the number of effects measured, their total, and the name of the next.
 
     Returns
     -------
     effects : list of Effect
         The largest first.
     dropped : list of str
-        What may be left out together.
+        Names of the effects that may be left out together.
     together : Effect
-        All of these left out at once at the planned accuracy.
+        Error with all of these left out together, at the planned accuracy.
 
     Raises
     ------
     NlosError
-        The object cannot be at a pose.
+        The object cannot stand at a pose.
     """
     planned = planned or accuracy
     whole, seconds = differences(variant, (), positions, rotations, accuracy)
@@ -91,43 +92,43 @@ def measure(
         made, took = differences(variant, dropped, positions, rotations, precision)
         return compared(name, made, seconds / max(took, 1e-9))
 
-    found = []
+    effects = []
     for done, name in enumerate(every):
         progress(done, len(every) + 1, name)
-        found.append(effect(name, [name]))
+        effects.append(effect(name, [name]))
     dropped: list[str] = []
     together = effect("nothing", [], planned)
-    for one in sorted(found, key=lambda e: e.share[0]):
+    for one in sorted(effects, key=lambda e: e.share[0]):
         if one.share[2] > SAFE * tolerance:
             break
         tried = effect(" and ".join([*dropped, one.name]), [*dropped, one.name], planned)
-        if tried.share[2] <= SAFE * tolerance:  # errors add up, or cancel: only measuring tells
+        if tried.share[2] <= SAFE * tolerance:  # errors may add up or cancel, so they are measured together
             dropped.append(one.name)
             together = tried
     empty = Transport(variant(())[0], accuracy=accuracy).background().mean(axis=2)
     for digits in (np.float32, np.float16):
         stored = (whole + empty).astype(digits).astype(np.float64) - empty.astype(digits).astype(np.float64)
         note = "float32, always" if digits is np.float32 else "kept: float32, always"
-        found.append(compared(f"digits beyond {np.dtype(digits).name}", stored, note=note))
+        effects.append(compared(f"digits beyond {np.dtype(digits).name}", stored, note=note))
     height, width = whole.shape[1:]
     for factor in (2, 4):
         if width % factor == height % factor == 0 and min(width, height) // factor >= _FEWEST_PIXELS:
-            few = whole.reshape(len(whole), height // factor, factor, width // factor, factor).mean(axis=(2, 4))
-            made = np.array([cv2.resize(one, (width, height), interpolation=cv2.INTER_CUBIC) for one in few])
+            coarse = whole.reshape(len(whole), height // factor, factor, width // factor, factor).mean(axis=(2, 4))
+            made = np.array([cv2.resize(one, (width, height), interpolation=cv2.INTER_CUBIC) for one in coarse])
             name = f"pixels beyond {width // factor} x {height // factor}"
-            found.append(compared(name, made, note="kept: each counts its own photons"))
+            effects.append(compared(name, made, note="kept: each counts its own photons"))
     progress(len(every) + 1, len(every) + 1, "done")
-    return sorted(found, key=lambda e: -e.share[0]), dropped, together
+    return sorted(effects, key=lambda e: -e.share[0]), dropped, together
 
 
 def differences(
     variant: Variant, dropped: Sequence[str], positions: Array, rotations: Array, accuracy: float
 ) -> tuple[Array, float]:
-    """Difference pictures (n, height, width), and the seconds that one takes."""
-    some, shadows = variant(dropped)
-    engine = Transport(some, accuracy=accuracy)
-    engine.difference(positions[0], rotations[0], shadows=shadows)  # what is made once is no part of a picture's time
+    """Return difference pictures (n, height, width), and the seconds that one takes."""
+    world, shadows = variant(dropped)
+    engine = Transport(world, accuracy=accuracy)
+    engine.difference(positions[0], rotations[0], shadows=shadows)  # warm-up, not timed: one-off work
     start = time.perf_counter()
-    made = [engine.difference(*pose, shadows=shadows) for pose in zip(positions, rotations, strict=True)]
-    took = (time.perf_counter() - start) / len(positions)
-    return np.array(made).mean(axis=3), took
+    pictures = [engine.difference(*pose, shadows=shadows) for pose in zip(positions, rotations, strict=True)]
+    seconds = (time.perf_counter() - start) / len(positions)
+    return np.array(pictures).mean(axis=3), seconds

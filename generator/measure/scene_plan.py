@@ -1,4 +1,4 @@
-"""What a scene needs modelled: a plan, as a table, a picture, and a file that a sweep follows."""
+"""A plan of what has to be modelled in a scene: as a table, a picture, and a file that a sweep follows."""
 
 from __future__ import annotations
 
@@ -18,25 +18,25 @@ from generator.sets.manifest import scene_hash
 from generator.sets.plan_file import FILE, FORMAT
 
 POSES = 10
-"""Per voxel, that `surfel` looks at for a plan; five missed what shows at few poses, in 1 of 24 random rooms."""
+"""Poses per voxel that `surfel` renders for a plan; five missed an effect of few poses in 1 of 24 random rooms."""
 
 NEEDED, LEFT_OUT = "needed", "left out"
 
 
 @dataclass(frozen=True)
 class Effect:
-    """What is wrong with a picture that lacks something.
+    """Error of a picture that lacks an effect.
 
     Attributes
     ----------
     name : str
     share : (float, float, float)
         Error of a difference picture without it, relative to the difference with it, root mean square over pixels and
-        poses, with its 95 % interval; not a number where it could not be measured.
+        poses, with its 95 % interval; NaN where it could not be measured.
     gain : float
-        Times as many pictures a second without it; not a number where that was not measured.
+        Factor of pictures per second without it; NaN where that was not measured.
     note : str
-        What follows for it; empty where that is still to be decided.
+        Verdict on it; empty where `Plan.dropped` decides.
     """
 
     name: str
@@ -54,24 +54,24 @@ class Effect:
 
 @dataclass(frozen=True)
 class Plan:
-    """What a tolerance allows to leave out, and what a sweep that does so takes.
+    """What a tolerance allows to leave out, and the cost of a sweep that does so.
 
     Attributes
     ----------
     effects : list of Effect
         The largest first.
     dropped : list of str
-        What is left out, together.
+        Names of the effects that are left out together.
     together : Effect
-        All of these left out at once, at the settings below, as measured.
+        Measured error with all of these left out together, at the settings below.
     settings : dict
-        Of the sweep: its engine, and its accuracy or samples.
+        Settings of the sweep: its engine, and its accuracy or samples.
     tolerance : float
     words : list of str
-        What else is to be said.
+        Further sentences for the reader.
     predicted : dict
-        ``seconds`` of a sweep of so many ``pictures``, ``bytes`` on disk, and the seconds of the model that leaves
-        nothing out (``seconds_full``).
+        ``seconds`` of a sweep of this number of ``pictures``, ``bytes`` on disk, and the seconds of a sweep that
+        leaves nothing out (``seconds_full``).
     """
 
     effects: list[Effect]
@@ -100,25 +100,25 @@ def rows(plan: Plan) -> list[tuple[str, ...]]:
 
 
 def words(plan: Plan) -> list[str]:
-    """Return what follows, for a person: what is left out, how wrong that is, and what a sweep takes."""
-    made = list(plan.words)
+    """Return the plan in sentences: what is left out, the error of that, and the cost of a sweep."""
+    sentences = list(plan.words)
     percent = f"{100.0 * plan.tolerance:g} %"
     if plan.dropped:
-        made.append(f"within {percent} one may leave out {' and '.join(plan.dropped)}")
+        sentences.append(f"within {percent} one may leave out {' and '.join(plan.dropped)}")
     else:
-        made.append(f"within {percent} nothing may be left out")
+        sentences.append(f"within {percent} nothing may be left out")
     engine, settings = plan.settings["engine"], plan.settings
     how = f"accuracy {settings['accuracy']:g}" if "accuracy" in settings else f"{settings.get('samples', 0)} samples"
     noise = "" if not traits_of(engine).noisy else f", and noise of {percent} in the median pose"
-    made.append(f"plan: {engine}, {how}; error {plan.together.percent()}{noise}")
-    known = plan.predicted
-    if known:
-        gain = known["seconds_full"] / max(known["seconds"], 1e-9)
-        made.append(
-            f"{known['pictures']} pictures take about {clock(known['seconds'])} and {known['bytes'] / 1e6:.3g} MB; "
-            f"with nothing left out, as exactly, {clock(known['seconds_full'])}: {gain:.3g} times as long"
+    sentences.append(f"plan: {engine}, {how}; error {plan.together.percent()}{noise}")
+    cost = plan.predicted
+    if cost:
+        gain = cost["seconds_full"] / max(cost["seconds"], 1e-9)
+        sentences.append(
+            f"{cost['pictures']} pictures take about {clock(cost['seconds'])} and {cost['bytes'] / 1e6:.3g} MB; "
+            f"with nothing left out, as exactly, {clock(cost['seconds_full'])}: {gain:.3g} times as long"
         )
-    return made
+    return sentences
 
 
 def draw(path: Path, plan: Plan, title: str) -> None:
@@ -146,7 +146,7 @@ def draw(path: Path, plan: Plan, title: str) -> None:
 
 def write(folder: Path, scene: Path, plan: Plan, title: str) -> list[Path]:
     """Write a plan: the file that a sweep follows, the table and the picture; return their paths."""
-    made = {
+    document = {
         "format": FORMAT,
         "scene": scene.name,
         "scene_sha256": scene_hash(scene),
@@ -158,7 +158,7 @@ def write(folder: Path, scene: Path, plan: Plan, title: str) -> list[Path]:
             for effect, (name, _, _, note) in zip(plan.effects, rows(plan), strict=True)
         },
     }
-    write_text(folder / FILE, dump_toml(made))
+    write_text(folder / FILE, dump_toml(document))
     write_text(folder / "plan.csv", csv_text(HEADINGS, rows(plan)))
     draw(folder / "plan.png", plan, title)
     return [folder / name for name in (FILE, "plan.csv", "plan.png")]

@@ -1,4 +1,4 @@
-"""What a picture costs and how wrong it is, for a ladder of engines and settings, on one scene and machine."""
+"""Measures cost and error of a picture for a ladder of engines and settings, on one scene and machine."""
 
 from __future__ import annotations
 
@@ -27,19 +27,19 @@ REFERENCE = "reference"
 
 _FINEST = {"engine": "surfel", "accuracy": 1e-5}
 _MOST = 4
-"""Times the samples of the dearest rung, for a reference where `surfel` is not valid."""
+"""Samples of the reference where `surfel` is not valid, in units of those of the most expensive rung."""
 _SAMPLES = (4, 16, 64, 256, 1024)
 _ACCURACIES = (1e-1, 1e-2, 1e-3)
 
 
 @dataclass(frozen=True)
 class Rung:
-    """A way to render.
+    """A combination of engine and settings.
 
     Attributes
     ----------
     name : str
-        Of its folder.
+        Name of its folder.
     settings : dict
         Fields of `generator.model.settings.Sweep`.
     """
@@ -49,7 +49,7 @@ class Rung:
 
 
 def ladder(surfel: bool) -> list[Rung]:
-    """Return the ways to render a scene, and the reference, which comes first."""
+    """Return the rungs for a scene: the reference first."""
     rungs = [Rung(f"patch-{n}", {"engine": "patch", "samples": n}) for n in _SAMPLES]
     rungs += [Rung(f"patch-{n}-denoised", {"engine": "patch", "samples": n, "denoise": True}) for n in _SAMPLES[:3]]
     rungs += [
@@ -64,18 +64,19 @@ def ladder(surfel: bool) -> list[Rung]:
 
 @dataclass(frozen=True)
 class Cost:
-    """What a rung takes and gives.
+    """Cost and error of a rung.
 
     Attributes
     ----------
     name : str
     seconds : float
-        Core seconds that a picture takes, with the one it is paired with.
+        Core seconds per picture, including the one that it is paired with.
     error : (float, float, float)
         Root mean square of a difference picture's error, relative to the reference's difference: in the median pose,
         with the 95 % interval of a bootstrap over poses (Efron 1979).
     level : (float, float, float)
-        Mean, over the poses, of the share of the reference's difference that is there: 1 without bias; as above.
+        Mean over the poses of the share of the reference's difference that the rung shows: 1 without bias; with an
+        interval as above.
     """
 
     name: str
@@ -96,27 +97,27 @@ def run(
     tell: Callable[[str], None] = lambda words: None,
     force: bool = False,
 ) -> list[Cost]:
-    """Render the same poses on every rung, each a data set of its own in a folder, and measure them.
+    """Render the same poses on every rung, each as a separate data set in a folder, and measure them.
 
-    A rung that was rendered before is not rendered again, so a run that was stopped goes on.
+    A rung that was rendered before is not rendered again, so an interrupted run continues.
 
     Parameters
     ----------
     scene : Path
     folder : Path
     poses : int
-        Per voxel.
+        Poses per voxel.
     seed : int
     resolution : str, optional
-        The scene's, if left out.
+        Size of the pictures; by default the scene's.
     most : float
-        Seconds that a rung may take; one that would take longer, judged by the one below it, is left out.
+        Time limit of a rung, seconds; one that is predicted from the rung below it to take longer is left out.
     workers : int
-        As of `generator.jobs.local.run`.
+        As for `generator.jobs.local.run`.
     tell : callable
-        Is told of each rung.
+        Called with a sentence about each rung.
     force : bool
-        As of `generator.jobs.local.run`.
+        As for `generator.jobs.local.run`.
 
     Raises
     ------
@@ -137,18 +138,18 @@ def run(
     cheapest = planned.sweep.engine
     if cheapest == "path":
         raise NlosError(f"{scene}: only the engine 'path' can render it, so there is nothing to trade")
-    took: dict[str, float] = {}
+    seconds_per_work: dict[str, float] = {}
     for rung in ladder(cheapest == "surfel"):
         kind, work = _kind(rung), float(rung.settings.get("samples", 1))
-        guess = took.get(kind, 0.0) * work
-        if guess > most:
-            tell(f"{rung.name}: left out, would take about {clock(guess)}")
+        estimate = seconds_per_work.get(kind, 0.0) * work
+        if estimate > most:
+            tell(f"{rung.name}: left out, would take about {clock(estimate)}")
             continue
         outcome = local.run(replace(request, path=folder / rung.name, chosen={**common, **rung.settings}))
         if outcome.failed:
             raise NlosError(f"{folder / rung.name}: {outcome.failed[0]}")
         seconds = sum(record.seconds for record in outcome.dataset.records)
-        took[kind] = seconds / work / max(1, workers or available_cores())
+        seconds_per_work[kind] = seconds / work / max(1, workers or available_cores())
         tell(f"{rung.name}: {seconds / len(outcome.dataset.records):.3g} core seconds a picture")
     return costs(folder)
 
@@ -163,45 +164,45 @@ def rungs(folder: Path) -> list[Dataset]:
     Raises
     ------
     NlosError
-        There is no reference, or it is not finished, or no other.
+        There is no reference, it is not finished, or there is no other finished data set.
     """
     if not Dataset.exists(folder / REFERENCE):
         raise NlosError(f"{folder}: holds no {REFERENCE} (nlos-generate tradeoff makes it)")
-    every = [Dataset.open(folder / REFERENCE)]
-    every += [Dataset.open(p) for p in sorted(folder.iterdir()) if p.name != REFERENCE and Dataset.exists(p)]
-    if len(every[0].records) < every[0].planned:
+    datasets = [Dataset.open(folder / REFERENCE)]
+    datasets += [Dataset.open(p) for p in sorted(folder.iterdir()) if p.name != REFERENCE and Dataset.exists(p)]
+    if len(datasets[0].records) < datasets[0].planned:
         raise NlosError(f"{folder / REFERENCE}: is not finished; run nlos-generate tradeoff again")
-    finished = [found for found in every if len(found.records) == every[0].planned]
+    finished = [dataset for dataset in datasets if len(dataset.records) == datasets[0].planned]
     if len(finished) < 2:
         raise NlosError(f"{folder}: holds nothing beside the reference; run nlos-generate tradeoff again")
     return finished
 
 
 def costs(folder: Path) -> list[Cost]:
-    """Return what the rungs of a folder took, and how far each is from the reference; the quickest first."""
+    """Return the costs of the rungs of a folder, and their errors against the reference; the quickest first."""
     reference, *others = rungs(folder)
-    wanted = differences(reference)
-    scale = np.sqrt((wanted**2).mean(axis=(1, 2)))
+    expected = differences(reference)
+    scale = np.sqrt((expected**2).mean(axis=(1, 2)))
     if not scale.all():
         raise NlosError(f"{folder}: the object changes nothing in some pictures, so there is no error relative to it")
-    made = []
-    for found in others:
-        got = differences(found)
-        error = np.sqrt(((got - wanted) ** 2).mean(axis=(1, 2))) / scale
-        level = (got * wanted).sum(axis=(1, 2)) / (wanted**2).sum(axis=(1, 2))
-        seconds = float(np.mean([record.seconds for record in found.records]))
-        made.append(Cost(found.path.name, seconds, bootstrap(error, np.median), bootstrap(level)))
-    return sorted(made, key=lambda cost: cost.seconds)
+    results = []
+    for dataset in others:
+        measured = differences(dataset)
+        error = np.sqrt(((measured - expected) ** 2).mean(axis=(1, 2))) / scale
+        level = (measured * expected).sum(axis=(1, 2)) / (expected**2).sum(axis=(1, 2))
+        seconds = float(np.mean([record.seconds for record in dataset.records]))
+        results.append(Cost(dataset.path.name, seconds, bootstrap(error, np.median), bootstrap(level)))
+    return sorted(results, key=lambda cost: cost.seconds)
 
 
 def differences(found: Dataset) -> Array:
-    """Return a data set's pictures less its background, grey, (n, height, width), W/m^2/sr."""
+    """Return a data set's pictures minus its background, grey, (n, height, width), W/m^2/sr."""
     background = found.background().astype(np.float64).mean(axis=2)
     return np.array([found.picture(record).astype(np.float64).mean(axis=2) - background for record in found.records])
 
 
 def front(x: Sequence[float], y: Sequence[float]) -> list[int]:
-    """Return which points no other beats in both, the least x first (Pareto's front; less is better)."""
+    """Return the indices of the points that no other beats in both, by ascending x (Pareto front; less is better)."""
     best, kept = float("inf"), []
     for number in sorted(range(len(x)), key=lambda k: (x[k], y[k])):
         if y[number] < best:
@@ -231,23 +232,23 @@ def rows(found: Sequence[Cost]) -> list[tuple[str, ...]]:
 
 
 def advice(found: Sequence[Cost], budgets: Sequence[float] = (60.0, 600.0, 3600.0, 86400.0)) -> list[str]:
-    """Return which way to take for each time that 900 pictures may last here, and when the next is worth it."""
+    """Return which rung to take for each time budget of 900 pictures on this machine, and when the next one pays."""
     best = [found[k] for k in front([c.seconds for c in found], [c.error[0] for c in found])]
-    whole = [900.0 * cost.seconds / available_cores() for cost in best]
-    told = []
+    totals = [900.0 * cost.seconds / available_cores() for cost in best]
+    lines = []
     for limit in budgets:
-        within = [k for k, seconds in enumerate(whole) if seconds <= limit]
+        within = [k for k, seconds in enumerate(totals) if seconds <= limit]
         if not within:
-            told.append(f"900 pictures in {clock(limit)}: none ends; the quickest takes {clock(whole[0])}")
+            lines.append(f"900 pictures in {clock(limit)}: none ends; the quickest takes {clock(totals[0])}")
             continue
         k = within[-1]
         line = f"900 pictures in {clock(limit)}: take {best[k].name}, error {100.0 * best[k].error[0]:.3g} %"
         if k + 1 < len(best):
-            line += f"; the next useful step, {best[k + 1].name}, takes {clock(whole[k + 1])}"
-        told.append(line)
+            line += f"; the next useful step, {best[k + 1].name}, takes {clock(totals[k + 1])}"
+        lines.append(line)
         if k + 1 == len(best):
             break
-    return told
+    return lines
 
 
 def write(folder: Path, found: Sequence[Cost], title: str) -> list[Path]:
@@ -257,10 +258,10 @@ def write(folder: Path, found: Sequence[Cost], title: str) -> list[Path]:
     figure, axis = plt.subplots(figsize=(7.5, 5.0), layout="constrained")
     seconds, errors = [c.seconds for c in found], [100.0 * c.error[0] for c in found]
     for kind in dict.fromkeys(family(c.name) for c in found):
-        own = [c for c in found if family(c.name) == kind]
-        value, low, high = (np.array([100.0 * c.error[k] for c in own]) for k in range(3))
+        group = [c for c in found if family(c.name) == kind]
+        value, low, high = (np.array([100.0 * c.error[k] for c in group]) for k in range(3))
         spread = np.maximum([value - low, high - value], 0.0)
-        axis.errorbar([c.seconds for c in own], value, yerr=spread, marker="o", ms=4, lw=1.0, capsize=2, label=kind)
+        axis.errorbar([c.seconds for c in group], value, yerr=spread, marker="o", ms=4, lw=1.0, capsize=2, label=kind)
     best = front(seconds, errors)
     axis.plot([seconds[k] for k in best], [errors[k] for k in best], color="#57606a", lw=3.0, alpha=0.3, label="best")
     axis.set_xscale("log")
@@ -274,7 +275,7 @@ def write(folder: Path, found: Sequence[Cost], title: str) -> list[Path]:
 
 
 def family(name: str) -> str:
-    """Return what a rung has in common with those that differ in samples or accuracy alone."""
+    """Return the name that a rung shares with those that differ in samples or accuracy alone."""
     engine, *rest = name.split("-")
     rest = [word for word in rest if word in ("denoised", "unpaired")]
     return " ".join([engine, *rest])

@@ -1,1 +1,1 @@
-"""What renders a picture: Cycles' two engines and the surfel engine, and the reading that they share."""
+"""The engines that render pictures: two by Cycles and `surfel`, and the reading of the scene that they share."""

@@ -1,4 +1,4 @@
-"""Pictures by Cycles: the engines `path` and `patch`."""
+"""Rendering by Cycles: the engines `path` and `patch`."""
 
 from __future__ import annotations
 
@@ -17,18 +17,18 @@ from generator.model.arrays import Array
 from generator.model.errors import NlosError
 
 GPU_KINDS = ("OPTIX", "CUDA", "HIP", "METAL", "ONEAPI")
-"""Cycles' names of what it can reach a GPU through, the quickest first."""
+"""Cycles' names of its GPU backends, the fastest first."""
 
 
 class CyclesRenderer:
-    """Renders by Cycles: the engines `path` and `patch`, which differ in what the scene has for a lamp.
+    """Renders by Cycles: the engines `path` and `patch`, which differ in the lamp of the scene.
 
     Parameters
     ----------
     scene : bpy.types.Scene
-        Made ready, as `generator.blender.engines.renderers.opened` does.
+        Prepared by `generator.blender.engines.renderers.opened`.
     folder : Path
-        For a picture on its way.
+        Folder of the temporary picture file.
     """
 
     def __init__(self, scene: bpy.types.Scene, folder: Path) -> None:
@@ -44,11 +44,11 @@ class CyclesRenderer:
         samples : int
             Camera rays per pixel.
         seed : int
-            Of the noise, 0 to 2^31 - 1.
+            Seed of the noise, 0 to 2^31 - 1.
         target : bool
-            With the hidden object, or the background without it.
+            Whether the hidden object is rendered; the background without it if not.
         ambient : bool
-            With the world's light, where there is any.
+            Whether the world's light, if there is any, is rendered.
 
         Returns
         -------
@@ -71,10 +71,10 @@ class CyclesRenderer:
                     overrides.set(part, "hide_render", True)
             else:
                 refuse_hidden(scene)
-            dark = [] if ambient else _put_out_the_sky(scene, overrides)
+            dark_worlds = [] if ambient else _put_out_the_sky(scene, overrides)
             if samples != self._samples:
-                # With persistent data the table that Cycles' random numbers come from stays as long as the most
-                # samples so far asked for, so that a picture would depend on those before it. This frees it.
+                # With persistent data, Cycles' table of random numbers keeps the length of the largest sample count
+                # so far, so that a picture would depend on earlier ones. This frees the table.
                 scene.render.use_persistent_data = False
                 scene.render.use_persistent_data = True
                 self._samples = samples
@@ -83,8 +83,8 @@ class CyclesRenderer:
             self._file.unlink(missing_ok=True)
             with quiet():
                 bpy.ops.render.render(write_still=True, scene=scene.name)
-        if dark:
-            bpy.data.batch_remove(dark)
+        if dark_worlds:
+            bpy.data.batch_remove(dark_worlds)
         scene.update_tag()
         pixels, _ = read_picture(self._file)
         if not np.isfinite(pixels).all():
@@ -92,27 +92,27 @@ class CyclesRenderer:
         return pixels
 
     def difference(self, shot: Shot) -> Array:
-        """Return what the target at a pose changes, by two renders of one noise, (height, width, 3), W/m^2/sr."""
+        """Return what the target at a pose changes, by two renders with equal noise, (height, width, 3), W/m^2/sr."""
         posing.move_target(self._scene, shot.position, shot.rotation)
         picture = self.render(samples=shot.samples, seed=shot.seed).astype(np.float64)
-        without: Array = picture - self.render(samples=shot.samples, seed=shot.seed, target=False)
-        return without
+        change: Array = picture - self.render(samples=shot.samples, seed=shot.seed, target=False)
+        return change
 
     def pictures(self, shots: Sequence[Shot], background: Picture | None = None) -> list[Picture]:
-        """Render pictures of many poses, (height, width, 3) each; the target stays where the last has it.
+        """Render pictures of many poses, (height, width, 3) each; the target stays at the last pose.
 
-        With a background, each pose's own is rendered too, and only the difference of the two put on top of it: a
-        control variate of weight 1, since rays that never meet the target are the same in both, and cancel.
+        With a background, each pose is also rendered without the target, and only the difference is added to the
+        background: a control variate of weight 1, as rays that never meet the target are the same in both and cancel.
         """
-        made = []
+        pictures = []
         for shot in shots:
             posing.move_target(self._scene, shot.position, shot.rotation)
             pixels = self.render(samples=shot.samples, seed=shot.seed)
             if background is not None and background.any():
-                own = self.render(samples=shot.samples, seed=shot.seed, target=False)
-                pixels = pixels + (background - own)
-            made.append(pixels)
-        return made
+                own_background = self.render(samples=shot.samples, seed=shot.seed, target=False)
+                pixels = pixels + (background - own_background)
+            pictures.append(pixels)
+        return pictures
 
 
 def use_gpu(overrides: Overrides) -> list[str]:
@@ -121,12 +121,12 @@ def use_gpu(overrides: Overrides) -> list[str]:
     Returns
     -------
     list of str
-        Their names.
+        Names of the GPUs.
 
     Raises
     ------
     NlosError
-        There is none.
+        Cycles finds no GPU.
     """
     preferences = bpy.context.preferences.addons["cycles"].preferences
     preferred = preferences.compute_device_type
@@ -139,32 +139,32 @@ def use_gpu(overrides: Overrides) -> list[str]:
             continue
         with quiet():
             preferences.refresh_devices()
-        found = [device for device in preferences.devices if device.type == kind]
-        if kind == preferred and any(device.use for device in found):
-            return [device.name for device in found if device.use]
+        devices = [device for device in preferences.devices if device.type == kind]
+        if kind == preferred and any(device.use for device in devices):
+            return [device.name for device in devices if device.use]
         for device in preferences.devices:
-            overrides.set(device, "use", device in found)
-        if found:
-            return [device.name for device in found]
+            overrides.set(device, "use", device in devices)
+        if devices:
+            return [device.name for device in devices]
     raise NlosError("device gpu: Cycles finds no GPU on this machine; check its driver, or render with --device cpu")
 
 
 def linear_output(scene: bpy.types.Scene, overrides: Overrides) -> None:
-    """Let the renderer's own float32 radiance be what is written."""
-    # Another format has other depths, codecs and colour spaces: assigning it changes them.
+    """Make Blender write the renderer's own float32 radiance."""
+    # Formats differ in depths, codecs and colour spaces: assigning a format changes these too.
     overrides.keep(scene.render.image_settings, "media_type", "file_format", "color_mode", "color_depth")
     replaced.replace(scene, overrides, replaced.OUTPUT)
 
 
 def plain_cycles(scene: bpy.types.Scene, overrides: Overrides) -> None:
-    """Let Cycles be unbiased, and its noise follow from seed and samples alone."""
+    """Make Cycles unbiased, with noise that follows from seed and samples alone."""
     replaced.replace(scene, overrides, replaced.SAMPLING)
 
 
 def _put_out_the_sky(scene: bpy.types.Scene, overrides: Overrides) -> list[bpy.types.World]:
-    """Put worlds without light in the place of those of a scene, and return them."""
-    dark = []
+    """Replace the worlds of a scene by copies without light, and return the copies."""
+    dark_worlds = []
     for owner, name in materials.worlds_of(scene):
-        dark.append(nodes.darkened(getattr(owner, name)))
-        overrides.set(owner, name, dark[-1])
-    return dark
+        dark_worlds.append(nodes.darkened(getattr(owner, name)))
+        overrides.set(owner, name, dark_worlds[-1])
+    return dark_worlds

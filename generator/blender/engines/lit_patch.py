@@ -1,4 +1,4 @@
-"""The patch of the wall that the spot lights: w1 of every path."""
+"""The patch of the wall that the spot lights, which holds w1 of every path."""
 
 from __future__ import annotations
 
@@ -29,16 +29,16 @@ from generator.model.arrays import Array
 from generator.transport.world import LitPatch
 
 _RIM = 1.0 - 1e-3
-"""Look just inside the cone: its very edge may graze whatever the lit patch ends at."""
+"""Factor that puts the tested rim just inside the cone, whose very edge may graze what borders the lit patch."""
 
 
 def read_lit_patch(scene: bpy.types.Scene, reading: Reading) -> tuple[LitPatch | None, list[str]]:
-    """Return the patch that the spot lights, if it can be read, and the reasons against engines that start there."""
+    """Return the patch that the spot lights, or None, and the reasons against engines that start at the patch."""
     lamp, wall = roles.find(scene, "spot"), roles.find(scene, "relay_wall")
     light = lamp.data
     if lamp.type != "LIGHT" or light.type != "SPOT":
         return None, [f"the spot {lamp.name!r} is not a spot lamp"]
-    # Where a render has it: of what the viewport hides Blender does not keep the place up to date.
+    # The transform in a render: Blender does not update the transform of objects that the viewport hides.
     matrix = reading.places.get("spot", numbers(lamp.matrix_world))
     reasons = _lamp_reasons(lamp, matrix, roles.reflection_order(scene))
     if "spot" not in reading.places:
@@ -47,7 +47,7 @@ def read_lit_patch(scene: bpy.types.Scene, reading: Reading) -> tuple[LitPatch |
     surfaces = [s for s in reading.surfaces if s.role != "target"]
     walls = [s for s in surfaces if s.role == "relay_wall"]
     origin, axis = matrix[:3, 3], -matrix[:3, 2] / np.linalg.norm(matrix[:3, 2])
-    half = light.spot_size / 2.0
+    half_angle = light.spot_size / 2.0
     hit, point, normal = first_hit(surfaces, origin, axis)
     if hit is None or hit.role != "relay_wall":
         return None, [*reasons, blocked(lamp, wall, hit)]
@@ -55,13 +55,13 @@ def read_lit_patch(scene: bpy.types.Scene, reading: Reading) -> tuple[LitPatch |
         normal = -normal
     height = float((origin - point) @ normal)
     tilt = math.acos(min(1.0, float(-axis @ normal)))
-    if tilt + half >= math.radians(89.0):
+    if tilt + half_angle >= math.radians(89.0):
         return None, [*reasons, f"the spot {lamp.name!r} grazes the wall, so that its patch has no edge"]
     along = axis + normal * math.cos(tilt)
     along = along / np.linalg.norm(along) if tilt > 1e-6 else perpendicular(normal)
-    near, far = height * math.tan(tilt - half), height * math.tan(tilt + half)
+    near, far = height * math.tan(tilt - half_angle), height * math.tan(tilt + half_angle)
     middle, major = (near + far) / 2.0, (far - near) / 2.0
-    reach = (middle * math.sin(tilt) + height * math.cos(tilt)) / math.cos(half)
+    reach = (middle * math.sin(tilt) + height * math.cos(tilt)) / math.cos(half_angle)
     minor = math.sqrt(reach**2 - middle**2 - height**2)
     blend = float(light.spot_blend)
     patch = LitPatch(
@@ -76,20 +76,20 @@ def read_lit_patch(scene: bpy.types.Scene, reading: Reading) -> tuple[LitPatch |
         * np.array(nodes.radiance(light) or (0.0, 0.0, 0.0))
         * (light.energy * 2.0 ** getattr(light, "exposure", 0.0) / (4.0 * math.pi)),
         albedo=np.zeros(3),
-        cos_outer=math.cos(half),
-        cos_width=(1.0 - math.cos(half)) * blend,
+        cos_outer=math.cos(half_angle),
+        cos_width=(1.0 - math.cos(half_angle)) * blend,
     )
     turns = np.arange(64)[:, None] * (2.0 * math.pi / 64)
     rim = patch.centre + _RIM * (np.cos(turns) * patch.major + np.sin(turns) * patch.minor)
     apex = np.append(origin, 1.0)
     sides = pyramid(rim, apex)
-    before = [*sides, Plane(normal, float(normal @ point) + 1e-4 * height)]
+    cone = [*sides, Plane(normal, float(normal @ point) + 1e-4 * height)]
     colour = colour_within(walls, [*sides, *near_plane(normal, point, 1e-4 * height)])
     if colour is None:
         reasons.append(f"the relay wall {wall.name!r} has more than one colour where {lamp.name!r} lights it")
     else:
         patch = replace(patch, albedo=colour)
-    blocking = [s for s in surfaces if cut_areas(s.triangles, before).sum() > NOTHING * major * minor]
+    blocking = [s for s in surfaces if cut_areas(s.triangles, cone).sum() > NOTHING * major * minor]
     reasons += [blocked(lamp, wall, s) for s in blocking]
     if not blocking and not covered(surfaces, sides, point, normal, rim, 1e-4 * height):
         reasons.append(blocked(lamp, wall, None))
@@ -97,7 +97,7 @@ def read_lit_patch(scene: bpy.types.Scene, reading: Reading) -> tuple[LitPatch |
 
 
 def _lamp_reasons(lamp: bpy.types.Object, matrix: Array, order: int) -> list[str]:
-    """What is special about a spot lamp."""
+    """Properties of the spot lamp that speak against engines that start at the patch."""
     light, name = lamp.data, f"the spot {lamp.name!r}"
     reasons = []
     if light.shadow_soft_size > 0:
@@ -125,7 +125,7 @@ def _lamp_reasons(lamp: bpy.types.Object, matrix: Array, order: int) -> list[str
 
 
 def _reflection_reasons(scene: bpy.types.Scene, reading: Reading) -> list[str]:
-    """Why the first reflection, in closed form and sent out by a lamp, would not be what Cycles finds."""
+    """Reasons why the first reflection in closed form, emitted by a lamp, would differ from what Cycles renders."""
     reasons = [*reading.layers, *reading.volumes]
     copies = [light for light in reading.lights if light.role == "spot" and light.instance]
     reasons += [f"the lamp {light.name!r} shines once more, as an instance" for light in copies]
@@ -147,10 +147,10 @@ def _reflection_reasons(scene: bpy.types.Scene, reading: Reading) -> list[str]:
 
 
 def _passed_by(reading: Reading) -> list[str]:
-    """What some rays meet and others pass by.
+    """Surfaces that are visible to some kinds of rays and not to others.
 
-    The way from the object to the lit patch is that of a reflected ray in Cycles, and that of a shadow ray where a
-    lamp stands for the patch.
+    The leg from the object to the lit patch is a reflected ray in Cycles, and a shadow ray where a lamp replaces the
+    patch.
     """
     kinds = frozenset().union(*reading.kinds.values())
     reflected = {"diffuse", *({nodes.GLOSSY, nodes.TRANSMISSION} & kinds)}
@@ -164,7 +164,7 @@ def _passed_by(reading: Reading) -> list[str]:
 
 
 def _bounce_reasons(scene: bpy.types.Scene, reading: Reading) -> list[str]:
-    """Which materials need a limit of bounces that one number cannot say, or a lamp that rays meet by chance."""
+    """Materials that need separate limits of bounces, or a lamp that rays can hit by chance."""
     cycles = scene.cycles
     others = other_lights(reading.lights)
     reasons = []
@@ -187,15 +187,15 @@ def _bounce_reasons(scene: bpy.types.Scene, reading: Reading) -> list[str]:
 
 
 def _transparent_reasons(scene: bpy.types.Scene, reading: Reading) -> list[str]:
-    """Why the limit of transparent bounces may tell: to a shadow ray it is one more than to a path."""
+    """Why the limit of transparent bounces may matter: for a shadow ray it is one more than for a path."""
     limit, legs = scene.cycles.transparent_max_bounces, roles.reflection_order(scene)
-    clear = [s for s in reading.surfaces if nodes.TRANSPARENT in s.kinds]
-    known = {s.name for s in clear}
+    transparent = [s for s in reading.surfaces if nodes.TRANSPARENT in s.kinds]
+    known = {s.name for s in transparent}
     unknown = [name for name, kinds in reading.kinds.items() if nodes.TRANSPARENT in kinds and name not in known]
-    crossed = legs * sum(_planes(s.triangles) for s in clear)
+    crossed = legs * sum(_planes(s.triangles) for s in transparent)
     if not unknown and crossed < limit:
         return []
-    names = [*unknown, *(s.name for s in clear)]
+    names = [*unknown, *(s.name for s in transparent)]
     return [
         f"{names[0]!r} is transparent, and light may cross more such faces than the limit of transparent bounces "
         f"({limit}) surely allows"
@@ -204,11 +204,11 @@ def _transparent_reasons(scene: bpy.types.Scene, reading: Reading) -> list[str]:
 
 
 def _planes(triangles: Array) -> int:
-    """Return in how many planes triangles (n, 3, 3) lie: a straight line crosses no more of them."""
+    """Return the number of planes in which triangles (n, 3, 3) lie: a straight line crosses at most so many."""
     sides = np.cross(triangles[:, 1] - triangles[:, 0], triangles[:, 2] - triangles[:, 0])
     normals = sides / np.linalg.norm(sides, axis=1, keepdims=True)
-    main = normals[np.arange(len(normals)), np.abs(normals).argmax(axis=1)]
-    normals = normals * np.sign(main)[:, None]  # both sides of a plane are one
+    dominant = normals[np.arange(len(normals)), np.abs(normals).argmax(axis=1)]
+    normals = normals * np.sign(dominant)[:, None]  # both orientations of a plane count as one
     size = np.ptp(triangles.reshape(-1, 3), axis=0).max()
     offsets = (normals * (triangles[:, 0] - triangles[0, 0])).sum(axis=1) / size
     return len(np.unique(np.round(np.column_stack([normals, offsets]), 4), axis=0))

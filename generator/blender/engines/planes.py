@@ -1,4 +1,4 @@
-"""Planar pieces: pyramids of sight cut with surfaces, areas, and what lies before what."""
+"""Plane geometry: surfaces cut by pyramids of sight, areas, and what hides what."""
 
 from __future__ import annotations
 
@@ -14,20 +14,20 @@ from generator.model.arrays import Array
 
 
 def blocked(lamp: bpy.types.Object, wall: bpy.types.Object, hit: Surface | None) -> str:
-    """Return in words what stands in the way of the spot's cone."""
+    """Return a phrase that says what blocks the spot's cone."""
     if hit is None or hit.role == "relay_wall":
         return f"part of the cone of the spot {lamp.name!r} misses the plane of the relay wall {wall.name!r}"
     return f"{hit.name!r} stands in the cone of the spot {lamp.name!r}, before the relay wall"
 
 
 def near_plane(normal: Array, point: Array, slack: float) -> list[Plane]:
-    """The slab around a plane."""
-    at = float(normal @ point)
-    return [Plane(normal, at - slack), Plane(-normal, -at - slack)]
+    """Return the slab around a plane, as two half spaces."""
+    offset = float(normal @ point)
+    return [Plane(normal, offset - slack), Plane(-normal, -offset - slack)]
 
 
 def colour_within(walls: Sequence[Surface], planes: Sequence[Plane]) -> Array | None:
-    """Return the albedo (3,) of walls inside all of the planes; None if it is not everywhere the same."""
+    """Return the albedo (3,) of walls inside all of the planes; None if it is not uniform."""
     if not walls:
         return np.zeros(3)
     areas = np.concatenate([cut_areas(s.triangles, planes) for s in walls])
@@ -39,14 +39,14 @@ def colour_within(walls: Sequence[Surface], planes: Sequence[Plane]) -> Array | 
 
 def perpendicular(normal: Array) -> Array:
     """Return a unit vector at right angles to a normal."""
-    other = np.eye(3)[int(np.argmin(np.abs(normal)))]
-    across = np.cross(normal, other)
+    axis = np.eye(3)[int(np.argmin(np.abs(normal)))]
+    across = np.cross(normal, axis)
     unit: Array = across / np.linalg.norm(across)
     return unit
 
 
 def plane_of(triangles: Array) -> tuple[Array, Array, float]:
-    """Return a point and the unit normal of the plane through triangles, and by how much they leave it."""
+    """Return a point and the unit normal of the plane through triangles, and their largest distance from it."""
     sides = np.cross(triangles[:, 1] - triangles[:, 0], triangles[:, 2] - triangles[:, 0])
     largest = sides[np.argmax((sides**2).sum(axis=1))]
     normal = (sides * np.sign(sides @ largest)[:, None]).sum(axis=0)
@@ -57,7 +57,7 @@ def plane_of(triangles: Array) -> tuple[Array, Array, float]:
 
 
 NOTHING = 1e-9
-"""An area is none if it is less, in units of the outline that is looked through."""
+"""An area below this counts as none, in units of the area of the outline that is looked through."""
 
 
 @dataclass(frozen=True)
@@ -80,15 +80,15 @@ def pyramid(outline: Array, apex: Array) -> list[Plane]:
 
 def cut_areas(triangles: Array, planes: Sequence[Plane]) -> Array:
     """Return the area of each triangle (n, 3, 3) inside all of the planes."""
-    left = np.arange(len(triangles))
-    whole = np.ones(len(triangles), dtype=bool)
+    remaining = np.arange(len(triangles))
+    inside = np.ones(len(triangles), dtype=bool)
     for plane in planes:
-        over = triangles[left] @ plane.normal - plane.offset
-        whole[left] &= (over >= 0.0).all(axis=1)
-        left = left[(over > 0.0).any(axis=1)]
+        distance = triangles[remaining] @ plane.normal - plane.offset
+        inside[remaining] &= (distance >= 0.0).all(axis=1)
+        remaining = remaining[(distance > 0.0).any(axis=1)]
     sides = np.cross(triangles[:, 1] - triangles[:, 0], triangles[:, 2] - triangles[:, 0])
-    areas: Array = np.where(whole, np.linalg.norm(sides, axis=1) / 2.0, 0.0)
-    for index in left[~whole[left]]:
+    areas: Array = np.where(inside, np.linalg.norm(sides, axis=1) / 2.0, 0.0)
+    for index in remaining[~inside[remaining]]:
         polygon = triangles[index]
         for plane in planes:
             polygon = _cut(polygon, plane)
@@ -98,10 +98,10 @@ def cut_areas(triangles: Array, planes: Sequence[Plane]) -> Array:
 
 def _cut(polygon: Array, plane: Plane) -> Array:
     """Return the part (m, 3) of a convex polygon (n, 3) that lies inside a plane (Sutherland and Hodgman 1974)."""
-    over = polygon @ plane.normal - plane.offset
+    distance = polygon @ plane.normal - plane.offset
     kept = []
     for i in range(len(polygon)):
-        a, b = over[i - 1], over[i]
+        a, b = distance[i - 1], distance[i]
         if (a >= 0.0) != (b >= 0.0):
             kept.append(polygon[i - 1] + (polygon[i] - polygon[i - 1]) * (a / (a - b)))
         if b >= 0.0:
@@ -122,12 +122,12 @@ def covered(
 ) -> bool:
     """Whether the relay wall, as far as it lies in a plane, fills an outline in that plane."""
     wall = np.concatenate([s.triangles for s in surfaces if s.role == "relay_wall"])
-    flat = wall[(np.abs((wall - point) @ normal) <= slack).all(axis=1)]
-    return bool(cut_areas(flat, sides).sum() >= (1.0 - 1e-5) * polygon_area(outline))
+    coplanar = wall[(np.abs((wall - point) @ normal) <= slack).all(axis=1)]
+    return bool(cut_areas(coplanar, sides).sum() >= (1.0 - 1e-5) * polygon_area(outline))
 
 
 def first_hit(surfaces: Sequence[Surface], origin: Array, way: Array) -> tuple[Surface | None, Array, Array]:
-    """First surface along a ray: which, where, and its unit normal (Moeller and Trumbore 1997)."""
+    """Return the first surface along a ray, the hit point and its unit normal (Moeller and Trumbore 1997)."""
     best: tuple[Surface | None, Array, Array] = (None, np.zeros(3), np.zeros(3))
     nearest = math.inf
     for surface in surfaces:

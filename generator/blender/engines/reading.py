@@ -1,4 +1,4 @@
-"""The scene read as Cycles will render it: surfaces, lights, and what an engine cannot honour."""
+"""Reads the scene as Cycles will render it: surfaces, lights, and what an engine cannot honour."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from generator.blender.scene.words import numbers
 from generator.model.arrays import Array
 
 MAX_ORDER = 3
-"""The most reflections that `surfel` knows."""
+"""Largest number of reflections that `surfel` models."""
 
 
 _NOT_MESH = {
@@ -28,7 +28,7 @@ _NOT_MESH = {
 
 
 def lights(scene: bpy.types.Scene) -> list[Light]:
-    """Return everything that gives light in a render of a scene: lamps, surfaces that glow, the world; the spot too.
+    """Return all light sources in a render of a scene: lamps including the spot, emitting surfaces, the world.
 
     Raises
     ------
@@ -65,7 +65,7 @@ class _Reader:
     played : dict
         The role of each object that has one.
     target : bpy.types.Object
-        What moves the target.
+        The target itself, whose children move with it.
     layer : bpy.types.ViewLayer
     reading : Reading, added to
     """
@@ -85,9 +85,9 @@ class _Reader:
         if not instance.is_instance and obj.original in self._played:
             reading.places[role if role != "target" or obj.original == self._target else obj.name] = matrix
         if instance.show_self and _has_empty_slot(obj.original):
-            words = f"{obj.name!r} has an empty material slot of its own, which Blender's versions fill differently"
-            reading.layers += [words] * (words not in reading.layers)
-            reading.reasons += [words] * (words not in reading.reasons)
+            reason = f"{obj.name!r} has an empty material slot of its own, which Blender's versions fill differently"
+            reading.layers += [reason] * (reason not in reading.layers)
+            reading.reasons += [reason] * (reason not in reading.reasons)
         if obj.type == "LIGHT":
             _read_lamp(instance, self._played.get(obj.original, "room"), matrix, reading)
             return
@@ -100,15 +100,15 @@ class _Reader:
         if obj.type in _NOT_MESH:
             reading.reasons.append(f"{obj.name!r} is {_NOT_MESH[obj.type]}, and surfel knows only faces")
             _read_substance(instance, role, matrix, reading)
-        elif isinstance(obj.data, bpy.types.Mesh):  # a curve or text comes a second time, as the mesh made of it
+        elif isinstance(obj.data, bpy.types.Mesh):  # a curve or text is listed again, as the mesh made of it
             shape = self._shape(obj)
             if len(shape.corners):
                 self._add_surface(instance, role, matrix, shape)
 
     def _shape(self, obj: bpy.types.Object) -> Shape:
         # Objects that share a mesh may differ in their materials.
-        made_of = [slot.material.as_pointer() if slot.material else 0 for slot in obj.material_slots]
-        key = (obj.data.as_pointer(), *made_of)
+        material_keys = [slot.material.as_pointer() if slot.material else 0 for slot in obj.material_slots]
+        key = (obj.data.as_pointer(), *material_keys)
         if key not in self._shapes:
             self._shapes[key] = shape_of(obj)
         return self._shapes[key]
@@ -155,19 +155,19 @@ class _Reader:
 
 
 def _has_empty_slot(obj: bpy.types.Object) -> bool:
-    """Whether a slot is the object's own and empty, while the data have a material for it.
+    """Whether a slot is linked to the object and empty, while the object's data have a material for it.
 
-    Cycles takes the data's material in Blender 5.0 and its own in 5.2; both show the data's on the evaluated object.
+    Cycles uses the data's material in Blender 5.0, its default in 5.2; the evaluated object has the data's in both.
     """
-    own = getattr(obj.data, "materials", ())
+    data_materials = getattr(obj.data, "materials", ())
     return any(
         slot.link == "OBJECT" and slot.material is None and material is not None
-        for slot, material in zip(obj.material_slots, own, strict=False)
+        for slot, material in zip(obj.material_slots, data_materials, strict=False)
     )
 
 
 def _read_lamp(instance: Any, role: str, matrix: Array, reading: Reading) -> None:
-    """Take down a lamp, if it shines."""
+    """Record a lamp if it emits light."""
     obj, lamp = instance.object, instance.object.data
     portal = lamp.type == "AREA" and lamp.cycles.is_portal
     power = lamp_power(lamp)
@@ -183,9 +183,9 @@ def _read_lamp(instance: Any, role: str, matrix: Array, reading: Reading) -> Non
 
 
 def _read_world(world: Any, reading: Reading) -> None:
-    """Take down the world."""
-    reading.sky, more = _sky(world)
-    reading.reasons += more
+    """Record the world's light and volume, and the reasons against an engine."""
+    reading.sky, reasons = _sky(world)
+    reading.reasons += reasons
     if world is None:
         return
     if nodes.glows(world):
@@ -195,7 +195,7 @@ def _read_world(world: Any, reading: Reading) -> None:
 
 
 def _read_substance(instance: Any, role: str, matrix: Array, reading: Reading) -> None:
-    """Take down hair, points and volumes, whose shape only Cycles knows."""
+    """Record hair, points and volumes, whose shape only Cycles knows."""
     obj = instance.object
     materials = [slot.material for slot in obj.material_slots] or [None]
     kinds = frozenset().union(*map(nodes.kinds, materials))
@@ -212,15 +212,15 @@ RAYS = ("camera", "diffuse", "glossy", "transmission", "shadow")
 
 
 def _unseen_by(instance: Any) -> list[str]:
-    """Kinds of rays that pass a surface by."""
+    """Kinds of rays to which a surface is invisible."""
     objects = [instance.object] + ([instance.parent] if instance.is_instance else [])
     return [word for word in RAYS if not all(getattr(o, f"visible_{word}") for o in objects)]
 
 
 def _visibility_flaws(instance: Any, role: str, layer: bpy.types.ViewLayer) -> list[str]:
     objects = [instance.object] + ([instance.parent] if instance.is_instance else [])
-    seeing = RAYS if role == "relay_wall" else ("diffuse", "shadow")
-    flaws = [f"is not visible to {word} rays" for word in _unseen_by(instance) if word in seeing]
+    relevant = RAYS if role == "relay_wall" else ("diffuse", "shadow")
+    flaws = [f"is not visible to {word} rays" for word in _unseen_by(instance) if word in relevant]
     originals = [o.original for o in objects]
     if any(o.is_holdout or o.holdout_get(view_layer=layer) for o in originals):
         flaws.append("is a holdout")
@@ -234,14 +234,14 @@ def _visibility_flaws(instance: Any, role: str, layer: bpy.types.ViewLayer) -> l
 
 
 def _terminator(obj: bpy.types.Object) -> bool:
-    """Whether an object's shading is made smoother where light grazes it; that acts on flat faces too."""
-    if hasattr(obj, "shadow_terminator_shading_offset"):  # Blender 5; what Cycles' own panel had is left unused there
+    """Whether an object's shading is smoothed where light grazes it, which affects flat faces too."""
+    if hasattr(obj, "shadow_terminator_shading_offset"):  # Blender 5, where Cycles' own property is unused
         return bool(obj.shadow_terminator_shading_offset)
     return bool(obj.cycles.shadow_terminator_offset)
 
 
 def _layer_reasons(scene: bpy.types.Scene) -> list[str]:
-    """What the view layers do to a picture that only plain Cycles does."""
+    """Reasons, from the view layers, why only plain Cycles can render a picture."""
     reasons = []
     rendered = [layer for layer in scene.view_layers if layer.use]
     if len(rendered) > 1:
@@ -259,7 +259,7 @@ def _layer_reasons(scene: bpy.types.Scene) -> list[str]:
 
 
 def _sky(world: Any) -> tuple[Array | None, list[str]]:
-    """Radiance (3,), W/m^2/sr, of a world that shines alike from everywhere, if it shines; what else is amiss."""
+    """Radiance (3,), W/m^2/sr, of a world with uniform light, else None, and the reasons against an engine."""
     if world is None:
         return None, []
     reasons = []

@@ -1,4 +1,4 @@
-"""What all engines can do, once a scene is ready for them."""
+"""The common interface of all renderers, once a scene is prepared for them."""
 
 from __future__ import annotations
 
@@ -17,9 +17,9 @@ class Shot:
     Attributes
     ----------
     position, rotation : (float, float, float)
-        Of the target: metres, and degrees about x, then y, then z.
+        Pose of the target: metres, and degrees about x, then y, then z.
     samples, seed : int
-        Of engines with noise: camera rays per pixel, and 0 to 2^31 - 1.
+        For engines with noise: camera rays per pixel, and the seed of the noise, 0 to 2^31 - 1.
     """
 
     position: Vector
@@ -37,11 +37,11 @@ class Renderer(Protocol):
         Parameters
         ----------
         samples, seed : int
-            As of `Shot`.
+            As in `Shot`.
         target : bool
-            With the hidden object, or the background without it.
+            Whether the hidden object is rendered; the background without it if not.
         ambient : bool
-            With the world's light, where there is any.
+            Whether the world's light, if there is any, is rendered.
 
         Returns
         -------
@@ -62,8 +62,8 @@ class Renderer(Protocol):
         shots : sequence of Shot
             The pictures do not depend on what is rendered together.
         background : ndarray of shape (height, width, 3), optional
-            On which engines with noise put what the target changes, both rendered with the same noise.
+            To it, engines with noise add what the target changes, from two renders with the same noise.
         """
 
     def difference(self, shot: Shot) -> Array:
-        """Return what the target at a pose changes of the empty scene, (height, width, 3), W/m^2/sr."""
+        """Return what the target at a pose changes in the empty scene's picture, (height, width, 3), W/m^2/sr."""

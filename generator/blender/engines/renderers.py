@@ -1,4 +1,4 @@
-"""An engine opened for a scene: Cycles from the true spot (`path`), Cycles from the lit patch (`patch`), or the
+"""Opens an engine for a scene: Cycles from the true spot (`path`), Cycles from the lit patch (`patch`), or the
 three-reflection integral itself (`surfel`).
 
 All give the same scene-linear radiance in the same units; they differ in what they model, in noise and in cost.
@@ -40,7 +40,7 @@ def opened(
     device: str = "cpu",
     leave_out: Sequence[str] = (),
 ) -> Iterator[Renderer]:
-    """Make a scene ready to be rendered by an engine; on leaving, put it back as it was.
+    """Prepare a scene to be rendered by an engine; restore it when the context is left.
 
     Parameters
     ----------
@@ -49,15 +49,15 @@ def opened(
     resolution : (int, int)
         Width and height, pixels.
     threads : int
-        0 takes all cores. The pixels do not depend on it.
+        0 uses all cores. The pixels do not depend on it.
     accuracy : float
-        Of `surfel`.
+        Accuracy of `surfel`.
     denoise : bool
-        Clean what Cycles renders with Open Image Denoise: smooth, and biased.
+        Denoise the pictures of Cycles with Open Image Denoise: smooth, but biased.
     device : {"cpu", "gpu"}
-        That Cycles renders on.
+        Device that Cycles renders on.
     leave_out : sequence of str
-        Of `left_out.PARTS`, what `surfel` does not model.
+        Those of `left_out.PARTS` that `surfel` leaves out.
 
     Raises
     ------
@@ -81,19 +81,19 @@ def opened(
         overrides.set(scene.render, "threads_mode", "FIXED" if threads else "AUTO")
         if threads:
             overrides.set(scene.render, "threads", threads)
-        found = survey.survey(scene, resolution=resolution, ambient=True)
-        found.check(engine)
-        order = roles.reflection_order(scene)  # as animation has it, now that a render has started once
-        if found.world is not None and engine == "surfel":
-            world, shadows = left_out.without(found.world, leave_out)
+        surveyed = survey.survey(scene, resolution=resolution, ambient=True)
+        surveyed.check(engine)
+        order = roles.reflection_order(scene)  # after a render has started, which applies animation
+        if surveyed.world is not None and engine == "surfel":
+            world, shadows = left_out.without(surveyed.world, leave_out)
             yield SurfelRenderer(scene, Transport(world, accuracy=accuracy, threads=threads), shadows=shadows)
             return
-        with patch_lamp(scene, found, order) if engine == "patch" else contextlib.nullcontext():
+        with patch_lamp(scene, surveyed, order) if engine == "patch" else contextlib.nullcontext():
             yield CyclesRenderer(scene, Path(folder))
 
 
 def settings(sweep: Sweep) -> dict[str, Any]:
-    """Return what `opened` wants to know of a sweep besides its engine."""
+    """Return the keyword arguments of `opened` for a sweep, except the engine."""
     return {name: getattr(sweep, name) for name in ("resolution", "accuracy", "device", "denoise", "leave_out")}
 
 
@@ -104,7 +104,7 @@ def choose(scene: bpy.types.Scene, found: survey.Survey | None = None) -> tuple[
     ----------
     scene : bpy.types.Scene
     found : Survey, optional
-        Of the scene; it is surveyed if not given.
+        Survey of the scene; made if not given.
 
     Returns
     -------
@@ -123,7 +123,7 @@ def choose(scene: bpy.types.Scene, found: survey.Survey | None = None) -> tuple[
 
 
 def _by_cost(found: survey.Survey) -> Iterator[tuple[str, list[str]]]:
-    """Engines that can honour a scene, the cheapest first, each with what the one before it cannot."""
+    """Yield the engines that can honour a scene, the cheapest first, each with what the one before cannot honour."""
     cheaper: list[str] = []
     for engine in reversed(ENGINES):
         reasons = found.reasons(engine) or (_uncompiled(found) if engine == "surfel" else [])
@@ -133,7 +133,7 @@ def _by_cost(found: survey.Survey) -> Iterator[tuple[str, list[str]]]:
 
 
 def _uncompiled(found: survey.Survey) -> list[str]:
-    """Why `surfel`, which can render a scene, is not the cheapest: Blender's own Python has no compiler for it."""
+    """Why `surfel` is not the cheapest engine although it can render a scene: Blender's own Python lacks numba."""
     if COMPILED or found.world is None or not found.world.room:
         return []
     return ["surfel takes minutes for a room's own light where numba is missing"]

@@ -1,4 +1,4 @@
-"""Settings of a sweep, completed by what the scene says."""
+"""Settings of a sweep, completed from the scene."""
 
 from __future__ import annotations
 
@@ -16,22 +16,22 @@ from generator.model.scene import Scene
 from generator.model.settings import Sweep
 
 _SMALLEST = 4
-"""Pixels: Blender's own limit of a picture's sides."""
+"""Least number of pixels of a picture's sides in Blender."""
 
 
 TURNS = {"sphere": (0.0, 0.0, 0.0), "sheet": (15.0, 15.0, 90.0), "mesh": (15.0, 15.0, 90.0)}
-"""Largest rotations, degrees, where the user names none. About z, +-90 covers a two-sided sheet once."""
+"""Largest rotations, degrees, unless the user sets them. About z, +-90 covers a two-sided sheet once."""
 
 
 def settled(scene: bpy.types.Scene, described: Scene, chosen: Mapping[str, Any]) -> tuple[Sweep, list[str]]:
-    """Return the sweep that the user's settings mean in a scene, and why `auto` took no cheaper engine."""
+    """Return the sweep of a scene that the user's settings define, and why `auto` took no cheaper engine."""
     settings = {"engine": AUTO, **with_defaults(described, chosen)}
     reasons: list[str] = []
     if settings["engine"] == AUTO:
         settings["engine"], reasons = renderers.choose(scene)
     sweep: Sweep = from_dict(Sweep, settings, "")
     width, height = sweep.resolution
-    if sweep.noisy and min(width, height) < _SMALLEST:  # Blender would take the least that it knows
+    if sweep.noisy and min(width, height) < _SMALLEST:  # Blender would render its own minimum instead
         raise NlosError(
             f"resolution: {width} x {height} is less than Blender renders, {_SMALLEST} pixels a side; ask for more, "
             "or take the engine 'surfel'"
@@ -40,7 +40,7 @@ def settled(scene: bpy.types.Scene, described: Scene, chosen: Mapping[str, Any])
 
 
 def with_defaults(described: Scene, chosen: Mapping[str, Any]) -> dict[str, Any]:
-    """Return the settings that the user chose, with those that follow from the scene where none was chosen."""
+    """Return the settings that the user chose, completed by those that follow from the scene."""
     width, height = described.resolution
     settings = {
         "resolution": [width, height],

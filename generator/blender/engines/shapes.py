@@ -1,4 +1,4 @@
-"""Meshes of a scene: corners, faces, colours, and whether they are plain."""
+"""Meshes of a scene: corners, faces, colours, and the flaws of their materials and shading."""
 
 from __future__ import annotations
 
@@ -13,11 +13,11 @@ from generator.blender.scene import nodes
 from generator.model.arrays import Array
 
 SMOOTH = 1e-3
-"""Normals that lean by more than this many radians from their face's show in the shading."""
+"""Angle between a corner's normal and its face's, radians, above which the shading differs visibly."""
 
 
 COARSE = 0.1
-"""Radians, likewise, from which it shows in the shadow as well: of an icosphere of 320 faces and less."""
+"""The same angle, radians, above which shadows differ too: as for an icosphere of 320 faces or fewer."""
 
 
 def shape_of(obj: Any) -> Shape:
@@ -31,7 +31,7 @@ def shape_of(obj: Any) -> Shape:
         polygon = _values(mesh.loop_triangles, "polygon_index", 1, np.int32)[:, 0]
         slot = _values(mesh.polygons, "material_index", 1, np.int32)[:, 0][polygon]
         sides = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
-        solid = sides.any(axis=1)  # what has no area neither reflects nor hides anything
+        solid = sides.any(axis=1)  # a triangle without area neither reflects nor hides anything
         edges = np.bincount(_values(mesh.loops, "edge_index", 1, np.int32)[:, 0])
         colours, flaws = _colours(obj, slot[solid])
         kinds, glowing, fire = _makings(obj, slot[solid])
@@ -57,12 +57,12 @@ def _values(collection: Any, name: str, width: int, kind: type) -> Any:
 
 
 def is_smooth(mesh: Any) -> bool:
-    """Whether any corner's normal leans from its face's: shading that is set smooth may well be flat all the same."""
+    """Whether any corner's normal differs from its face's: shading that is set smooth may still be flat."""
     return _lean(mesh) > SMOOTH
 
 
 def _lean(mesh: Any) -> float:
-    """By how much corners' normals lean from those of their faces, radians, at most; of a right angle no more."""
+    """Largest angle between the normals of corners and of their faces, radians, at most a right angle."""
     if not len(mesh.polygons):
         return 0.0
     shading = _values(mesh.corner_normals, "vector", 3, np.float32)
@@ -75,13 +75,13 @@ def _lean(mesh: Any) -> float:
 
 
 def _slots(obj: Any, slots: Any) -> tuple[list[Any], Any]:
-    """Return an object's materials, and which of them each face has, as Cycles takes it."""
+    """Return an object's materials, and the index of the material that Cycles uses for each face."""
     materials = [slot.material for slot in obj.material_slots] or [None]
     return materials, np.clip(slots, 0, len(materials) - 1)
 
 
 def _makings(obj: Any, slots: Any) -> tuple[frozenset[str], Any, bool]:
-    """Return the kinds of reflection of faces with those material slots, which of them glow, and if a volume does."""
+    """Return the kinds of scattering of faces with given material slots, which of them emit, and if a volume does."""
     materials, slots = _slots(obj, slots)
     used = np.unique(slots)
     kinds: frozenset[str] = frozenset().union(*(nodes.kinds(materials[i]) for i in used))
@@ -91,7 +91,7 @@ def _makings(obj: Any, slots: Any) -> tuple[frozenset[str], Any, bool]:
 
 
 def _colours(obj: Any, slots: Any) -> tuple[Array, tuple[str, ...]]:
-    """Return the albedo (n, 3) of faces with those material slots, and what is amiss with their materials."""
+    """Return the albedo (n, 3) of faces with given material slots, and the flaws of their materials."""
     materials, slots = _slots(obj, slots)
     table = np.zeros((len(materials), 3))
     flaws = []
@@ -127,6 +127,6 @@ def softening(obj: bpy.types.Object) -> float:
 
 
 def softener(obj: bpy.types.Object) -> tuple[Any, str]:
-    """Return who holds `softening`, and in which attribute."""
+    """Return the owner of the setting that `softening` reads, and the attribute's name."""
     name = "shadow_terminator_geometry_offset"
     return (obj, name) if hasattr(obj, name) else (obj.cycles, name)

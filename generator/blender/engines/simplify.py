@@ -1,4 +1,4 @@
-"""What a scene holds that the engine `surfel` does not model, piece by piece, and the scene without some of it."""
+"""Finds the pieces of a scene that the engine `surfel` does not model or that cost it time, and removes them."""
 
 from __future__ import annotations
 
@@ -18,36 +18,36 @@ from generator.transport.left_out import PARTS
 BEYOND = "reflections beyond the third"
 AMBIENT = "ambient light"
 _MANY = 400
-"""Faces of a mesh from which its detail is worth a question."""
+"""Number of faces from which a mesh is offered for simplification."""
 _COARSE = 100
-"""Faces that are left of it."""
+"""Number of faces after simplification."""
 _HAIR = "the hair of "
 _LAMP = "the lamp "
 FINE = "the fine mesh of "
-"""What costs `surfel` time, and is no more than that."""
+"""Start of the names of pieces that `surfel` models, but that cost it time."""
 _GREY = 0.8
 
 
 def removable_pieces(scene: bpy.types.Scene) -> list[str]:
-    """Return what of a scene `surfel` does not model, or at a price, each piece by the name that `apply` knows."""
+    """Return the names, for `apply`, of the pieces of a scene that `surfel` does not model or that cost it time."""
     return list(_pieces(scene))
 
 
 def lights(scene: bpy.types.Scene) -> list[str]:
-    """Return those of `found` that give light of their own, to which the rest adds nothing."""
+    """Return those of `removable_pieces` that emit light, which simply adds to that of the spot."""
     return [name for name in removable_pieces(scene) if name == AMBIENT or name.startswith(_LAMP)]
 
 
 def apply(scene: bpy.types.Scene, names: Iterable[str]) -> None:
-    """Leave pieces out of the open scene.
+    """Remove pieces from the open scene.
 
     Parameters
     ----------
     scene : bpy.types.Scene
-        It is changed, for good.
+        Changed permanently.
     names : iterable of str
-        Of `found`, or of objects that play no single role, which are hidden. What the engine leaves out by itself
-        (`transport.left_out`) is no piece of the scene, and counts nothing.
+        From `removable_pieces`, or names of objects without a single role, which are hidden. What the engine leaves
+        out by itself (`transport.left_out`) is no piece of the scene, and is ignored.
 
     Raises
     ------
@@ -69,12 +69,12 @@ def apply(scene: bpy.types.Scene, names: Iterable[str]) -> None:
 
 
 def without_light(scene: bpy.types.Scene) -> None:
-    """Put out the spot lamp, so that only the other lights of the open scene are left."""
+    """Switch the spot lamp off, so that only the other lights of the open scene are left."""
     roles.find(scene, "spot").hide_render = True
 
 
 def _pieces(scene: bpy.types.Scene) -> dict[str, Callable[[], None]]:
-    """What leaves a piece out, by its name."""
+    """Functions that remove a piece, by the name of the piece."""
     pieces: dict[str, Callable[[], None]] = {}
     if roles.reflection_order(scene) > MAX_ORDER:
         pieces[BEYOND] = functools.partial(roles.limit_reflections, scene, MAX_ORDER)
@@ -98,7 +98,7 @@ def _pieces(scene: bpy.types.Scene) -> dict[str, Callable[[], None]]:
 
 
 def _keeps(obj: bpy.types.Object, named: dict[bpy.types.Object, str]) -> bool:
-    """Whether an object is what a sweep is about: camera, spot, wall."""
+    """Whether a sweep needs an object as it is: camera, spot, relay wall."""
     return named.get(obj) in ("camera", "spot", "relay_wall")
 
 
@@ -122,7 +122,7 @@ def _add_mesh(pieces: dict[str, Callable[[], None]], obj: bpy.types.Object, *, t
 
 
 def _put_out_the_sky(scene: bpy.types.Scene) -> None:
-    """Take the world's light and leave its fog."""
+    """Remove the world's light and keep its volume."""
     for owner, name in materials.worlds_of(scene):
         setattr(owner, name, nodes.darkened(getattr(owner, name)))
 
@@ -133,8 +133,8 @@ def _shave(obj: bpy.types.Object) -> None:
 
 
 def _flatten(obj: bpy.types.Object) -> None:
-    """Shade an object's faces as the planes that they are."""
-    obj.data = obj.data.copy()  # others may share it
+    """Set an object's faces to flat shading."""
+    obj.data = obj.data.copy()  # other objects may share it
     obj.data.polygons.foreach_set("use_smooth", np.zeros(len(obj.data.polygons), dtype=bool))
     if "custom_normal" in obj.data.attributes:
         obj.data.attributes.remove(obj.data.attributes["custom_normal"])
@@ -149,7 +149,7 @@ def _coarsen(obj: bpy.types.Object, ratio: float) -> None:
 
 
 def _paint(obj: bpy.types.Object) -> None:
-    """Give an object without a material the grey of Cycles' own, but none of its gloss."""
+    """Give an object without a material the grey of Cycles' default material, without its gloss."""
     material = bpy.data.materials.new("NLOS plain")
     _make_plain(material)
     if obj.material_slots:
@@ -172,20 +172,20 @@ def _make_plain(material: bpy.types.Material) -> None:
 
 
 def _colour(material: bpy.types.Material) -> tuple[float, ...]:
-    """What part of the light a material reflects, as far as its nodes tell; that of a lamp is black."""
-    found = []
+    """Approximate albedo of a material according to its nodes; black for an emitter."""
+    colours = []
     for part in nodes.read(material).surface:
         name = next((n for n in ("Base Color", "Color") if n in part.inputs), "")
         if part.kind in ("EMISSION", "HOLDOUT"):
-            found.append(np.zeros(3))
+            colours.append(np.zeros(3))
         elif name:
-            found.append(_value(part, name))
-    mean = np.clip(np.mean(found, axis=0) if found else np.full(3, _GREY), 0.0, 1.0)
+            colours.append(_value(part, name))
+    mean = np.clip(np.mean(colours, axis=0) if colours else np.full(3, _GREY), 0.0, 1.0)
     return tuple(float(c) for c in mean)
 
 
 def _value(part: nodes.Part, name: str) -> Any:
-    """The mean colour that an input of a shader is given."""
+    """Mean colour of a shader's input."""
     colour, image = part.colour(name), part.images.get(name)
     if colour is not None:
         return np.array(colour)

@@ -1,4 +1,4 @@
-"""What is read of a scene: surfaces, lights, and the reasons against an engine."""
+"""Data that are read from a scene: surfaces, lights, and the reasons against an engine."""
 
 from __future__ import annotations
 
@@ -11,15 +11,15 @@ import numpy as np
 from generator.model.arrays import Array
 
 EDGE = 1e-4
-"""Look just inside the picture, in its own width: it may end where the wall ends."""
+"""Tests stay this far inside the picture, in units of its width: it may end where the wall ends."""
 
 
 CORNERS = np.array([[0.0, 0.0], [1.0, 0.0], [1.0, 1.0], [0.0, 1.0]])
-"""Of a picture: top left, top right, bottom right, bottom left."""
+"""Corners of a picture: top left, top right, bottom right, bottom left."""
 
 
 FLAT = 1e-5
-"""A surface is plane if it leaves its plane by less, in units of its own size."""
+"""A surface counts as plane if it deviates from its plane by less than this, in units of its own size."""
 
 
 @dataclass(frozen=True)
@@ -38,30 +38,30 @@ class Surface:
     flaws: tuple[str, ...]
     kinds: frozenset[str] = frozenset()
     unseen_by: frozenset[str] = frozenset()
-    """Kinds of rays that pass it by."""
+    """Kinds of rays to which it is invisible."""
     softened: bool = False
     """Whether Cycles lets lamps shine around its corners, which are round in the shading only."""
 
 
 @dataclass(frozen=True)
 class Light:
-    """Something that gives light in a render.
+    """A light source in a render.
 
     Attributes
     ----------
     name : str
-        Of the object, or of the world.
+        Name of the object or of the world.
     kind : {"POINT", "SUN", "SPOT", "AREA", "SURFACE", "VOLUME", "WORLD"}
     role : str
-        "spot" or "target" of a surface that moves with it, "relay_wall", or "room".
+        "spot", "target" if it moves with the target, "relay_wall", or "room".
     instance : bool
-        One more of an object that an instancer repeats: collection, geometry nodes, particles.
+        Whether an instancer makes it from an object: collection, geometry nodes, particles.
     matrix : ndarray of shape (4, 4)
-        Where it stands, metres; a lamp shines along its -z.
+        Transform to the world, metres; a lamp shines along its -z.
     power : float
-        Of a lamp, watts (a sun's is W/m^2); NaN of the rest.
+        Power of a lamp, watts (of a sun, W/m^2); NaN otherwise.
     corners : ndarray of shape (n, 3, 3)
-        Triangles of a surface that glows, in the world, metres; empty of the rest.
+        Triangles of an emitting surface, in the world, metres; empty otherwise.
     """
 
     name: str
@@ -74,7 +74,7 @@ class Light:
 
     @property
     def is_spot(self) -> bool:
-        """Whether it is the spot of the scene itself, and no copy."""
+        """Whether it is the scene's spot itself, and not an instance of it."""
         return self.role == "spot" and not self.instance
 
 
@@ -84,22 +84,22 @@ class Reading:
 
     Attributes
     ----------
-    surfaces : list of _Surface
-        All that are rendered.
+    surfaces : list of Surface
+        All rendered surfaces.
     places : dict of str to ndarray of shape (4, 4)
-        Where the objects with a role stand.
+        Transforms to the world of the objects with a role.
     reasons : list of str
-        What else there is that `surfel` cannot honour.
+        What else `surfel` cannot honour.
     layers : list of str
-        What only plain Cycles does to a whole picture: view layers, materials that depend on Blender's version.
+        What only plain Cycles can honour in a picture: view layers, materials that depend on Blender's version.
     sky : ndarray of shape (3,) or None
-        Radiance of a world that shines alike from everywhere, if it does.
+        Radiance of a world with uniform light, else None.
     lights : list of Light
-        All that give light.
+        All light sources.
     volumes : list of str
-        What is filled with a volume, a phrase each.
+        Phrases that name what is filled with a volume.
     kinds : dict of str to frozenset of str
-        Of each object that is rendered, how its materials send light on (`nodes.kinds`).
+        Kinds of scattering of each rendered object's materials (`nodes.kinds`).
     """
 
     surfaces: list[Surface] = field(default_factory=list)
@@ -124,6 +124,6 @@ class Shape:
     flaws: tuple[str, ...]
     kinds: frozenset[str]
     glowing: Any
-    """Which of the triangles give light, (n,), bool."""
+    """Which of the triangles emit light, (n,), bool."""
     fire: bool
-    """Whether a volume inside gives light."""
+    """Whether a volume inside emits light."""

@@ -1,4 +1,4 @@
-"""Pictures by the noise-free integral: the engine `surfel`."""
+"""Rendering by the noise-free integral: the engine `surfel`."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ class SurfelRenderer:
     scene : bpy.types.Scene
     transport : Transport
     shadows : bool
-        Less the light of the room that the target keeps from the wall.
+        Whether the light of the room that the target keeps from the wall is subtracted.
     """
 
     def __init__(self, scene: bpy.types.Scene, transport: Transport, *, shadows: bool = True) -> None:
@@ -34,7 +34,7 @@ class SurfelRenderer:
         self._shadows = shadows
 
     def render(self, *, samples: int = 0, seed: int = 0, target: bool = True, ambient: bool = True) -> Picture:
-        """Render one picture with the target where it stands in the scene; samples and seed change nothing."""
+        """Render one picture with the target where it stands in the scene; samples and seed have no effect."""
         if not target:
             return self._transport.background(ambient=ambient).astype(np.float32)
         refuse_hidden(self._scene)
@@ -42,7 +42,7 @@ class SurfelRenderer:
         return self.at(tuple(position), tuple(math.degrees(angle) for angle in turn.to_euler("XYZ")))
 
     def difference(self, shot: Shot) -> Array:
-        """Return what the target at a pose changes of the empty scene, (height, width, 3), W/m^2/sr."""
+        """Return what the target at a pose changes in the empty scene's picture, (height, width, 3), W/m^2/sr."""
         return self._transport.difference(shot.position, shot.rotation, shadows=self._shadows)
 
     def at(self, position: Sequence[float], rotation: Sequence[float]) -> Picture:

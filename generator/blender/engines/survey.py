@@ -1,4 +1,4 @@
-"""Evaluated Blender scene -> what an engine needs of it, in plain arrays; says what it could not honour."""
+"""Converts an evaluated Blender scene to the plain arrays that engines need; reports what they cannot honour."""
 
 from __future__ import annotations
 
@@ -28,26 +28,26 @@ _SPHERE_ROUND = 1e-3
 
 @dataclass(frozen=True)
 class Survey:
-    """What a scene holds for each engine, and what each cannot honour: a phrase each that names the object.
+    """A scene as each engine needs it, and what each cannot honour, in phrases that name the object.
 
     Attributes
     ----------
     scene : str
-        Its file.
+        File of the scene.
     never : list of str
-        Why it cannot be swept by any engine.
+        Reasons why no engine can sweep the scene.
     patch : LitPatch or None
-        None if `patch` cannot honour something.
+        The lit patch; None if `patch` cannot honour something.
     patch_reasons : list of str
-        What `patch` cannot, besides.
+        What `patch` cannot honour, in addition to `never`.
     world : World or None
-        What `surfel` needs of it; None if it cannot honour something.
+        Input of `surfel`; None if it cannot honour something.
     surfel_reasons : list of str
-        What `surfel` cannot, besides; all of `patch_reasons` among it.
+        What `surfel` cannot honour, in addition to `never`; includes all of `patch_reasons`.
     lights : list of Light
-        All that give light; the spot too.
+        All light sources, including the spot.
     kinds : frozenset of str
-        How the materials of all that is rendered send light on (`nodes.kinds`).
+        Kinds of scattering of all rendered materials (`nodes.kinds`).
     """
 
     scene: str
@@ -61,27 +61,29 @@ class Survey:
 
     @property
     def alone(self) -> bool:
-        """Whether nothing but the spot gives light."""
+        """Whether the spot is the only light source."""
         return not other_lights(self.lights)
 
     @property
     def mirrors(self) -> bool:
-        """Whether anything but a diffuse surface reflects, so that rays must be able to meet a lamp by chance."""
+        """Whether anything but a diffuse surface reflects, so that rays must be able to hit a lamp by chance."""
         return bool(self.kinds - {nodes.DIFFUSE, nodes.TRANSPARENT})
 
     def reasons(self, engine: str) -> list[str]:
         """Return what an engine cannot honour."""
-        more = {"path": [], "patch": self.patch_reasons, "surfel": self.surfel_reasons}
-        return list(dict.fromkeys([*self.never, *more[engine]]))
+        by_engine = {"path": [], "patch": self.patch_reasons, "surfel": self.surfel_reasons}
+        return list(dict.fromkeys([*self.never, *by_engine[engine]]))
 
     def check(self, engine: str) -> None:
-        """Raise NlosError, naming everything and the engine that can, if an engine cannot honour the scene."""
+        """Raise NlosError, naming all reasons and an engine that can, if an engine cannot honour the scene."""
         if self.never:
             raise NlosError(f"{self.scene}: cannot be swept: {'; '.join(self.never)}")
         if reasons := self.reasons(engine):
-            instead = "path" if self.patch_reasons else "patch"
-            what = ", nor that ".join(reasons)
-            raise NlosError(f"{self.scene}: the engine {engine!r} cannot honour that {what}; use --engine {instead}")
+            alternative = "path" if self.patch_reasons else "patch"
+            listed = ", nor that ".join(reasons)
+            raise NlosError(
+                f"{self.scene}: the engine {engine!r} cannot honour that {listed}; use --engine {alternative}"
+            )
 
 
 def survey(scene: bpy.types.Scene, *, resolution: tuple[int, int] | None = None, ambient: bool = False) -> Survey:
@@ -90,11 +92,12 @@ def survey(scene: bpy.types.Scene, *, resolution: tuple[int, int] | None = None,
     Parameters
     ----------
     scene : bpy.types.Scene
-        The target is moved on the way, and put back.
+        The target is moved in the process, and put back.
     resolution : (int, int), optional
-        Of the pictures, width and height; the scene's own if not given.
+        Width and height of the pictures; the scene's own if not given.
     ambient : bool
-        Whether `surfel` may follow uniform ambient light, which is right to a few per cent only; else it is a reason.
+        Whether `surfel` may model uniform ambient light, to a few per cent only; if not, such light is a reason
+        against it.
 
     Raises
     ------
@@ -125,27 +128,29 @@ def survey(scene: bpy.types.Scene, *, resolution: tuple[int, int] | None = None,
     parts = [s for s in reading.surfaces if s.role == "target"]
     spheres = [_sphere(part, origin) for part in parts]
     bodies = [sphere or _mesh([part], origin) for sphere, part in zip(spheres, parts, strict=True)]
-    named = _room(reading)
-    room = [_mesh([s for s in reading.surfaces if s.role == "room" and s.name == name]) for name in named]
+    names = _room(reading)
+    room = [_mesh([s for s in reading.surfaces if s.role == "room" and s.name == name]) for name in names]
     for surface in reading.surfaces:
         reasons += surface.flaws
-    bent = [s for s in reading.surfaces if s.smooth and s.role != "target"]
-    bent += [part for sphere, part in zip(spheres, parts, strict=True) if part.smooth and sphere is None]
-    reasons += [f"{s.label} is shaded smooth, so that it reflects as if it were curved" for s in bent]
+    smooth = [s for s in reading.surfaces if s.smooth and s.role != "target"]
+    smooth += [part for sphere, part in zip(spheres, parts, strict=True) if part.smooth and sphere is None]
+    reasons += [f"{s.label} is shaded smooth, so that it reflects as if it were curved" for s in smooth]
     reasons += _coincident(reading, patch)
-    if why := roles.unseen(scene, target):
-        reasons.append(f"the target {target.name!r} {why}")
+    if hidden := roles.unseen(scene, target):
+        reasons.append(f"the target {target.name!r} {hidden}")
     elif not bodies:
         reasons.append(f"the target {target.name!r} has no surface to reflect light")
-    whole = None
+    surfel_input = None
     if not (never or reasons) and patch is not None and watched is not None:
-        whole = World(patch=patch, watched=watched, target=tuple(bodies), room=tuple(room), order=order, ambient=sky)
+        surfel_input = World(
+            patch=patch, watched=watched, target=tuple(bodies), room=tuple(room), order=order, ambient=sky
+        )
     return Survey(
         scene=bpy.data.filepath or "scene",
         never=list(dict.fromkeys(never)),
         patch=None if patch_reasons else patch,
         patch_reasons=list(dict.fromkeys(patch_reasons)),
-        world=whole,
+        world=surfel_input,
         surfel_reasons=list(dict.fromkeys(reasons)),
         lights=reading.lights,
         kinds=frozenset().union(*reading.kinds.values()),
@@ -153,69 +158,69 @@ def survey(scene: bpy.types.Scene, *, resolution: tuple[int, int] | None = None,
 
 
 def _coincident(reading: Reading, patch: LitPatch | None) -> list[str]:
-    """Name surfaces that lie on one another, of which Cycles sees one and a sum over surfaces both."""
+    """Return phrases that name coincident surfaces: Cycles sees one, but a sum over surfaces counts both."""
     reasons = []
     moving = [s for s in reading.surfaces if s.role == "target"]
-    still = [s for s in reading.surfaces if s.role != "target"]
-    for together in (moving, still):
-        if not together:
+    static = [s for s in reading.surfaces if s.role != "target"]
+    for group in (moving, static):
+        if not group:
             continue
-        triangles = np.concatenate([s.triangles for s in together])
-        owner = np.repeat(np.arange(len(together)), [len(s.triangles) for s in together])
+        triangles = np.concatenate([s.triangles for s in group])
+        owner = np.repeat(np.arange(len(group)), [len(s.triangles) for s in group])
         pairs = coincident.overlapping(triangles)
-        if together is still and patch is not None:
-            sealed = np.concatenate([_sealed(s, patch.centre) for s in still])
+        if group is static and patch is not None:
+            sealed = np.concatenate([_sealed(s, patch.centre) for s in static])
             pairs = pairs[~sealed[pairs].any(axis=1)]
         for a, b in np.unique(owner[pairs], axis=0):
-            one, other = together[a], together[b]
-            what = f"parts of {one.label} lie" if a == b else f"{one.label} and {other.label} lie"
-            reasons.append(f"{what} on one another, so that their light would count twice")
+            first, second = group[a], group[b]
+            phrase = f"parts of {first.label} lie" if a == b else f"{first.label} and {second.label} lie"
+            reasons.append(f"{phrase} on one another, so that their light would count twice")
     return list(dict.fromkeys(reasons))
 
 
 def _sealed(surface: Surface, source: Array) -> Array:
-    """Which triangles (n,) of a closed surface face away from a point (3,): a cupboard's foot, say."""
+    """Which triangles (n,) of a closed surface face away from a point (3,), such as the bottom of a cupboard."""
     a, b, c = (surface.triangles[:, i] - source for i in range(3))
     volumes = (np.cross(a, b) * c).sum(axis=1)
-    # Six times the signed volume: negative ones are inside out. Those of single faces say on which side the point is.
+    # Six times the signed volume: a negative sum means an inverted surface; single signs tell the point's side.
     faces_away = volumes * np.sign(volumes.sum()) > 0.0
     return faces_away if surface.closed else np.zeros(len(a), dtype=bool)
 
 
 def lit_patch(scene: bpy.types.Scene) -> LitPatch:
-    """Return the lit patch of a scene, or say why it has none in closed form.
+    """Return the lit patch of a scene; raise NlosError if it has none in closed form.
 
     Raises
     ------
     NlosError
-        `Survey.check` of the engine `patch`.
+        As `Survey.check` for the engine `patch`.
     """
-    found = survey(scene)
-    found.check("patch")
-    assert found.patch is not None
-    return found.patch
+    result = survey(scene)
+    result.check("patch")
+    assert result.patch is not None
+    return result.patch
 
 
 def surfel_world(scene: bpy.types.Scene, *, resolution: tuple[int, int] | None = None) -> World:
-    """Return what the engine `surfel` needs of a scene, ambient light too, or say why it cannot render it.
+    """Return the input of the engine `surfel` for a scene, including ambient light, if it can render the scene.
 
     Raises
     ------
     NlosError
-        `Survey.check` of the engine `surfel`.
+        As `Survey.check` for the engine `surfel`.
     """
-    found = survey(scene, resolution=resolution, ambient=True)
-    found.check("surfel")
-    assert found.world is not None
-    return found.world
+    result = survey(scene, resolution=resolution, ambient=True)
+    result.check("surfel")
+    assert result.world is not None
+    return result.world
 
 
 def world(
     scene: bpy.types.Scene, *, resolution: tuple[int, int] | None = None, ambient: bool = False
 ) -> tuple[World | None, list[str]]:
-    """Return what the engine `surfel` needs of a scene, or None, and what it cannot honour; see `survey`."""
-    found = survey(scene, resolution=resolution, ambient=ambient)
-    return found.world, found.reasons("surfel")
+    """Return the input of the engine `surfel` for a scene, or None, and what it cannot honour; see `survey`."""
+    result = survey(scene, resolution=resolution, ambient=ambient)
+    return result.world, result.reasons("surfel")
 
 
 def room_names(scene: bpy.types.Scene) -> list[str]:
@@ -229,7 +234,7 @@ def _room(reading: Any) -> list[str]:
 
 
 # --------------------------------------------------------------------------------------------------------------------
-# Reading the scene as a render sees it
+# Bodies for the integral
 # --------------------------------------------------------------------------------------------------------------------
 
 
@@ -241,43 +246,28 @@ def _mesh(surfaces: Sequence[Surface], origin: Any = 0.0) -> Mesh:
 
 
 def _sphere(surface: Surface, origin: Array) -> Sphere | None:
-    """Return the sphere that a finely tessellated ball stands for: the one with the mesh's own area; else None."""
+    """Return the sphere that a finely tessellated ball approximates, with the mesh's own area; else None."""
     if not surface.closed or surface.faces < _SPHERE_FACES or np.ptp(surface.albedo, axis=0).any():
         return None
     corners = np.unique((surface.triangles - origin).reshape(-1, 3), axis=0)
     middle = corners.mean(axis=0)
-    around = corners - middle
-    squared = (around**2).sum(axis=1)
+    offsets = corners - middle
+    squared = (offsets**2).sum(axis=1)
     # |x - c|^2 = r^2 is linear in c and in r^2 - c^2.
-    system = np.column_stack([2.0 * around, np.full(len(around), math.sqrt(squared.max()))])
+    system = np.column_stack([2.0 * offsets, np.full(len(offsets), math.sqrt(squared.max()))])
     shift = np.linalg.lstsq(system, squared, rcond=None)[0][:3]
     centre = middle + shift
-    distances = np.linalg.norm(around - shift, axis=1)
+    distances = np.linalg.norm(offsets - shift, axis=1)
     mean = float(distances.mean())
     if np.abs(distances - mean).max() > _SPHERE_ROUND * mean:
         return None
     local = surface.triangles - origin - centre
     sides = np.cross(local[:, 1] - local[:, 0], local[:, 2] - local[:, 0])
     doubled = np.linalg.norm(sides, axis=1)
-    # A ball cut off flat has its corners on the sphere too; its faces are not near it.
+    # A truncated ball has its corners on the sphere too, but its flat face is not near it.
     if (np.abs((sides * local[:, 0]).sum(axis=1)) < 0.85 * mean * doubled).any():
         return None
     radius = math.sqrt(doubled.sum() / 2.0 / (4.0 * math.pi))
-    if not 0.85 * mean < radius < (1.0 + _SPHERE_ROUND) * mean:  # two balls in one
+    if not 0.85 * mean < radius < (1.0 + _SPHERE_ROUND) * mean:  # larger, for example: two balls in one
         return None
     return Sphere(centre=centre, radius=radius, albedo=surface.albedo[0])
-
-
-# --------------------------------------------------------------------------------------------------------------------
-# The lit patch
-# --------------------------------------------------------------------------------------------------------------------
-
-
-# --------------------------------------------------------------------------------------------------------------------
-# The watched patch
-# --------------------------------------------------------------------------------------------------------------------
-
-
-# --------------------------------------------------------------------------------------------------------------------
-# What is in the way: exactly, not by probing
-# --------------------------------------------------------------------------------------------------------------------

@@ -1,4 +1,4 @@
-"""The part of the wall that the camera sees: w2 of every path."""
+"""The part of the wall that the camera sees, which holds w2 of every path."""
 
 from __future__ import annotations
 
@@ -47,7 +47,7 @@ def read_watched(
     if uneven > FLAT * size:
         return None, [*reasons, f"the relay wall {wall.name!r} is not plane"]
     matrix = reading.places.get("camera", numbers(camera.matrix_world))
-    # Cameras have no scale: Blender drops it.
+    # Blender ignores the scale of cameras.
     frame, eye = matrix[:3, :3] / np.linalg.norm(matrix[:3, :3], axis=0), matrix[:3, 3]
     if (eye - point) @ normal < 0:
         normal = -normal
@@ -65,12 +65,12 @@ def read_watched(
         albedo=np.zeros(3),
         resolution=resolution,
     )
-    reach = (watched.points(CORNERS) - eye) @ forward
-    if reach.min() < lens.clip_start or reach.max() > lens.clip_end:
+    depths = (watched.points(CORNERS) - eye) @ forward
+    if depths.min() < lens.clip_start or depths.max() > lens.clip_end:
         reasons.append(f"{name} clips the relay wall {wall.name!r}")
     outline = watched.points(EDGE + (1.0 - 2.0 * EDGE) * CORNERS)
     sides = pyramid(outline, seen_from)
-    slack = 1e-4 * float(reach.min())
+    slack = 1e-4 * float(depths.min())
     colour = colour_within(
         [s for s in surfaces if s.role == "relay_wall"], [*sides, *near_plane(normal, point, slack)]
     )
@@ -78,14 +78,14 @@ def read_watched(
         reasons.append(f"the relay wall {wall.name!r} has more than one colour where {name} sees it")
     else:
         watched = replace(watched, albedo=colour)
-    between = [
+    view_volume = [
         *sides,
         Plane(normal, float(normal @ point) + slack),
         Plane(forward, float(forward @ eye) + lens.clip_start),
     ]
-    least = NOTHING * polygon_area(outline)
+    threshold = NOTHING * polygon_area(outline)
     for surface in surfaces:
-        if surface.seen and surface.role == "room" and cut_areas(surface.triangles, between).sum() > least:
+        if surface.seen and surface.role == "room" and cut_areas(surface.triangles, view_volume).sum() > threshold:
             reasons.append(f"{surface.name!r} stands between {name} and the relay wall")
     if not covered(surfaces, sides, point, normal, outline, slack):
         reasons.append(f"{name} sees beyond the edge of the relay wall {wall.name!r}")
@@ -95,7 +95,7 @@ def read_watched(
 def _parallel(
     corners: list[Array], forward: Array, eye: Array, normal: Array, point: Array, _: float
 ) -> tuple[Array, Array] | None:
-    """Return the map from a picture, (u, v, 1), to the wall and the eye, both homogeneous, of an orthographic camera;
+    """Return an orthographic camera's map from the picture, (u, v, 1), to the wall, and its eye, both homogeneous;
     None if it sees beyond the wall's plane.
 
     ``corners`` (3,) of its frame are relative to the eye, as Blender orders them; ``normal`` and ``point`` are the
@@ -105,7 +105,7 @@ def _parallel(
     if slope <= 1e-9:
         return None
     right_top, _bottom, left_bottom, left_top = corners
-    # The frame's corners lie before the camera; only where they are across its axis counts.
+    # The frame's corners lie in front of the camera; only their position across its axis matters.
     start = np.column_stack([right_top - left_top, left_bottom - left_top, eye + left_top])
     start_height = normal @ start - np.array([0.0, 0.0, normal @ point])
     to_wall = np.zeros((4, 3))
@@ -118,12 +118,12 @@ def _parallel(
 def _central(
     corners: list[Array], _: Array, eye: Array, normal: Array, point: Array, size: float
 ) -> tuple[Array, Array] | None:
-    """As `_parallel`, of a perspective camera; ``size`` is the wall's."""
+    """As `_parallel`, for a perspective camera; ``size`` is the wall's."""
     right_top, _bottom, left_bottom, left_top = corners
     height = float((eye - point) @ normal)
     rays = np.column_stack([right_top - left_top, left_bottom - left_top, left_top])
     rays = rays / np.abs(rays).max()
-    # Where a ray meets the plane is homogeneous: the ray's own slope towards the wall is the last component.
+    # The homogeneous point where a ray meets the plane has the ray's slope towards the wall as last component.
     slopes = -normal @ rays
     if (np.column_stack([CORNERS, np.ones(4)]) @ slopes <= 1e-9).any() or height <= 1e-9 * size:
         return None

@@ -23,7 +23,7 @@ from generator.model.poses import Pose
 from generator.model.scene import Target
 
 ACCURACY = 1e-3
-"""Of each picture. A turn about the wall's normal changes it by little more."""
+"""Accuracy of each picture. A turn about the wall's normal changes a picture by little more."""
 
 TURN = 15.0
 """Degrees from one rotation to the next."""
@@ -42,11 +42,11 @@ class Experiment:
     target : {"sphere", "sheet"}
     engine : str
     poses : list of list of (position, rotation)
-        A row for each axis, at rest in the middle.
+        A row for each axis, with the object at rest in the middle.
     step : float
-        From one pose to the next: metres; degrees in experiment 3.
+        Distance from one pose to the next: metres; degrees in experiment 3.
     signals : ndarray of shape (repeats, 3, 5, height, width, 3)
-        What the object changes of the empty scene, W/m^2/sr; the same pictures with other noise.
+        Change of the empty scene by the object, W/m^2/sr; the repeats differ in noise only.
     """
 
     number: int
@@ -58,38 +58,38 @@ class Experiment:
 
     @property
     def differences(self) -> Array:
-        """Each picture less that at rest, the mean of the repeats, (3, 5, height, width, 3), W/m^2/sr."""
+        """Each picture minus the one at rest, averaged over repeats, (3, 5, height, width, 3), W/m^2/sr."""
         mean = self.signals.mean(axis=0)
-        apart: Array = mean - mean[:, [self._rest]]
-        return apart
+        differences: Array = mean - mean[:, [self._rest]]
+        return differences
 
     @property
     def rest(self) -> Array:
-        """What the object at rest changes of the empty scene, mean of the repeats, (height, width, 3), W/m^2/sr."""
-        still: Array = self.signals[:, 0, self._rest].mean(axis=0)
-        return still
+        """Change of the empty scene by the object at rest, averaged over repeats, (height, width, 3), W/m^2/sr."""
+        signal: Array = self.signals[:, 0, self._rest].mean(axis=0)
+        return signal
 
     def changes(self) -> list[tuple[float, float]]:
-        """Return by how much the signal changes along each axis, per metre or degree, and how much more it may be.
+        """Return the change of the signal along each axis, per metre or degree, and its distance to the upper bound.
 
-        The root mean square of the central difference, relative to that of the signal at rest. Noise would add to a
-        mean square, so it is taken from products of pictures with noise of their own; the 95 % interval is the
-        jackknife's (Efron 1981), and 0 where there is no noise. NaN where noise hides the signal itself.
+        The change is the root mean square of the central difference, relative to that of the signal at rest. Noise
+        would bias a mean square, so products of pictures with independent noise are averaged. The 95 % interval is
+        the jackknife's (Efron 1981), and 0 where there is no noise. NaN where noise hides the signal itself.
         """
         return [self._change(axis) for axis in range(3)]
 
     def _change(self, axis: int) -> tuple[float, float]:
-        every = self.signals
-        shift = (every[:, axis, self._rest + 1] - every[:, axis, self._rest - 1]) / (2.0 * self.step)
-        rest, count = every[:, axis, self._rest], len(every)
+        signals = self.signals
+        shift = (signals[:, axis, self._rest + 1] - signals[:, axis, self._rest - 1]) / (2.0 * self.step)
+        rest, count = signals[:, axis, self._rest], len(signals)
         square = _ratio(shift, rest)
         value = math.sqrt(max(square, 0.0))
         if count == 1:
             return value, 0.0
-        left = np.array([_ratio(np.delete(shift, i, axis=0), np.delete(rest, i, axis=0)) for i in range(count)])
-        error = math.sqrt((count - 1) / count * ((left - left.mean()) ** 2).sum())
-        wide = _STUDENT[min(count - 1, max(_STUDENT))] * error
-        return (value if math.isfinite(square) else math.nan), math.sqrt(max(square + wide, wide)) - value
+        estimates = np.array([_ratio(np.delete(shift, i, axis=0), np.delete(rest, i, axis=0)) for i in range(count)])
+        error = math.sqrt((count - 1) / count * ((estimates - estimates.mean()) ** 2).sum())
+        margin = _STUDENT[min(count - 1, max(_STUDENT))] * error
+        return (value if math.isfinite(square) else math.nan), math.sqrt(max(square + margin, margin)) - value
 
     @property
     def _rest(self) -> int:
@@ -97,12 +97,12 @@ class Experiment:
 
 
 def _ratio(shift: Array, rest: Array) -> float:
-    below = _mean_square(rest)
-    return _mean_square(shift) / below if below > 0.0 else math.nan
+    denominator = _mean_square(rest)
+    return _mean_square(shift) / denominator if denominator > 0.0 else math.nan
 
 
 def _mean_square(repeats: Array) -> float:
-    """Mean square of what repeats (n, ...) have in common."""
+    """Return the mean square of what repeats (n, ...) have in common."""
     if len(repeats) == 1:
         return float((repeats[0] ** 2).mean())
     return float(np.mean([(repeats[i] * repeats[j]).mean() for i, j in combinations(range(len(repeats)), 2)]))
@@ -118,21 +118,21 @@ def run(
     repeats: int = 8,
     progress: Callable[[int, int], None] = lambda done, total: None,
 ) -> Experiment:
-    """Take the pictures of an experiment, by the cheapest engine that the scene allows.
+    """Render the pictures of an experiment, by the cheapest engine that the scene allows.
 
     Parameters
     ----------
     scene : bpy.types.Scene
-        The object stands where the target does, half as large as a voxel. Afterwards all is as before.
+        The object replaces the target, half as large as a voxel. Afterwards the scene is restored.
     number : {1, 2, 3}
         1 and 2 move the object along x, y and z; 3 turns it about them.
     target : {"sphere", "sheet"}
     pixels : int
-        Of a picture's side.
+        Side of a picture, pixels.
     samples, repeats : int
-        Of Cycles, where the engine `surfel`, which has no noise, cannot honour the scene.
+        For Cycles, which is used if the engine `surfel`, which has no noise, cannot render the scene.
     progress : callable
-        Is told how many pictures are taken, and of how many.
+        Called with the number of pictures rendered, and with their total.
 
     Raises
     ------
@@ -140,37 +140,37 @@ def run(
         The scene cannot be read, or there is no such experiment.
     """
     size = min(read_scene(scene).grid.size) / 2.0
-    place = tuple(float(v) for v in geometry.snapshot(scene).matrices["target"][:3, 3])
-    rows = poses.experiment(number, (place[0], place[1], place[2]), step=size / 4.0, turn=TURN)
-    wanted = Target(kind="sphere" if target == "sphere" else "sheet", size=size, albedo=Target.named(target).albedo)
-    with posing.stand_in(scene, wanted):
+    position = tuple(float(v) for v in geometry.snapshot(scene).matrices["target"][:3, 3])
+    rows = poses.experiment(number, (position[0], position[1], position[2]), step=size / 4.0, turn=TURN)
+    model = Target(kind="sphere" if target == "sphere" else "sheet", size=size, albedo=Target.named(target).albedo)
+    with posing.stand_in(scene, model):
         engine, _ = renderers.choose(scene)
         with renderers.opened(scene, engine, resolution=(pixels, pixels), accuracy=ACCURACY) as renderer:
             if traits_of(engine).noisy:
-                taken = _sampled(scene, renderer, rows, samples, repeats, progress)
+                signals = _sampled(scene, renderer, rows, samples, repeats, progress)
             else:
-                taken = np.array([[[renderer.difference(Shot(*pose)) for pose in row] for row in rows]])
-    return Experiment(number, target, engine, rows, TURN if number == 3 else size / 4.0, taken)
+                signals = np.array([[[renderer.difference(Shot(*pose)) for pose in row] for row in rows]])
+    return Experiment(number, target, engine, rows, TURN if number == 3 else size / 4.0, signals)
 
 
 def draw(scene: bpy.types.Scene, number: int, *, pixels: int = 64) -> Picture:
-    """Return the difference pictures of an experiment side by side: an axis a row, the object at rest in the middle.
+    """Return the difference pictures of an experiment side by side: a row per axis, the object at rest in the middle.
 
-    A sphere in experiment 1, a square sheet in 2 and 3.
+    The object is a sphere in experiment 1, and a square sheet in 2 and 3.
 
     Returns
     -------
     ndarray of shape (3 * pixels, 5 * pixels, 3), float32
-        Radiance less that with the object at rest, W/m^2/sr.
+        Radiance minus that with the object at rest, W/m^2/sr.
 
     Raises
     ------
     NlosError
         As `run`.
     """
-    apart = run(scene, number, "sphere" if number == 1 else "sheet", pixels=pixels, repeats=1).differences
-    sheet: Picture = np.concatenate([np.concatenate(row, axis=1) for row in apart]).astype(np.float32)
-    return sheet
+    differences = run(scene, number, "sphere" if number == 1 else "sheet", pixels=pixels, repeats=1).differences
+    mosaic: Picture = np.concatenate([np.concatenate(row, axis=1) for row in differences]).astype(np.float32)
+    return mosaic
 
 
 def _sampled(
@@ -181,13 +181,13 @@ def _sampled(
     repeats: int,
     progress: Callable[[int, int], None],
 ) -> Array:
-    """Pictures less the empty scene's of the same noise; each distinct pose is taken once a repeat."""
+    """Return pictures minus the empty scene's with the same noise; each distinct pose is rendered once per repeat."""
     distinct = list(dict.fromkeys(pose for row in rows for pose in row))
-    taken: dict[Any, list[Array]] = {pose: [] for pose in distinct}
+    signals: dict[Any, list[Array]] = {pose: [] for pose in distinct}
     for seed in range(repeats):
         empty = renderer.render(samples=samples, seed=seed, target=False).astype(np.float64)
         for pose in distinct:
             posing.move_target(scene, *pose)
-            taken[pose].append(renderer.render(samples=samples, seed=seed) - empty)
-            progress(sum(map(len, taken.values())), repeats * len(distinct))
-    return np.moveaxis(np.array([[taken[pose] for pose in row] for row in rows]), 2, 0)
+            signals[pose].append(renderer.render(samples=samples, seed=seed) - empty)
+            progress(sum(map(len, signals.values())), repeats * len(distinct))
+    return np.moveaxis(np.array([[signals[pose] for pose in row] for row in rows]), 2, 0)

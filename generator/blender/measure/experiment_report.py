@@ -1,4 +1,4 @@
-"""The paper's experiments as a report: tables, pictures, and its claims tested."""
+"""Reports the paper's experiments: tables, pictures, and tests of its claims."""
 
 from __future__ import annotations
 
@@ -21,18 +21,18 @@ from generator.model.presets import preset
 from generator.model.scene import Scene
 
 Open = Callable[[float], bpy.types.Scene]
-"""What makes a scene under uniform ambient light of a radiance, W/m^2/sr."""
+"""Returns a scene under uniform ambient light of a radiance, W/m^2/sr."""
 
 _COLUMNS = ["target", "place", "engine", "axis", "unit", "change_percent", "half_interval_percent"]
 
 
 def presets() -> dict[str, Open]:
-    """Return two places: an object in front of the wall that it lights, as the paper has it, and one aside of it."""
+    """Return two places: the object in front of the wall that it lights, as in the paper, and to the side of it."""
     return {name: partial(_preset, name) for name in ("tabletop", "room")}
 
 
 def _preset(name: str, ambient: float) -> bpy.types.Scene:
-    """Build a preset; a room has no ceiling, dark or not, so that light alone makes the difference."""
+    """Build a preset; a room has no ceiling, even if dark, so that lit and dark differ by the light alone."""
     scene = blend_file.new_file()
     open_above = to_dict(preset(name).with_ambient(1.0))
     build.build(scene, from_dict(Scene, {**open_above, "ambient": ambient}))
@@ -48,20 +48,21 @@ def run(
     ambient: float = 0.0,
     progress: Callable[[int, int], None] = lambda done, total: None,
 ) -> Iterator[str]:
-    """Do an experiment everywhere, dark and lit, write ``changes.csv``, figures and pictures, and say what was found.
+    """Run an experiment in all places, dark and lit; write ``changes.csv``, figures and pictures; yield the results.
 
     Parameters
     ----------
     number : {1, 2, 3}
     folder : Path
-        Files of other names in it are left alone.
+        Output folder; files of other names in it are left alone.
     places : mapping
+        Scenes by name.
     settings : mapping
-        ``pixels``, ``samples`` and ``repeats`` of `experiment.run`.
+        Arguments ``pixels``, ``samples`` and ``repeats`` of `experiment.run`.
     ambient : float
         Light that the sky alone would give the wall, in units of the mean signal with the object at rest; 0 is dark.
     progress : callable
-        Is told how many pictures are taken, and of how many.
+        Called with the number of pictures rendered, and with their total.
 
     Yields
     ------
@@ -71,18 +72,18 @@ def run(
     rows: list[list[str]] = []
     for target in {1: ("sphere",), 2: ("sheet",), 3: ("sphere", "sheet")}[number]:
         done: dict[str, Experiment] = {}
-        for name, opened in places.items():
-            dark = experiment.run(opened(0.0), number, target, progress=progress, **settings)
+        for name, open_scene in places.items():
+            dark = experiment.run(open_scene(0.0), number, target, progress=progress, **settings)
             done[name] = dark
             if ambient:
                 sky = ambient * abs(float(dark.rest.mean()))
-                lit = f"{name} under ambient light"
-                done[lit] = experiment.run(opened(sky), number, target, progress=progress, **settings)
-        for name, found in done.items():
-            rows += [[target, name, found.engine, *cells] for cells in _cells(found)]
-            yield _sentence(found, name)
+                lit_name = f"{name} under ambient light"
+                done[lit_name] = experiment.run(open_scene(sky), number, target, progress=progress, **settings)
+        for name, result in done.items():
+            rows += [[target, name, result.engine, *cells] for cells in _cells(result)]
+            yield _sentence(result, name)
             for axis, letter in enumerate("xyz"):
-                row = np.concatenate(found.differences[axis], axis=1).astype(np.float32)
+                row = np.concatenate(result.differences[axis], axis=1).astype(np.float32)
                 write_picture(folder / f"{target}-{name.replace(' ', '-')}-{letter}.exr", row, {"units": "W/m^2/sr"})
         path = folder / f"experiment-{number}-{target}.png"
         _draw(path, done)
@@ -100,16 +101,16 @@ def _cells(found: Experiment) -> list[list[str]]:
 
 
 def _unit(found: Experiment) -> tuple[str, float]:
-    """What changes are counted per, and how much of a metre or degree that is."""
+    """Return the unit per which changes are given, and its size in metres or degrees."""
     return ("degree", 1.0) if found.number == 3 else ("cm", 0.01)
 
 
 def _sentence(found: Experiment, place: str) -> str:
-    """What moves the signal, strongest first, and whether the paper's claim holds."""
+    """Return a sentence: the change along each axis, strongest first, and whether the paper's claim holds."""
     unit, factor = _unit(found)
     changes = found.changes()
     order = sorted(range(3), key=lambda axis: -changes[axis][0])
-    told = ", ".join(
+    listed = ", ".join(
         f"{'xyz'[axis]} {100.0 * factor * changes[axis][0]:.3g}"
         + (f" ± {100.0 * factor * changes[axis][1]:.2g}" if changes[axis][1] else "")
         for axis in order
@@ -119,19 +120,19 @@ def _sentence(found: Experiment, place: str) -> str:
         return (
             f"{found.target}, {place} ({found.engine}): noise drowns the signal; ask for more --samples or --repeats"
         )
-    return f"{found.target}, {place} ({found.engine}): {how} {told} % of the signal per {unit}; {_claim(found)}"
+    return f"{found.target}, {place} ({found.engine}): {how} {listed} % of the signal per {unit}; {_claim(found)}"
 
 
 def _claim(found: Experiment) -> str:
-    """The paper's claim (end of section 5.1) against what was found; nothing is claimed within the intervals."""
+    """Return whether the paper's claim (end of section 5.1) holds; within the intervals nothing is claimed."""
     (x, dx), (y, dy), (z, dz) = found.changes()
     if found.number == 3:
         if found.target == "sphere":
             return "a ball looks the same however it is turned"
-        other, spread = min((x, dx), (z, dz))
-        if abs(other - y) <= dx + dy + dz:
+        weaker, spread = min((x, dx), (z, dz))
+        if abs(weaker - y) <= dx + dy + dz:
             return "which axis matters is within the noise"
-        return "the paper's x and z matter most: " + ("so it is" if other > y else "not here")
+        return "the paper's x and z matter most: " + ("so it is" if weaker > y else "not here")
     strongest, spread = max((x, dx), (z, dz))
     if abs(y - strongest) <= dy + spread:
         return "which axis is the strongest is within the noise"
@@ -141,20 +142,20 @@ def _claim(found: Experiment) -> str:
 def _draw(path: Path, done: Mapping[str, Experiment]) -> None:
     first = next(iter(done.values()))
     steps = np.arange(len(first.poses[0])) - len(first.poses[0]) // 2
-    moved = [k for k in range(len(steps)) if steps[k]]
-    blocks = [(place, found.differences[:, moved].mean(axis=-1)) for place, found in done.items()]
-    signal = [float(np.quantile(np.abs(found.rest.mean(axis=-1)), 0.995)) for found in done.values()]
+    columns = [k for k in range(len(steps)) if steps[k]]
+    blocks = [(place, result.differences[:, columns].mean(axis=-1)) for place, result in done.items()]
+    signal = [float(np.quantile(np.abs(result.rest.mean(axis=-1)), 0.995)) for result in done.values()]
     how = "turned" if first.number == 3 else "moved"
     title = f"Experiment {first.number}: a {first.target} is {how}; × is how far a difference is amplified to be as "
     figures.experiment(
         path,
         title + "bright as the signal at rest",
         blocks,
-        [_shift(first.number, int(s)) for s in steps[moved]],
+        [_shift(first.number, int(s)) for s in steps[columns]],
         signal,
     )
 
 
 def _shift(number: int, steps: int) -> str:
-    """What stands over a column; a step is an eighth of the voxel."""
+    """Return the heading of a column; a step is an eighth of the voxel."""
     return f"{steps * experiment.TURN:+.3g}°" if number == 3 else f"{steps:+d}/8 voxel"

@@ -1,4 +1,4 @@
-"""What an effect that only Cycles models contributes to the difference picture, in spite of Cycles' noise."""
+"""Measures what effects that only Cycles models contribute to the difference picture, despite Cycles' noise."""
 
 from __future__ import annotations
 
@@ -17,35 +17,36 @@ from generator.model.arrays import Array
 from generator.model.poses import PoseRecord
 
 PIXELS = 8
-"""A side of the pictures that are rendered: radiance is a mean over a pixel, so only detail is lost, and of as many
-rays fewer pixels make products of two noises smaller."""
+"""Longer side of the rendered pictures, pixels. Radiance is a mean over a pixel, so only detail is lost, and for a
+given number of rays, fewer pixels make the product of two noises smaller."""
 SAMPLES = 1024
 ROUNDS = (4, 48)
-"""Fewest and most."""
+"""Fewest and most rounds."""
 DENOISED = 64
-"""Samples that the denoiser is measured with; its pictures are of full size, for detail is what it takes."""
+"""Samples with which the denoiser is measured; its pictures have full size, because it removes detail."""
 DENOISER = f"the denoiser, at {DENOISED} samples"
 _SPREAD = 3
-"""Every so many voxels it is measured in."""
+"""The denoiser is measured in one of this many voxels."""
 SURE = 0.4
-"""Of an effect that is to be known and not decided on: its interval is no wider than this, relative to it."""
+"""Widest interval, relative to the effect, at which an effect that is not decided on counts as measured."""
 
 
 @dataclass
 class PairedMeasurement:
     """Difference pictures of a scene with and without some of its pieces.
 
-    A round is one pose in each voxel, rendered twice with independent noise, so that the product of both has the
-    square of the light for its mean and no square of the noise. Pictures of a pair with and without a piece share
-    their random numbers: paths that never meet the piece cancel. What lamps and ambient light give besides the spot
-    is rendered alone, since light adds up.
+    A round is one pose in each voxel, rendered twice with independent noise, so that the mean of the product of both
+    is the square of the light, without the square of the noise. Pictures of a pair with and without a piece share
+    their random numbers: paths that never meet the piece cancel. What other lamps than the spot and ambient
+    light contribute is rendered alone, since light adds up.
 
     Parameters
     ----------
     source : Path
-        The scene's file.
+        Scene file.
     engine : {"patch", "path"}
     rounds : sequence of sequences of PoseRecord
+        Poses of each round.
     aspect : float
         Width over height of the picture.
     """
@@ -61,13 +62,13 @@ class PairedMeasurement:
         self.lights = simplify.lights(blend_file.open_file(self.source))
 
     def errors(self, dropped: Sequence[str], number: int) -> Array:
-        """Return what a round shows of the pieces left out, in two noises, (2, n, pixels)."""
+        """Return what pieces that are left out contribute to a round, in two noises, (2, n, pixels)."""
         lights = frozenset(self.lights)
-        gone, rest = lights & set(dropped), frozenset(dropped) - lights
-        return np.array([self._share(rest, gone, number, twin) for twin in range(2)])
+        dropped_lights, rest = lights & set(dropped), frozenset(dropped) - lights
+        return np.array([self._share(rest, dropped_lights, number, twin) for twin in range(2)])
 
     def together(self, dropped: Sequence[str]) -> tuple[float, float, float]:
-        """Return the error of pieces left out together, by the rounds that are made of each of them already."""
+        """Return the error of pieces left out together, from the rounds already rendered for each of them."""
         numbers = sorted(
             set.intersection(
                 *({key[2] for key in self._made if name in key[0] | (key[1] or set())} for name in dropped)
@@ -76,36 +77,36 @@ class PairedMeasurement:
         return share([self.errors(dropped, k) for k in numbers], [self.whole(k) for k in numbers])
 
     def raised(self, order: int, number: int) -> Array:
-        """Return what a round shows of reflections up to an order, beyond the scene's own, (2, n, pixels)."""
-        own = [self._difference(frozenset(), None, number, twin) for twin in range(2)]
-        more = [self._difference(frozenset(), None, number, twin, order) for twin in range(2)]
-        return np.array(more) - np.array(own)
+        """Return what reflections up to an order, beyond the scene's own, contribute to a round, (2, n, pixels)."""
+        normal = [self._difference(frozenset(), None, number, twin) for twin in range(2)]
+        raised = [self._difference(frozenset(), None, number, twin, order) for twin in range(2)]
+        return np.array(raised) - np.array(normal)
 
     def whole(self, number: int) -> Array:
         """Return a round's difference pictures, (2, n, pixels)."""
         return np.array([self._whole(number, twin) for twin in range(2)])
 
     def _whole(self, number: int, twin: int) -> Array:
-        made = self._difference(frozenset(), None, number, twin)
+        pictures = self._difference(frozenset(), None, number, twin)
         if self.lights:
-            made = made + self._difference(frozenset(), frozenset(self.lights), number, twin)
-        return made
+            pictures = pictures + self._difference(frozenset(), frozenset(self.lights), number, twin)
+        return pictures
 
     def _share(self, rest: frozenset[str], gone: frozenset[str], number: int, twin: int) -> Array:
-        left = frozenset(self.lights) - gone
-        made = np.zeros_like(self._difference(frozenset(), None, number, twin))
+        remaining = frozenset(self.lights) - gone
+        pictures = np.zeros_like(self._difference(frozenset(), None, number, twin))
         if gone:
-            made = made + self._difference(frozenset(), gone, number, twin)
+            pictures = pictures + self._difference(frozenset(), gone, number, twin)
         if rest:
-            for lit in [None, left] if left else [None]:
-                one, other = (self._difference(names, lit, number, twin) for names in (frozenset(), rest))
-                made = made + one - other
-        return made
+            for lit in [None, remaining] if remaining else [None]:
+                complete, reduced = (self._difference(names, lit, number, twin) for names in (frozenset(), rest))
+                pictures = pictures + complete - reduced
+        return pictures
 
     def _difference(
         self, dropped: frozenset[str], lit: frozenset[str] | None, number: int, twin: int, order: int = 0
     ) -> Array:
-        """Difference pictures (n, pixels) of a round, by the spot alone, or by some other lights alone."""
+        """Return difference pictures (n, pixels) of a round, by the spot alone, or by some other lights alone."""
         key = (dropped | ({f"order {order}"} if order else set()), lit, number, twin)
         if key in self._made:
             return self._made[key]
@@ -131,25 +132,25 @@ class PairedMeasurement:
         twin: int,
         denoise: bool = False,
     ) -> Array:
-        """Difference pictures (n, pixels) of an open scene at poses."""
-        made = []
+        """Return difference pictures (n, pixels) of an open scene at poses."""
+        differences = []
         with renderers.opened(scene, engine, resolution=resolution, denoise=denoise) as renderer:
             for pose in poses:
                 posing.move_target(scene, pose.position, pose.rotation)
                 seed = (pose.seed + 7919 * twin) % 2**31
-                seen, empty = (
+                picture, background = (
                     renderer.render(samples=samples, seed=seed, target=target).astype(np.float64)
                     for target in (True, False)
                 )
-                made.append((seen - empty).mean(axis=2).ravel())
-        return np.array(made)
+                differences.append((picture - background).mean(axis=2).ravel())
+        return np.array(differences)
 
     def denoised(self, resolution: tuple[int, int], number: int) -> tuple[Array, Array]:
-        """Return what the denoiser changes of some of a round's pictures, and these, in two noises (2, n, pixels)."""
+        """Return what the denoiser changes in some pictures of a round, and these, in two noises, (2, n, pixels)."""
         scene = blend_file.open_file(self.source)
-        some = self.rounds[number][::_SPREAD]
+        records = self.rounds[number][::_SPREAD]
         plain, smooth = (
-            np.array([self._rendered(scene, self.engine, resolution, DENOISED, some, k, on) for k in range(2)])
+            np.array([self._rendered(scene, self.engine, resolution, DENOISED, records, k, on) for k in range(2)])
             for on in (False, True)
         )
         return smooth - plain, plain
@@ -161,14 +162,14 @@ def share(errors: Sequence[Array], wholes: Sequence[Array]) -> tuple[float, floa
     Parameters
     ----------
     errors, wholes : sequence of ndarray of shape (2, n, pixels)
-        Round by round, from the same n voxels: what is missing, and the difference pictures, in two noises.
+        Round by round, from the same n voxels: the missing light, and the difference pictures, in two noises.
 
     Returns
     -------
     (float, float, float)
         See `intervals.relative`.
     """
-    power, signal = (np.array([(one[0] * one[1]).mean(axis=1) for one in some]) for some in (errors, wholes))
+    power, signal = (np.array([(pair[0] * pair[1]).mean(axis=1) for pair in rounds]) for rounds in (errors, wholes))
     return relative(power, signal)
 
 
@@ -181,44 +182,44 @@ def measure(
     most: float = 300.0,
     progress: Callable[[str], None] = lambda words: None,
 ) -> dict[str, tuple[float, float, float]]:
-    """Measure pieces one by one until each is decided, or time is up.
+    """Measure pieces one by one until each is decided, or the time is up.
 
     Parameters
     ----------
-    probe : Probe
+    probe : PairedMeasurement
     names : sequence of str
-        Of `simplify.removable_pieces`.
+        Pieces, from `simplify.removable_pieces`.
     orders : sequence of int
         Reflection orders beyond the scene's, whose light is measured too.
     tolerance : float
         A piece is decided when its interval lies on one side of it.
     most : float
-        Seconds.
+        Time limit, seconds.
     progress : callable
-        Is told what is being done.
+        Called with a sentence about what is done.
 
     Returns
     -------
     dict of str to (float, float, float)
-        As `share` does, by the piece's name, or an order's (`order_name`).
+        Results of `share`, by the piece's name, or the name of an order (`order_name`).
     """
-    begun = time.monotonic()
+    start = time.monotonic()
     todo = [*(("", order) for order in orders), *((name, 0) for name in names)]
-    errors: dict[tuple[str, int], list[Array]] = {one: [] for one in todo}
-    found: dict[str, tuple[float, float, float]] = {}
+    errors: dict[tuple[str, int], list[Array]] = {key: [] for key in todo}
+    shares: dict[str, tuple[float, float, float]] = {}
     for number in range(min(ROUNDS[1], len(probe.rounds))):
         for name, order in todo:
-            got = probe.raised(order, number) if order else probe.errors([name], number)
-            errors[name, order].append(got)
+            change = probe.raised(order, number) if order else probe.errors([name], number)
+            errors[name, order].append(change)
         wholes = [probe.whole(k) for k in range(number + 1)]
-        for one in todo:
-            found[one[0] or order_name(one[1])] = share(errors[one], wholes)
+        for key in todo:
+            shares[key[0] or order_name(key[1])] = share(errors[key], wholes)
         if number + 1 >= ROUNDS[0]:
-            todo = [one for one in todo if not _decided(found[one[0] or order_name(one[1])], one[1], tolerance)]
+            todo = [key for key in todo if not _decided(shares[key[0] or order_name(key[1])], key[1], tolerance)]
         progress(f"round {number + 1}: {len(todo)} of {len(errors)} effects not decided yet")
-        if not todo or _late(begun, number + 1, most):
+        if not todo or _late(start, number + 1, most):
             break
-    return found
+    return shares
 
 
 def denoiser_bias(
@@ -228,44 +229,44 @@ def denoiser_bias(
     most: float = 60.0,
     progress: Callable[[str], None] = lambda words: None,
 ) -> tuple[float, float, float]:
-    """Measure by how much denoised pictures are wrong in the mean, whatever their noise.
+    """Measure the bias of denoised pictures: the error of their mean, apart from their noise.
 
     Parameters
     ----------
-    probe : Probe
+    probe : PairedMeasurement
     resolution : (int, int)
-        Of the pictures that will be swept.
+        Width and height of the sweep's pictures.
     most : float
-        Seconds.
+        Time limit, seconds.
     progress : callable
-        Is told what is being done.
+        Called with a sentence about what is done.
 
     Returns
     -------
     (float, float, float)
-        As `share` does.
+        See `share`.
     """
-    begun, errors, wholes = time.monotonic(), [], []
+    start, errors, wholes = time.monotonic(), [], []
     for number in range(min(ROUNDS[1], len(probe.rounds))):
         error, whole = probe.denoised(resolution, number)
         errors.append(error)
         wholes.append(whole)
-        found = share(errors, wholes)
+        bias = share(errors, wholes)
         progress(f"round {number + 1} of the denoiser's bias")
-        value, low, high = found
-        if (number + 1 >= ROUNDS[0] and high - low < SURE * value) or _late(begun, number + 1, most):
+        value, low, high = bias
+        if (number + 1 >= ROUNDS[0] and high - low < SURE * value) or _late(start, number + 1, most):
             break
-    return found
+    return bias
 
 
 def _late(begun: float, done: int, most: float) -> bool:
-    """Whether rounds are enough, and there is no time for one more."""
-    took = time.monotonic() - begun
-    return done >= ROUNDS[0] and most - took < took / done
+    """Whether there are enough rounds, and no time for one more."""
+    elapsed = time.monotonic() - begun
+    return done >= ROUNDS[0] and most - elapsed < elapsed / done
 
 
 def order_name(order: int) -> str:
-    """Return what the light of a reflection order beyond the scene's is called."""
+    """Return the name of the light of a reflection order beyond the scene's own."""
     return f"reflections up to the {order}th"
 
 

@@ -1,4 +1,4 @@
-"""Plans what to model of a scene: measures its effects, keeps what a tolerance needs, predicts what that takes."""
+"""Plans what to model of a scene: measures its effects, keeps those that matter, and predicts a sweep's cost."""
 
 from __future__ import annotations
 
@@ -30,15 +30,15 @@ from generator.transport import Transport, World, left_out
 _REFERENCE = 1 / 10
 """Accuracy of the engine that effects are measured with, in units of the tolerance."""
 _PLANNED = 1 / 3
-"""Accuracy of the planned sweep, likewise; what is left out has the rest."""
+"""Accuracy of the planned sweep, in the same units; the rest is for what is left out."""
 _COARSEST = 0.1
 _ORDERS = (4, 5)
 _NOTHING = Effect("nothing", (0.0, 0.0, 0.0))
 _PIXEL_BYTES = 12
 _SKY = 0.01
-"""Accuracy of the lamp's light, beside ambient light."""
+"""Accuracy of the lamp's light where ambient light is measured."""
 _SMALL = (16, 16)
-"""Pixels that tell of ambient light, which has no detail."""
+"""Width and height of pictures that measure ambient light, which has no detail."""
 
 
 def make(
@@ -54,28 +54,28 @@ def make(
 ) -> Plan:
     """Measure a scene's effects, and plan a sweep of it.
 
-    What `surfel` models is measured by it, without noise. What only Cycles models - other lights, materials that are
-    not plain, further reflections - is measured by paired renders (`generator.blender.measure.paired`), and if all of
-    it may be left out, the plan is one for `surfel`.
+    `surfel` measures the effects that it models, without noise. Effects that only Cycles models - other lights,
+    materials that are not plain, further reflections - are measured by paired renders
+    (`generator.blender.measure.paired`). If all of these may be left out, the plan is one for `surfel`.
 
     Parameters
     ----------
     source : Path
-        The ``.blend``, which is opened; what was open before is lost.
+        The ``.blend`` file, which is opened; the file open before is closed without saving.
     tolerance : float
-        Error of a difference picture that is allowed, relative, root mean square over pixels and poses.
+        Allowed error of a difference picture, relative, root mean square over pixels and poses.
     count : int
-        Poses per voxel that `surfel` looks at.
+        Poses per voxel that `surfel` renders.
     seed : int
-        Of the poses.
+        Seed of the poses.
     most : float
-        Seconds for Cycles' effects; 0 measures none of them, and keeps them all.
+        Time limit for Cycles' effects, seconds; 0 measures none of them, and keeps them all.
     workers : int
-        Of the sweep that is predicted.
+        Number of workers of the predicted sweep.
     predict : bool
-        What the sweep will take, by rehearsing it; else that is left open, and a plan for Cycles has no samples.
+        Whether to predict the cost of the sweep, by rehearsing it; else a plan for Cycles has no samples.
     tell : callable
-        Is told what is being done.
+        Called with a sentence about what is done.
 
     Raises
     ------
@@ -87,14 +87,14 @@ def make(
     pieces = simplify.removable_pieces(scene)
     _, reasons = survey.world(scene)
     engine, order = _cycles_engine(scene), roles.reflection_order(scene)
-    planned = _planned(scene, described, engine, max(count, paired.ROUNDS[1]), seed)
+    all_records = _planned(scene, described, engine, max(count, paired.ROUNDS[1]), seed)
     fine = [piece for piece in pieces if piece.startswith(simplify.FINE)]  # costs Cycles nothing
     others = [piece for piece in pieces if piece not in fine]
-    some = sorted((p for p in planned if p.index < count), key=lambda p: (p.index, p.voxel))
-    sky = ambient(source, some) if simplify.AMBIENT in others else None
+    records = sorted((p for p in all_records if p.index < count), key=lambda p: (p.index, p.voxel))
+    sky = ambient(source, records) if simplify.AMBIENT in others else None
     if sky is not None:
         others.remove(simplify.AMBIENT)
-    found = [Effect(name, (math.nan, 0.0, math.inf)) for name in others]
+    measured = [Effect(name, (math.nan, 0.0, math.inf)) for name in others]
     dropped: list[str] = []
     words: list[str] = []
     spent = _NOTHING
@@ -102,63 +102,63 @@ def make(
         words.append(f"only path can render this scene, too noisily to measure anything by: {'; '.join(reasons)}")
     elif most > 0.0:
         orders = [more for more in _ORDERS if more > order >= MAX_ORDER]
-        rounds = [[p for p in planned if p.index == k] for k in range(paired.ROUNDS[1])]
+        rounds = [[p for p in all_records if p.index == k] for k in range(paired.ROUNDS[1])]
         probe = paired.PairedMeasurement(source, engine, rounds, described.resolution[0] / described.resolution[1])
         tell(f"rendering {len(others) + len(orders)} effects that only Cycles models, for up to {most:.0f} s")
         shares = paired.measure(probe, others, orders=orders, tolerance=tolerance, most=most, progress=tell)
-        found = [Effect(name, shares[name]) for name in others]
-        dropped, spent = _droppable(probe, found, tolerance)
+        measured = [Effect(name, shares[name]) for name in others]
+        dropped, spent = _droppable(probe, measured, tolerance)
         names = map(paired.order_name, orders)
-        found += [Effect(name, shares[name], note="not in the scene") for name in names]
+        measured += [Effect(name, shares[name], note="not in the scene") for name in names]
     if sky is not None:
-        found.append(sky)
-        both = _joined(spent, sky)
-        if both.share[2] <= tolerance:
-            dropped, spent = [*dropped, sky.name], both
-    if dropped and not {effect.name for effect in found if not effect.note} - set(dropped):
+        measured.append(sky)
+        joined = _joined(spent, sky)
+        if joined.share[2] <= tolerance:
+            dropped, spent = [*dropped, sky.name], joined
+    if dropped and not {effect.name for effect in measured if not effect.note} - set(dropped):
         _, reasons = _simplified(source, dropped)
     if reasons:
         if engine != "path" and most > 0.0:
             bias = paired.denoiser_bias(probe, described.resolution, most=most / 3.0, progress=tell)
-            found.append(Effect(paired.DENOISER, bias, note="not used"))
+            measured.append(Effect(paired.DENOISER, bias, note="not used"))
         words += [f"surfel cannot render this: {reason}" for reason in reasons if engine != "path"]
-        plan = Plan(_sorted(found), dropped, spent, {"engine": engine}, tolerance, words)
+        plan = Plan(_sorted(measured), dropped, spent, {"engine": engine}, tolerance, words)
     else:
-        left = tolerance - spent.share[2]
-        exact, more, together, accuracy = _exact(source, dropped, fine, some, left, tell)
+        remaining = tolerance - spent.share[2]
+        exact, more, together, accuracy = _exact(source, dropped, fine, records, remaining, tell)
         together = _joined(together, spent)
         settings = {"engine": "surfel", "accuracy": accuracy}
-        plan = Plan(_sorted([*found, *exact]), [*dropped, *more], together, settings, tolerance, words)
+        plan = Plan(_sorted([*measured, *exact]), [*dropped, *more], together, settings, tolerance, words)
     if not predict:
         return plan
     return _predicted(source, plan, described.grid.n_voxels, described.resolution, workers, tell)
 
 
 def _joined(one: Effect, other: Effect) -> Effect:
-    """Two errors that have nothing to do with each other."""
+    """Return the sum of two independent errors, in quadrature."""
     low, value, high = (math.hypot(one.share[k], other.share[k]) for k in (1, 0, 2))
     return replace(one, share=(value, low, high))
 
 
 def ambient(source: Path, some: Sequence[PoseRecord]) -> Effect | None:
-    """Return what uniform ambient light contributes, as `surfel` follows it, if it knows all the rest of a scene.
+    """Return the contribution of uniform ambient light by `surfel`; None if it cannot model the rest of the scene.
 
-    Cycles' noise of a sky that every ray may find would hide it; and a few per cent of it decide on nothing.
+    Cycles' noise from a sky that any ray may hit would hide it; an error of a few per cent of it changes no decision.
 
     Parameters
     ----------
     source : Path
-        The ``.blend``, which is opened.
+        The ``.blend`` file, which is opened.
     some : sequence of PoseRecord
-        Where the object stands: round by round, in each one pose of every voxel.
+        Poses of the object: round by round, in each one pose of every voxel.
     """
     world, _ = survey.world(blend_file.open_file(source), ambient=True)
     if world is None or world.ambient is None:
         return None
     engine = Transport(world.seen_by(*_SMALL), accuracy=_SKY)
-    seen = [engine.render(pose.position, pose.rotation) for pose in some]
-    sky = np.array([one.ambient.mean(axis=2) for one in seen])
-    lamp = np.array([(one.added - one.hidden).mean(axis=2) for one in seen])
+    renders = [engine.render(pose.position, pose.rotation) for pose in some]
+    sky = np.array([render.ambient.mean(axis=2) for render in renders])
+    lamp = np.array([(render.added - render.hidden).mean(axis=2) for render in renders])
     rounds = 1 + max(pose.index for pose in some)
     error, signal = ((x**2).mean(axis=(1, 2)).reshape(rounds, -1) for x in (sky, lamp + sky))
     return Effect(simplify.AMBIENT, relative(error, signal))
@@ -172,15 +172,15 @@ def _exact(
     tolerance: float,
     tell: Callable[[str], None],
 ) -> tuple[list[Effect], list[str], Effect, float]:
-    """What `surfel` models of a scene without some pieces, as `effects.measure` tells, and a sweep's accuracy."""
-    places, turns = (np.array([getattr(pose, name) for pose in some]) for name in ("position", "rotation"))
+    """Return what `effects.measure` does for a scene without some pieces, and the accuracy of its sweep."""
+    positions, rotations = (np.array([getattr(pose, name) for pose in some]) for name in ("position", "rotation"))
     without = variant(source, dropped)
     accuracy = float(f"{max(budget.FINE, min(_COARSEST, _PLANNED * tolerance)):.2g}")
     measured = effects.measure(
         without,
         [*effects.parts(without(())[0], _room(source, dropped)), *fine],
-        places,
-        turns,
+        positions,
+        rotations,
         rounds=1 + max(pose.index for pose in some),
         tolerance=tolerance,
         accuracy=max(budget.FINE, min(accuracy, _REFERENCE * tolerance)),
@@ -200,7 +200,7 @@ def _cycles_engine(scene: Any) -> str:
 
 def _planned(scene: Any, described: Any, engine: str, count: int, seed: int) -> list[PoseRecord]:
     sweep, _ = settled(scene, described, {"engine": engine, "poses": count, "seed": seed})
-    # No engine but path may see the target itself, so these are places for all of them.
+    # Every engine but path needs the target hidden from lamp and camera, so these poses suit all engines.
     is_free = clearance(scene, described, engine="patch" if engine == "path" else engine)
     return poses.plan(described.grid, sweep, geometry.hull(scene), is_free)
 
@@ -208,13 +208,13 @@ def _planned(scene: Any, described: Any, engine: str, count: int, seed: int) -> 
 def _droppable(
     probe: paired.PairedMeasurement, found: Sequence[Effect], tolerance: float
 ) -> tuple[list[str], Effect]:
-    """Return which of Cycles' effects may be left out together, and the error of that."""
+    """Return which of Cycles' effects may be left out together, and their joint error."""
     dropped: list[str] = []
     together = _NOTHING
-    for one in sorted(found, key=lambda effect: effect.share[2]):
-        if not one.share[2] <= tolerance:
+    for candidate in sorted(found, key=lambda effect: effect.share[2]):
+        if not candidate.share[2] <= tolerance:
             break
-        tried, share = [*dropped, one.name], one.share
+        tried, share = [*dropped, candidate.name], candidate.share
         if dropped:
             share = probe.together(tried)
         if share[2] <= tolerance:
@@ -223,7 +223,7 @@ def _droppable(
 
 
 def variant(source: Path, always: Sequence[str]) -> effects.Variant:
-    """What a scene's world is without some pieces, besides those that are always left out."""
+    """Return the function of a scene's world without some pieces, besides those that are always left out."""
 
     def without(dropped: Sequence[str]) -> tuple[World, bool]:
         world, reasons = _simplified(source, [*always, *dropped])
@@ -252,24 +252,24 @@ def _sorted(found: Sequence[Effect]) -> list[Effect]:
 def _predicted(
     source: Path, plan: Plan, voxels: int, resolution: tuple[int, int], workers: int, tell: Callable[[str], None]
 ) -> Plan:
-    """Return the plan with what a sweep of it takes, beside one that leaves nothing out at the same accuracy."""
+    """Return the plan with the cost of its sweep, and of one that leaves nothing out at the same accuracy."""
     pictures = voxels * Sweep.poses
-    took: dict[str, float] = {}
+    costs: dict[str, float] = {}
     for name, settings in (
         ("seconds", {**plan.settings, "leave_out": plan.dropped}),
         ("seconds_full", {"engine": "auto"}),
     ):
         if name == "seconds_full" and not plan.dropped and plan.settings["engine"] != "surfel":
-            took[name] = took["seconds"]  # it is the same sweep
+            costs[name] = costs["seconds"]  # it is the same sweep
             continue
         tell(f"rehearsing {'the plan' if name == 'seconds' else 'the whole'}")
-        known = budget.measured_by_trial(source, settings, workers, force=True)
-        if known.engine == "surfel":
+        trial = budget.measured_by_trial(source, settings, workers, force=True)
+        if trial.engine == "surfel":
             work = 1.0 / plan.settings["accuracy"]
         else:
-            work = min(max(1.0, (known.noise / plan.tolerance) ** 2), 2.0**24)
-        if name == "seconds" and known.engine != "surfel":
+            work = min(max(1.0, (trial.noise / plan.tolerance) ** 2), 2.0**24)
+        if name == "seconds" and trial.engine != "surfel":
             plan.settings["samples"] = math.ceil(work)
-        took[name] = float(f"{known.total(work, pictures):.3g}")
+        costs[name] = float(f"{trial.total(work, pictures):.3g}")
     size = resolution[0] * resolution[1] * _PIXEL_BYTES * pictures
-    return replace(plan, predicted={"pictures": pictures, **took, "bytes": size})
+    return replace(plan, predicted={"pictures": pictures, **costs, "bytes": size})

@@ -1,1 +1,1 @@
-"""The scene in Blender: its roles, building, opening and reading it, and moving the target."""
+"""Blender scenes: the roles of objects; building, opening and reading a scene; moving the target."""

@@ -1,4 +1,4 @@
-"""Makes a scene that somebody built for its own sake one that can be swept: roles, metres, frame, voxels."""
+"""Prepares a scene that was not built for a sweep so that it can be swept: roles, metres, frame, voxels."""
 
 from __future__ import annotations
 
@@ -19,34 +19,34 @@ from generator.model.grid import VoxelGrid
 ROLES = (*roles.SINGLE_ROLES, "room", "partition")
 
 _ROOMY = 1.25
-"""A voxel's edge, in the target's longest diagonal: it must be able to turn inside, and to move a little."""
+"""A voxel's edge in units of the target's largest diameter, so that it can turn inside and move a little."""
 
 _LEFT_OVER = 0.02
-"""How far fitted voxels keep from the relay wall, in the height of the hidden volume."""
+"""Distance of fitted voxels from the relay wall, in units of the height of the hidden volume."""
 
 
 def assign(scene: bpy.types.Scene, role: str, objects: Sequence[bpy.types.Object]) -> None:
-    """Let objects play a role, in place of whatever played it; only room and partition are played by many.
+    """Give objects a role. Any role but room and partition has one object, and is taken from the former one.
 
     Parameters
     ----------
     scene : bpy.types.Scene
     role : str
-        One of `ROLES`; empty takes the objects' roles away.
+        One of `ROLES`; an empty string removes the objects' roles.
     objects : sequence of bpy.types.Object
 
     Raises
     ------
     NlosError
-        None or too many are given, or one is not of the type that the role needs.
+        The role is unknown, no object or too many are given, or one is not of the type that the role needs.
     """
     if role not in ("", *ROLES):
         raise NlosError(f"role {role!r}: there is none; choose from {', '.join(ROLES)}")
     if not objects:
         raise NlosError("no object is selected; select the one that is meant")
-    words = role.replace("_", " ")
+    label = role.replace("_", " ")
     if role in roles.SINGLE_ROLES and len(objects) > 1:
-        raise NlosError(f"{len(objects)} objects are selected; exactly one can be the {words}")
+        raise NlosError(f"{len(objects)} objects are selected; exactly one can be the {label}")
     for obj in objects:
         if obj.library or obj.override_library:
             raise NlosError(f"{obj.name!r} is linked from another file; make it local first (Object > Relations)")
@@ -56,7 +56,7 @@ def assign(scene: bpy.types.Scene, role: str, objects: Sequence[bpy.types.Object
             raise NlosError(f"{obj.name!r} cannot be the camera: it is none")
         parts = [obj, *obj.children_recursive] if role == "target" else [obj]
         if role not in ("", "spot", "camera") and not any(len(geometry.evaluated_vertices(o)) for o in parts):
-            raise NlosError(f"{obj.name!r} cannot be the {words}: it has no surface")
+            raise NlosError(f"{obj.name!r} cannot be the {label}: it has no surface")
     if role in roles.SINGLE_ROLES:
         for former in roles.players(scene, role):
             del former[roles.ROLE]
@@ -71,14 +71,14 @@ def assign(scene: bpy.types.Scene, role: str, objects: Sequence[bpy.types.Object
 
 
 def in_metres(scene: bpy.types.Scene) -> bool:
-    """Whether one Blender unit is a metre, which light, poses and voxels count in."""
+    """Whether one Blender unit is a metre, the unit of light, poses and voxels."""
     return scene.unit_settings.system == "NONE" or math.isclose(scene.unit_settings.scale_length, 1.0, rel_tol=1e-6)
 
 
 def to_metres(scene: bpy.types.Scene) -> None:
-    """Make one Blender unit a metre: everything keeps the size that Blender shows, and a watt its meaning.
+    """Make one Blender unit a metre; everything keeps the size that Blender displays, and watts keep their meaning.
 
-    Blender's lamps are watts per Blender unit: unless that is a metre, what is rendered is off by its square.
+    Blender computes a lamp's light with lengths in its units: unless these are metres, it is off by their square.
     """
     factor = scene.unit_settings.scale_length
     scene.unit_settings.scale_length = 1.0
@@ -92,7 +92,7 @@ def to_metres(scene: bpy.types.Scene) -> None:
 def align(scene: bpy.types.Scene) -> None:
     """Turn and move the whole scene so that the relay wall lies in the plane y = 0 and faces +y.
 
-    Heights stay what they are if the wall is upright.
+    Heights do not change if the wall is upright.
 
     Raises
     ------
@@ -107,10 +107,10 @@ def align(scene: bpy.types.Scene) -> None:
     z = up - (up @ normal) * normal
     z /= np.linalg.norm(z)
     turn = np.stack([np.cross(normal, z), normal, z])
-    placed = np.eye(4)
-    placed[:3, :3] = turn
-    placed[:3, 3] = np.array([0.0, 0.0, centre[2]]) - turn @ centre
-    _transform(scene, Matrix(placed.tolist()))
+    transform = np.eye(4)
+    transform[:3, :3] = turn
+    transform[:3, 3] = np.array([0.0, 0.0, centre[2]]) - turn @ centre
+    _transform(scene, Matrix(transform.tolist()))
 
 
 def fit_grid(scene: bpy.types.Scene, shape: tuple[int, int, int] = (3, 3, 1)) -> VoxelGrid:
@@ -143,26 +143,26 @@ def _plane(wall: bpy.types.Object) -> tuple[Array, Array]:
     if len(points) < 3:
         raise NlosError(f"the relay wall {wall.name!r} has no surface")
     centre = (points.min(axis=0) + points.max(axis=0)) / 2.0
-    away = points - points.mean(axis=0)
-    _, spread, axes = np.linalg.svd(away, full_matrices=False)
+    offsets = points - points.mean(axis=0)
+    _, spread, axes = np.linalg.svd(offsets, full_matrices=False)
     if spread[2] > 1e-4 * spread[0] or spread[1] <= 1e-6 * spread[0]:
         raise NlosError(f"the relay wall {wall.name!r} is not flat; use a flat object, or a part of it as its own")
     normal: Array = axes[2]
-    # Its centre may be off the plane: that of a box around a slanted one is not.
+    # Projected onto the plane: the centre of a slanted wall's bounding box may lie off it.
     return normal, centre - ((centre - points.mean(axis=0)) @ normal) * normal
 
 
 def _transform(scene: bpy.types.Scene, change: Matrix) -> None:
-    """Transform every object, and the voxels, in the world; lamps and cameras keep their own scale."""
+    """Apply a transform of the world to every object and to the voxels; lamps and cameras keep their scale."""
     bpy.context.view_layer.update()
     roots = [o for o in scene.objects if o.parent is None or o.parent.name not in scene.objects]
     for obj in roots:
-        moves = obj.animation_data is not None and (obj.animation_data.action or obj.animation_data.drivers)
-        if obj.constraints or moves or obj.library is not None:
-            why = "is linked from another file" if obj.library else "is held by constraints, drivers or animation"
-            raise NlosError(f"{obj.name!r} {why}, so it cannot be put elsewhere; nothing was changed")
+        animated = obj.animation_data is not None and (obj.animation_data.action or obj.animation_data.drivers)
+        if obj.constraints or animated or obj.library is not None:
+            reason = "is linked from another file" if obj.library else "is held by constraints, drivers or animation"
+            raise NlosError(f"{obj.name!r} {reason}, so it cannot be put elsewhere; nothing was changed")
     for obj in roots:
-        # Its own, not the world's: of what no view layer shows Blender does not know where in the world it is.
+        # The object's own matrix: Blender does not update the world matrix of what no view layer shows.
         before = obj.matrix_basis.copy() if obj.parent is None else obj.matrix_world.copy()
         placed = change @ before
         if obj.type in ("LIGHT", "CAMERA") and not obj.children:

@@ -1,4 +1,4 @@
-"""Blend files: opened, saved, begun."""
+"""Opens, saves and creates blend files."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ def open_file(path: Path, known: Collection[Path] = ()) -> bpy.types.Scene:
     ------
     NlosError
         There is no such file, Blender cannot read it, it refers to files elsewhere (`references.refuse`), or its
-        pictures are made from files that are not there (`references.require`).
+        pictures depend on files that are missing (`references.require`).
     """
     if not path.is_file():
         raise NlosError(f"{path}: no such scene file")
@@ -40,10 +40,10 @@ def open_file(path: Path, known: Collection[Path] = ()) -> bpy.types.Scene:
 
 
 def literal(path: Path, *, rendered: bool = False) -> str:
-    """Return a path as Blender has to be given it.
+    """Return a path, escaped so that Blender takes it literally.
 
-    Two slashes at its start would be the open file's folder, and braces in a path that is rendered to would be
-    variables, from Blender 5 on.
+    Blender reads two slashes at the start as the open file's folder and, from Blender 5 on, braces in the path that
+    is rendered to as variables.
     """
     text = str(path)
     if text.startswith("//"):
@@ -54,7 +54,7 @@ def literal(path: Path, *, rendered: bool = False) -> str:
 
 
 def save_file(path: Path) -> None:
-    """Save a compressed copy of the open file by temporary name and rename; textures keep their place."""
+    """Save a compressed copy of the open file under a temporary name and rename it; textures stay where they are."""
     from generator.files.writing import atomic
 
     with atomic(path) as temporary, quiet():

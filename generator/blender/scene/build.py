@@ -1,7 +1,7 @@
-"""Builds the Blender scene from a spec, reads the spec back out of any ``.blend``, and moves the target.
+"""Builds the Blender scene from its description; `description` reads it back, and `posing` moves the target.
 
-The file is the truth: which object plays which role is a custom property on the object (``nlos_role``), the voxel
-grid is three custom properties on the scene, and the reflection order is what Cycles' own light-path panel shows. All
+Everything is stored in the file: the role of an object is a custom property of the object (``nlos_role``), the voxel
+grid is three custom properties of the scene, and the reflection order is the setting in Cycles' light-path panel. All
 of them can be read and edited in Blender without any add-on.
 """
 
@@ -38,12 +38,12 @@ from generator.model.scene import FACES, Partition, Scene, Spot, Target
 
 
 def new_scene(wanted: Scene) -> bpy.types.Scene:
-    """Build a scene in a file of its own, in place of the one that is open.
+    """Build a scene in a new file, which replaces the open one.
 
     Parameters
     ----------
     wanted : Scene
-        As of `generator.preset`, or with figures changed.
+        As `generator.preset` returns it, possibly with changed values.
 
     Returns
     -------
@@ -53,7 +53,7 @@ def new_scene(wanted: Scene) -> bpy.types.Scene:
     Raises
     ------
     NlosError
-        As `build`.
+        See `build`.
 
     Examples
     --------
@@ -68,12 +68,12 @@ def new_scene(wanted: Scene) -> bpy.types.Scene:
 
 
 def build(scene: bpy.types.Scene, wanted: Scene) -> None:
-    """Build a scene from its spec, in place of what an earlier call built.
+    """Build a scene from its description, and remove what an earlier call built.
 
     Parameters
     ----------
     scene : bpy.types.Scene
-        Objects without a role are left alone.
+        Objects without a role are left unchanged.
     wanted : Scene
 
     Raises
@@ -89,7 +89,7 @@ def build(scene: bpy.types.Scene, wanted: Scene) -> None:
             f"resolution: {width} x {height} pixels do not fit the watched rectangle of "
             f"{x[1] - x[0]:g} x {z[1] - z[0]:g} m; pixels must be square"
         )
-    # What can go wrong goes wrong first, and leaves the scene as it was.
+    # All that can fail comes first, so that a failure leaves the scene as it was.
     wanted.check_buildable()
     cycles_settings(scene)
     for obj in scene.objects:
@@ -114,7 +114,7 @@ def build(scene: bpy.types.Scene, wanted: Scene) -> None:
                 surface.capitalize(), axis, extent[axis][end], across, wanted.room.albedo, inward=1 - 2 * end
             )
             quad[SURFACE] = surface
-            quad.display_type = "WIRE"  # in the viewport only, where one wants to look inside
+            quad.display_type = "WIRE"  # in the viewport only, so that the inside can be seen
             add_part(collection, quad, "room")
     if wanted.partition:
         for screen in _partition(wanted.partition):
@@ -137,10 +137,14 @@ def build(scene: bpy.types.Scene, wanted: Scene) -> None:
 
 
 def _clear(scene: bpy.types.Scene) -> None:
-    """Take away what an earlier call built; objects of the user's own only lose their roles."""
-    ours = scene.collection.children.get(COLLECTION)
-    # Scenes that older versions built have no mark, but a collection of their own.
-    built = [o for o in scene.objects if BUILT in o or (ROLE in o and ours is not None and o.name in ours.objects)]
+    """Remove what an earlier call built; the user's own objects only lose their roles."""
+    collection = scene.collection.children.get(COLLECTION)
+    # Objects that older versions built have no mark, but are in a separate collection.
+    built = [
+        o
+        for o in scene.objects
+        if BUILT in o or (ROLE in o and collection is not None and o.name in collection.objects)
+    ]
     for obj in [o for o in scene.objects if ROLE in o and o not in built]:
         del obj[ROLE]
     for obj in built:
@@ -160,12 +164,12 @@ def add_part(collection: bpy.types.Collection, obj: bpy.types.Object, role: str)
 
 def _material(name: str, reflectance: float | None) -> bpy.types.Material:
     material = bpy.data.materials.new(f"NLOS {name}")
-    if material.node_tree is None:  # Blender 5 makes the tree itself and warns of the old switch
+    if material.node_tree is None:  # Blender 5 creates the tree itself and warns of `use_nodes`
         material.use_nodes = True
-    made = material.node_tree.nodes
-    made.clear()
+    nodes = material.node_tree.nodes
+    nodes.clear()
     value = 0.0 if reflectance is None else reflectance
-    shader, output = made.new("ShaderNodeBsdfDiffuse"), made.new("ShaderNodeOutputMaterial")
+    shader, output = nodes.new("ShaderNodeBsdfDiffuse"), nodes.new("ShaderNodeOutputMaterial")
     shader.inputs["Color"].default_value = (value, value, value, 1.0)
     shader.inputs["Roughness"].default_value = 0.0
     output.location.x = 250.0
@@ -184,7 +188,7 @@ def _mesh(name: str, vertices: list[Vector], faces: list[tuple[int, ...]], refle
 def _quad(
     name: str, axis: str, at: float, across: dict[str, Range], reflectance: float | None, *, inward: int
 ) -> bpy.types.Object:
-    """A rectangle in a plane of constant ``axis``; its normal points along it if ``inward`` is 1, else back."""
+    """Rectangle in a plane of constant ``axis``; its normal points along it if ``inward`` is 1, else against it."""
     (a, (a0, a1)), (b, (b0, b1)) = across.items()
     corners = [{axis: at, a: u, b: v} for u, v in ((a0, b0), (a1, b0), (a1, b1), (a0, b1))]
     vertices = [(c["x"], c["y"], c["z"]) for c in corners]
@@ -211,8 +215,8 @@ def _spot(lamp: Spot) -> bpy.types.Object:
     light.shadow_soft_size = 0.0
     obj = bpy.data.objects.new("Spot", light)
     obj.location = lamp.location
-    way = np.subtract(lamp.aim, lamp.location)  # in units of its own: Blender takes a short one for none
-    obj.rotation_euler = mathutils.Vector(way / np.linalg.norm(way)).to_track_quat("-Z", "Y").to_euler()
+    direction = np.subtract(lamp.aim, lamp.location)  # normalised, for Blender treats a short vector as zero
+    obj.rotation_euler = mathutils.Vector(direction / np.linalg.norm(direction)).to_track_quat("-Z", "Y").to_euler()
     return obj
 
 
@@ -238,7 +242,7 @@ def _camera(wanted: Scene) -> bpy.types.Object:
 
 
 def build_target(wanted: Target) -> bpy.types.Object:
-    """Make the hidden object."""
+    """Build the hidden object from its description."""
     if wanted.kind == "sheet":
         h = wanted.size / 2.0
         target = _quad("Target", "y", 0.0, {"x": (-h, h), "z": (-h, h)}, wanted.albedo, inward=-1)
@@ -253,8 +257,8 @@ def build_target(wanted: Target) -> bpy.types.Object:
 def _sphere(wanted: Target) -> bpy.types.Object:
     """A geodesic sphere of 5120 triangles with the true sphere's area.
 
-    A convex body's mean projected area is a quarter of its surface (Cauchy 1841), so the light it catches is right on
-    average over directions though its vertices stand out by 0.04 %.
+    A convex body's mean projected area is a quarter of its surface (Cauchy 1841), so the light that it receives is
+    right on average over directions although its vertices protrude by 0.04 %.
     """
     radius = wanted.size / 2.0
     shape = bmesh.new()
@@ -275,8 +279,8 @@ def _import_mesh(wanted: Target) -> bpy.types.Object:
     importers = {".obj": bpy.ops.wm.obj_import, ".ply": bpy.ops.wm.ply_import, ".stl": bpy.ops.wm.stl_import}
     before = set(bpy.data.objects)
     try:
-        with meshes.importable(path) as sound:
-            importers[path.suffix.lower()](filepath=literal(sound.absolute()))
+        with meshes.importable(path) as importable_path:
+            importers[path.suffix.lower()](filepath=literal(importable_path.absolute()))
     except (OSError, RuntimeError, KeyError):
         raise NlosError(f"target.mesh: {path} is not a mesh file Blender can read (.obj, .ply, .stl)") from None
     shape = bmesh.new()
@@ -314,10 +318,10 @@ def _world(scene: bpy.types.Scene, radiance: float) -> None:
     old = scene.world
     if old is None or BUILT not in old or old.library is not None:
         if old is not None:
-            old.use_fake_user = True  # somebody made it: kept, though this scene has another now
+            old.use_fake_user = True  # the user's own: kept, although this scene has another now
         scene.world = bpy.data.worlds.new("NLOS world")
         scene.world[BUILT] = True
-    if bpy.app.version < (5, 0, 0) or scene.world.node_tree is None:  # Blender 5 has nothing else, and warns
+    if bpy.app.version < (5, 0, 0) or scene.world.node_tree is None:  # Blender 5 always uses nodes, and warns
         scene.world.use_nodes = True
     tree = scene.world.node_tree
     tree.nodes.clear()

@@ -1,4 +1,4 @@
-"""A scene in Blender, read back into its description."""
+"""Reads a Blender scene back into its description, a `generator.model.scene.Scene`."""
 
 from __future__ import annotations
 
@@ -29,13 +29,13 @@ from generator.model.scene import ROOM_SURFACES, Camera, Partition, Room, Scene,
 
 
 def read_scene(scene: bpy.types.Scene, resolution: tuple[int, int] | None = None) -> Scene:
-    """Read the spec back out of a scene, as edited, and as a render sees it.
+    """Read the description back out of a scene, as it was edited and as a render sees it.
 
     Parameters
     ----------
     scene : bpy.types.Scene
     resolution : (int, int), optional
-        Of the pictures, width and height, on which depends what the camera sees; the scene's own if not given.
+        Width and height of the pictures, on which the camera's view depends; the scene's own if not given.
 
     Raises
     ------
@@ -103,7 +103,7 @@ def _read_partition(scene: bpy.types.Scene, screens: list[bpy.types.Object], see
 
 
 def lamp_power(light: Any) -> float:
-    """Return a lamp's power in watts, exposure and colour's mean included."""
+    """Return a lamp's power in watts, multiplied by its exposure and by the mean of its colour channels."""
     mean = sum(light.color) / 3.0
     return float(light.energy * 2.0 ** getattr(light, "exposure", 0.0) * mean)
 

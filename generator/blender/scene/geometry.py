@@ -1,4 +1,4 @@
-"""Shapes and places as the render sees them, and the camera's view."""
+"""Shapes and transforms of objects as a render sees them, and the camera's view of the wall."""
 
 from __future__ import annotations
 
@@ -21,28 +21,28 @@ from generator.model.arrays import Array
 from generator.model.errors import NlosError
 
 _SLOT = "NLOS look"
-"""Of the render result: what reading a scene leaves there is no picture."""
+"""Slot of the render result that reading a scene uses; it holds no picture."""
 
 
 _THROUGH = {nodes.TRANSPARENT, nodes.TRANSMISSION, nodes.SUBSURFACE, nodes.VOLUME, nodes.UNKNOWN}
-"""Ways in which light comes through a surface."""
+"""Kinds of scattering that let light through a surface."""
 
 
 Result = TypeVar("Result")
 
 
 def hold_camera(scene: bpy.types.Scene, overrides: Overrides) -> None:
-    """Let the camera by its role be the scene's, whatever cameras are bound to markers of the timeline."""
+    """Make the object with the camera role the scene's camera, whatever cameras timeline markers are bound to."""
     overrides.set(scene, "camera", find(scene, "camera"))
-    for marker in scene.timeline_markers:  # after it, for a marker that gets its camera back puts it into the scene
+    for marker in scene.timeline_markers:  # last, so restored first: restoring a marker's camera sets the scene's
         if marker.camera is not None:
             overrides.set(marker, "camera", None)
 
 
 def as_rendered(scene: bpy.types.Scene, look: Callable[[Any], Result]) -> Result:
-    """Let a function look at the scene as a render would: Blender shows that to render engines only.
+    """Call a function with the scene as evaluated for a render, which Blender passes to render engines only.
 
-    The viewport's view, which scripts get elsewhere, has other subdivision levels and lacks what is hidden there.
+    Scripts otherwise get the viewport's evaluation, with other subdivision levels and without what is hidden there.
     """
     results: list[Result] = []
     errors: list[BaseException] = []
@@ -86,7 +86,7 @@ def as_rendered(scene: bpy.types.Scene, look: Callable[[Any], Result]) -> Result
 
 @contextlib.contextmanager
 def _in_a_slot() -> Iterator[None]:
-    """Let a render fill a slot of its own, so that the picture that the user rendered last stays."""
+    """Render into a separate slot, so that the picture that the user rendered last is kept."""
     result = next((image for image in bpy.data.images if image.type == "RENDER_RESULT"), None)
     if result is None:
         yield
@@ -107,7 +107,7 @@ def _in_a_slot() -> Iterator[None]:
 def shape_pictures(
     scene: bpy.types.Scene, resolution: tuple[int, int] | None, overrides: Overrides
 ) -> tuple[int, int]:
-    """Give the scene the pictures' resolution, on which the camera's view depends, and square pixels.
+    """Set the scene's resolution, on which the camera's view depends, to the pictures' and make pixels square.
 
     Parameters
     ----------
@@ -122,10 +122,10 @@ def shape_pictures(
         The resolution.
     """
     render = scene.render
-    share = render.resolution_percentage
+    percentage = render.resolution_percentage
     width, height = resolution or (
-        max(1, render.resolution_x * share // 100),
-        max(1, render.resolution_y * share // 100),
+        max(1, render.resolution_x * percentage // 100),
+        max(1, render.resolution_y * percentage // 100),
     )
     for name, value in (
         ("resolution_x", width),
@@ -145,19 +145,19 @@ class Shape:
     Attributes
     ----------
     owner : bpy.types.Object
-        The object that it belongs to; of an instance, the one that instances it.
+        Object that the surface belongs to; for an instance, the object that instances it.
     name : str
-        Of the object whose mesh it is.
+        Name of the object that has the mesh.
     instance : bool
     matrix : ndarray of shape (4, 4)
-        Its place in the world.
+        Transform from the object's frame to the world.
     vertices : ndarray of shape (n, 3)
-        In its own frame, after modifiers.
+        In the object's frame, after modifiers.
     triangles : ndarray of shape (m, 3), int
     air : bool
-        Whether it is no surface at all, but the bounds of a volume.
+        Whether it only bounds a volume and is no surface.
     opaque : bool
-        Whether no light comes through.
+        Whether it lets no light through.
     """
 
     owner: bpy.types.Object
@@ -171,39 +171,39 @@ class Shape:
 
     @property
     def placed(self) -> Array:
-        """Its vertices in the world, (n, 3), metres."""
+        """The vertices in the world, (n, 3), metres."""
         points: Array = self.vertices @ self.matrix[:3, :3].T + self.matrix[:3, 3]
         return points
 
 
 @dataclass
 class Snapshot:
-    """What stands where when a render starts: every surface, and the objects with a single role (4 x 4, by role)."""
+    """The scene when a render starts: all surfaces, and the transforms (4 x 4) of single-role objects, by role."""
 
     shapes: list[Shape] = field(default_factory=list)
     matrices: dict[str, Array] = field(default_factory=dict)
 
     def of(self, owners: Collection[bpy.types.Object]) -> list[Shape]:
-        """Return the surfaces of some objects."""
+        """Return the surfaces of the given objects."""
         return [shape for shape in self.shapes if shape.owner in owners]
 
 
 def snapshot(scene: bpy.types.Scene) -> Snapshot:
-    """Return what stands where when a render of the scene starts.
+    """Return surfaces and transforms as they are when a render of the scene starts.
 
-    The viewport's view will not do: modifiers, levels of detail and visibility are set for each on their own, and an
-    animation has its say when a render starts.
+    The viewport's evaluation is not enough: modifiers, levels of detail and visibility are set separately for it, and
+    animation is applied only when a render starts.
 
     Raises
     ------
     NlosError
         Nothing of the scene is rendered.
     """
-    singles = {role: found[0] for role in SINGLE_ROLES if (found := players(scene, role))}
+    singles = {role: objects[0] for role in SINGLE_ROLES if (objects := players(scene, role))}
 
     def look(depsgraph: Any) -> Snapshot:
         seen = Snapshot()
-        # Of what is not rendered at all only the viewport knows where it stands.
+        # The transform of an object that is not rendered is known to the viewport only.
         for role, obj in singles.items():
             seen.matrices[role] = numbers(obj.matrix_world)
         for instance in depsgraph.object_instances:
@@ -212,15 +212,15 @@ def snapshot(scene: bpy.types.Scene) -> Snapshot:
                 for role in [r for r, single in singles.items() if single == obj.original]:
                     seen.matrices[role] = numbers(instance.matrix_world)
             if not instance.show_self or not isinstance(obj.data, bpy.types.Mesh):
-                continue  # a curve or text comes a second time, as the mesh made of it
+                continue  # a curve or text is listed again, as the mesh made of it
             vertices, triangles = _mesh_of(obj)
             if len(vertices):
                 owner = (instance.parent if instance.is_instance else obj).original
                 matrix = numbers(instance.matrix_world)
                 kinds = {kind for slot in obj.material_slots for kind in nodes.kinds(slot.material)}
                 air, opaque = kinds == {nodes.VOLUME}, not kinds & _THROUGH
-                one = Shape(owner, obj.name, instance.is_instance, matrix, vertices, triangles, air, opaque)
-                seen.shapes.append(one)
+                shape = Shape(owner, obj.name, instance.is_instance, matrix, vertices, triangles, air, opaque)
+                seen.shapes.append(shape)
         return seen
 
     return as_rendered(scene, look)
@@ -239,13 +239,13 @@ def _mesh_of(evaluated: bpy.types.Object) -> tuple[Array, Any]:
 
 
 def target_shape(scene: bpy.types.Scene, seen: Snapshot | None = None) -> tuple[Array, Any]:
-    """Return what the target and its children are made of.
+    """Return the mesh of the target and its children.
 
     Parameters
     ----------
     scene : bpy.types.Scene
     seen : Snapshot, optional
-        Of the scene; it is looked at if not given.
+        Snapshot of the scene; taken if not given.
 
     Returns
     -------
@@ -261,22 +261,22 @@ def target_shape(scene: bpy.types.Scene, seen: Snapshot | None = None) -> tuple[
     parts = target_parts(scene)
     target = parts[0]
     seen = seen or snapshot(scene)
-    whole = Matrix(seen.matrices["target"].tolist())
-    place, turn, scale = whole.decompose()
-    back = Matrix.LocRotScale(place, turn, None).inverted()
+    target_matrix = Matrix(seen.matrices["target"].tolist())
+    place, turn, scale = target_matrix.decompose()
+    to_target = Matrix.LocRotScale(place, turn, None).inverted()
     points, faces, count = [], [], 0
     for shape in seen.of(parts):
         if shape.owner == target and not shape.instance:
             points.append(shape.vertices * np.asarray(scale, dtype=np.float64))
         else:
-            matrix = numbers(back @ Matrix(shape.matrix.tolist()))
+            matrix = numbers(to_target @ Matrix(shape.matrix.tolist()))
             points.append(shape.vertices @ matrix[:3, :3].T + matrix[:3, 3])
         faces.append(shape.triangles + count)
         count += len(shape.vertices)
     if not count:
-        why = unseen(scene, target)
-        what = f"{why}; show it" if why else "has no surface to reflect light"
-        raise NlosError(f"{file_name()}: the target {target.name!r} {what}")
+        hidden = unseen(scene, target)
+        problem = f"{hidden}; show it" if hidden else "has no surface to reflect light"
+        raise NlosError(f"{file_name()}: the target {target.name!r} {problem}")
     return np.concatenate(points), np.concatenate(faces)
 
 
@@ -298,7 +298,7 @@ def placed_vertices(obj: bpy.types.Object) -> Array:
 
 
 def in_frame(wall: bpy.types.Object, seen: Snapshot | None = None) -> bool:
-    """Whether a relay wall, as far as it has a surface, lies in the plane y = 0."""
+    """Whether a relay wall lies in the plane y = 0; True if it has no surface."""
     points = _points(seen.of([wall])) if seen else placed_vertices(wall)
     return not len(points) or bool(np.abs(points[:, 1]).max() <= 1e-5 * np.ptp(points, axis=0).max())
 
@@ -324,10 +324,10 @@ def _points(shapes: Sequence[Shape]) -> Array:
 
 def box_of(scene: bpy.types.Scene, objects: list[bpy.types.Object], seen: Snapshot) -> tuple[Array, Array]:
     """Bounding box of rendered objects in the world, two arrays of shape (3,)."""
-    every = _points(seen.of(objects))
-    if not len(every):
+    points = _points(seen.of(objects))
+    if not len(points):
         raise NlosError(f"{file_name()}: {objects[0].name!r} {unseen(scene, objects[0]) or 'has no surface'}")
-    return every.min(axis=0), every.max(axis=0)
+    return points.min(axis=0), points.max(axis=0)
 
 
 def view(scene: bpy.types.Scene, camera: bpy.types.Object, place: Array | None = None) -> tuple[Array, Array]:
@@ -336,20 +336,20 @@ def view(scene: bpy.types.Scene, camera: bpy.types.Object, place: Array | None =
     Parameters
     ----------
     scene : bpy.types.Scene
-        Its resolution is the pictures'.
+        Must have the resolution of the pictures.
     camera : bpy.types.Object
     place : ndarray of shape (4, 4), optional
-        Where the camera stands; as the viewport has it if not given.
+        Transform of the camera to the world; the viewport's if not given.
 
     Raises
     ------
     NlosError
-        It is no plain camera, or does not look at the wall.
+        The camera is neither perspective nor orthographic, or does not look at the wall.
     """
     if camera.type != "CAMERA" or camera.data.type not in ("PERSP", "ORTHO"):
         raise NlosError(f"{file_name()}: the camera {camera.name!r} must be a perspective or orthographic camera")
     matrix = camera.matrix_world if place is None else Matrix(place.tolist())
-    # Cameras have no scale: Blender drops it.
+    # Blender ignores the scale of cameras.
     matrix = Matrix.LocRotScale(*matrix.decompose()[:2], mathutils.Vector(map(_sign, matrix.to_scale())))
     starts, corners = [], []
     for corner in camera.data.view_frame(scene=scene):

@@ -11,7 +11,7 @@ from generator.blender.scene.words import short
 
 
 def albedo(obj: bpy.types.Object) -> float | None:
-    """Return the mean albedo of an object's material if it is plainly Lambertian, else None."""
+    """Return the mean albedo of an object's material if it is purely Lambertian, else None."""
     colour = diffuse_colour(obj)
     return None if colour is None else short(sum(colour) / 3.0)
 
@@ -25,16 +25,16 @@ def diffuse_colour(obj: bpy.types.Object) -> tuple[float, float, float] | None:
 
 
 def ambient(scene: bpy.types.Scene) -> float:
-    """Return the mean radiance of the world that is rendered, W/m^2/sr; of one with a texture, its strength.
+    """Return the mean radiance of the rendered world, W/m^2/sr, or its strength if it has a texture.
 
     It is 0 only if the world gives no light.
     """
-    return max((short(nodes.level(getattr(*held))) for held in worlds_of(scene)), default=0.0)
+    return max((short(nodes.level(getattr(*holder))) for holder in worlds_of(scene)), default=0.0)
 
 
 def worlds_of(scene: bpy.types.Scene) -> list[tuple[Any, str]]:
-    """Return who holds a world that may be rendered, and in which attribute: the scene, or a view layer instead."""
+    """Return the owners of worlds that may be rendered, the scene or view layers, each with its attribute's name."""
     layers = [layer for layer in scene.view_layers if layer.use]
-    own = [layer for layer in layers if getattr(layer, "world_override", None) is not None]
-    owners: list[tuple[Any, str]] = [(layer, "world_override") for layer in own]
-    return owners if len(own) == len(layers) or scene.world is None else [*owners, (scene, "world")]
+    overriding = [layer for layer in layers if getattr(layer, "world_override", None) is not None]
+    owners: list[tuple[Any, str]] = [(layer, "world_override") for layer in overriding]
+    return owners if len(overriding) == len(layers) or scene.world is None else [*owners, (scene, "world")]

@@ -1,8 +1,8 @@
-"""What Cycles would evaluate of a tree of shader nodes, and nothing else: the one reader of materials, lamps, worlds.
+"""Reads the shader nodes of materials, lamps and worlds as far as Cycles evaluates them; all other modules use it.
 
-A tree may hold much that does not count: what leads to no output, outputs of EEVEE's, muted nodes and links, links
-that Blender calls invalid. What counts comes back as the shader nodes whose light reaches the output, with those of
-their inputs that are the same everywhere. What cannot be known is said to be so.
+A tree may hold much that has no effect: nodes that lead to no output, outputs for EEVEE, muted nodes and links, links
+that Blender marks as invalid. The rest is returned as the shader nodes whose light reaches the output, with those of
+their inputs that are constant. Whatever cannot be determined is reported as unknown.
 """
 
 from __future__ import annotations
@@ -19,17 +19,17 @@ DIFFUSE, GLOSSY, TRANSMISSION, TRANSPARENT = "diffuse", "glossy", "transmission"
 MIRROR, SUBSURFACE, VOLUME, UNKNOWN = "mirror", "subsurface", "volume", "unknown"
 
 _SINGULAR = 0.01
-"""A roughness below which Cycles may take a reflector for a perfect mirror, which no lamp can be sampled for."""
+"""Roughness below which Cycles may treat a reflector as a perfect mirror, for which it cannot sample lamps."""
 _LUMINANCE = (0.2126390, 0.7151687, 0.0721923)
-"""Of linear Rec. 709, as a colour is made one number."""
+"""Luminance weights of linear Rec. 709, by which a colour is converted to a number."""
 _DEEP = 64
-"""Groups in groups in groups: what is deeper is not followed."""
+"""Largest nesting depth of node groups; deeper groups are not followed."""
 _DARK = {
     *("BSDF_DIFFUSE", "BSDF_GLOSSY", "BSDF_GLASS", "BSDF_REFRACTION", "BSDF_TRANSLUCENT", "BSDF_TRANSPARENT"),
     *("BSDF_METALLIC", "BSDF_SHEEN", "BSDF_TOON", "BSDF_HAIR", "BSDF_HAIR_PRINCIPLED", "BSDF_RAY_PORTAL"),
     *("SUBSURFACE_SCATTERING", "HOLDOUT", "VOLUME_ABSORPTION", "VOLUME_SCATTER"),
 }
-"""Shaders that never give light of their own."""
+"""Shaders that never emit light."""
 
 
 @dataclass(frozen=True)
@@ -41,13 +41,13 @@ class Part:
     kind : str
         Blender's type of the node.
     inputs : mapping of str to float or tuple of float or None
-        By the socket's name; None where the value changes from place to place, or cannot be known.
+        Values by socket name; None where the value varies in space or cannot be determined.
     linked : frozenset of str
-        The inputs that are not as the node itself has them.
+        Names of the inputs whose value comes from a link rather than from the node.
     component : str
-        Of a node that has several, else empty.
+        Selected component of a node that has several, else empty.
     images : mapping of str to bpy.types.Image
-        By the socket's name, the images that are linked straight into the node.
+        Images that are linked directly into the node, by socket name.
     """
 
     kind: str
@@ -57,12 +57,12 @@ class Part:
     images: Mapping[str, Any] = field(default_factory=dict)
 
     def is_zero(self, name: str) -> bool:
-        """Whether an input is surely 0, or black, or missing."""
+        """Whether an input is certainly 0, or black, or missing."""
         value = self.inputs.get(name, 0.0)
         return value is not None and not any(value[:3] if isinstance(value, tuple) else (value,))
 
     def colour(self, name: str) -> tuple[float, float, float] | None:
-        """Return a colour that is the same everywhere, else None."""
+        """Return an input as a colour if it is constant, else None."""
         value = self.inputs.get(name)
         if not isinstance(value, tuple):
             return None if value is None else (value, value, value)
@@ -71,7 +71,7 @@ class Part:
 
 @dataclass(frozen=True)
 class Shader:
-    """What a material, a lamp or a world is made of, as Cycles sees it."""
+    """The shaders of a material, lamp or world, as Cycles sees them."""
 
     surface: tuple[Part, ...] = ()
     volume: tuple[Part, ...] = ()
@@ -79,17 +79,17 @@ class Shader:
 
 
 def read(block: Any) -> Shader:
-    """Return what Cycles would evaluate of a material, lamp or world.
+    """Return the shaders of a material, lamp or world that Cycles would evaluate.
 
     Parameters
     ----------
     block : bpy.types.Material, bpy.types.World, bpy.types.Light or None
-        None is an object without a material, for which Cycles takes its own.
+        None stands for an object without a material, for which Cycles uses its default material.
 
     Returns
     -------
     Shader
-        Without any part if it neither reflects nor shines.
+        Has no parts if it neither reflects nor emits light.
     """
     if block is None:
         inputs: dict[str, Value | None] = {"Base Color": (0.8, 0.8, 0.8), "Roughness": 0.5, "Specular IOR Level": 0.5}
@@ -100,21 +100,23 @@ def read(block: Any) -> Shader:
     if output is None or (output.mute and bpy.app.version < (5, 0)):
         return Shader()
     reader = _Reader()
-    ends = {name: output.inputs[name] for name in ("Surface", "Volume", "Displacement") if name in output.inputs}
-    surface, volume = (tuple(reader.parts(ends[name], ())) if name in ends else () for name in ("Surface", "Volume"))
-    displaced = "Displacement" in ends and reader.origin(ends["Displacement"], ()) is not None
+    sockets = {name: output.inputs[name] for name in ("Surface", "Volume", "Displacement") if name in output.inputs}
+    surface, volume = (
+        tuple(reader.parts(sockets[name], ())) if name in sockets else () for name in ("Surface", "Volume")
+    )
+    displaced = "Displacement" in sockets and reader.origin(sockets["Displacement"], ()) is not None
     return Shader(surface=surface, volume=tuple(p for p in volume if not _thin(p)), displaced=displaced)
 
 
 def uses_nodes(block: Any) -> bool:
-    """Whether a material, lamp or world is what its nodes say.
+    """Whether a material, lamp or world is defined by its nodes.
 
-    Blender 5 always takes the nodes of materials and worlds, and 5.2 those of lamps; to ask is deprecated there.
+    Blender 5 always uses the nodes of materials and worlds, and 5.2 those of lamps; `use_nodes` is deprecated there.
     """
     if block.node_tree is None:
         return False
-    always = (5, 2) if isinstance(block, bpy.types.Light) else (5, 0)
-    return bpy.app.version >= always or bool(block.use_nodes)
+    since = (5, 2) if isinstance(block, bpy.types.Light) else (5, 0)
+    return bpy.app.version >= since or bool(block.use_nodes)
 
 
 def diffuse(material: Any) -> tuple[float, float, float] | None:
@@ -136,23 +138,23 @@ def diffuse(material: Any) -> tuple[float, float, float] | None:
 
 
 def glows(block: Any) -> bool:
-    """Whether a material, lamp or world may give light of its own: a no is sure."""
+    """Whether a material, lamp or world may emit light; False is certain."""
     shader = read(block)
     return any(map(_shines, (*shader.surface, *shader.volume)))
 
 
 def shines(block: Any) -> bool:
-    """Whether the surface of a world or lamp may give light; what its volume does is not asked."""
+    """Whether the surface of a world or lamp may emit light; its volume is ignored."""
     return any(map(_shines, read(block).surface))
 
 
 def radiance(block: Any) -> tuple[float, float, float] | None:
-    """Return what a world shines alike from everywhere, W/m^2/sr, or a lamp's nodes multiply it by; else None.
+    """Return a world's uniform radiance, W/m^2/sr, or the factor that a lamp's nodes apply to its light, else None.
 
     Returns
     -------
     (float, float, float) or None
-        None if it changes with direction or place, or cannot be known.
+        Per colour channel; None if it varies with direction or position, or cannot be determined.
     """
     total = [0.0, 0.0, 0.0]
     for part in read(block).surface:
@@ -168,7 +170,7 @@ def radiance(block: Any) -> tuple[float, float, float] | None:
 
 
 def level(block: Any) -> float:
-    """Return a world's mean radiance, W/m^2/sr; of one with a texture, its strength; 0 if it gives no light."""
+    """Return a world's mean radiance, W/m^2/sr, or its strength if it has a texture; 0 if it emits no light."""
     total = 0.0
     for part in filter(_shines, read(block).surface):
         strength, colour = part.inputs.get("Strength"), part.colour("Color")
@@ -178,7 +180,7 @@ def level(block: Any) -> float:
 
 
 def darkened(world: bpy.types.World) -> bpy.types.World:
-    """Return a copy of a world that gives no light from its surface; its volume is kept."""
+    """Return a copy of a world whose surface emits no light; its volume is kept."""
     dark = world.copy()
     if not uses_nodes(dark):
         dark.color = (0.0, 0.0, 0.0)
@@ -190,7 +192,7 @@ def darkened(world: bpy.types.World) -> bpy.types.World:
 
 
 def kinds(material: Any) -> frozenset[str]:
-    """Return in which ways a material may send light on: "diffuse", "glossy" and so on, as Cycles counts bounces.
+    """Return the kinds of scattering of a material: "diffuse", "glossy" and so on, as Cycles counts bounces.
 
     Parameters
     ----------
@@ -199,18 +201,18 @@ def kinds(material: Any) -> frozenset[str]:
     Returns
     -------
     frozenset of str
-        "mirror" beside "glossy" or "transmission" if it may do so in one direction only.
+        Contains "mirror" in addition if glossy reflection or transmission may have one direction only.
     """
     shader = read(material)
-    found = {kind for part in shader.surface for kind in _kinds(part)}
-    return frozenset(found | ({VOLUME} if shader.volume else set()))
+    scattering = {kind for part in shader.surface for kind in _kinds(part)}
+    return frozenset(scattering | ({VOLUME} if shader.volume else set()))
 
 
 def anchors(block: Any) -> set[bpy.types.Object]:
-    """Return the objects in whose coordinates a material, lamp or world may look its textures up."""
+    """Return the objects in whose coordinates a material, lamp or world may evaluate its textures."""
     if not uses_nodes(block):
         return set()
-    found: set[bpy.types.Object] = set()
+    objects: set[bpy.types.Object] = set()
     trees, seen = [block.node_tree], set()
     while trees:
         tree = trees.pop()
@@ -221,12 +223,12 @@ def anchors(block: Any) -> set[bpy.types.Object]:
             if node.type == "GROUP":
                 trees.append(node.node_tree)
             elif node.type == "TEX_COORD" and node.object is not None and node.outputs["Object"].is_linked:
-                found.add(node.object)
-    return found
+                objects.add(node.object)
+    return objects
 
 
 def _flat(block: Any) -> Part:
-    """What stands for the nodes that a block does not use."""
+    """Shader equivalent of a data-block that does not use nodes."""
     if isinstance(block, bpy.types.World):
         return Part("BACKGROUND", {"Color": tuple(block.color), "Strength": 1.0})
     if isinstance(block, bpy.types.Light):
@@ -235,21 +237,21 @@ def _flat(block: Any) -> Part:
 
 
 def _shines(part: Part) -> bool:
-    """Whether a shader may give light: a no is sure."""
+    """Whether a shader may emit light; False is certain."""
     if part.kind in ("EMISSION", "BACKGROUND"):
         return not (part.is_zero("Color") or part.is_zero("Strength"))
     if part.kind == "BSDF_PRINCIPLED":
         return not (part.is_zero("Emission Color") or part.is_zero("Emission Strength"))
     if part.kind == "PRINCIPLED_VOLUME":
-        own = not (part.is_zero("Emission Color") or part.is_zero("Emission Strength"))
-        return own or not part.is_zero("Blackbody Intensity")
+        emits = not (part.is_zero("Emission Color") or part.is_zero("Emission Strength"))
+        return emits or not part.is_zero("Blackbody Intensity")
     if part.kind == "VOLUME_COEFFICIENTS":
         return not part.is_zero("Emission Coefficients")
     return part.kind not in _DARK
 
 
 def _thin(part: Part) -> bool:
-    """Whether a volume is surely none."""
+    """Whether a volume shader certainly has no effect."""
     return part.kind in ("VOLUME_ABSORPTION", "VOLUME_SCATTER") and part.is_zero("Density")
 
 
@@ -278,30 +280,30 @@ def _kinds(part: Part) -> set[str]:
         return {GLOSSY if part.component == "Reflection" else TRANSMISSION}
     if part.kind == "BSDF_PRINCIPLED":
         return _principled(part)
-    ways = {
+    by_roughness = {
         "BSDF_GLOSSY": {GLOSSY},
         "BSDF_METALLIC": {GLOSSY},
         "BSDF_GLASS": {GLOSSY, TRANSMISSION},
         "BSDF_REFRACTION": {TRANSMISSION},
     }
-    if part.kind not in ways:
+    if part.kind not in by_roughness:
         return {UNKNOWN}
-    return ways[part.kind] | ({MIRROR} if _singular(part, "Roughness") else set())
+    return by_roughness[part.kind] | ({MIRROR} if _singular(part, "Roughness") else set())
 
 
 def _principled(part: Part) -> set[str]:
-    found = {DIFFUSE}
+    scattering = {DIFFUSE}
     if not all(map(part.is_zero, ("Metallic", "Specular IOR Level", "Transmission Weight"))):
-        found |= {GLOSSY} | ({MIRROR} if _singular(part, "Roughness") else set())
+        scattering |= {GLOSSY} | ({MIRROR} if _singular(part, "Roughness") else set())
     if not part.is_zero("Coat Weight"):
-        found |= {GLOSSY} | ({MIRROR} if _singular(part, "Coat Roughness") else set())
+        scattering |= {GLOSSY} | ({MIRROR} if _singular(part, "Coat Roughness") else set())
     if not part.is_zero("Transmission Weight"):
-        found.add(TRANSMISSION)
+        scattering.add(TRANSMISSION)
     if not part.is_zero("Subsurface Weight"):
-        found.add(SUBSURFACE)
+        scattering.add(SUBSURFACE)
     if part.inputs.get("Alpha") != 1.0:
-        found.add(TRANSPARENT)
-    return found
+        scattering.add(TRANSPARENT)
+    return scattering
 
 
 def _singular(part: Part, name: str) -> bool:
@@ -314,12 +316,12 @@ def _singular(part: Part, name: str) -> bool:
 # --------------------------------------------------------------------------------------------------------------------
 
 Path = tuple[Any, ...]
-"""The group nodes that lead down to a tree, outermost first."""
+"""The group nodes that enclose a tree, outermost first."""
 
 
 @dataclass(frozen=True)
 class _Origin:
-    """Where a link begins: an output of a node, or a value that is the same everywhere."""
+    """Start of a link: an output of a node, or a constant value."""
 
     node: Any = None
     output: Any = None
@@ -329,7 +331,7 @@ class _Origin:
 
 
 _NOWHERE = _Origin()
-"""Connected, but to nothing: a group without a tree, what is too deep."""
+"""A link without a usable start: into a group that has no tree or is nested too deep."""
 
 
 @dataclass
@@ -339,14 +341,14 @@ class _Reader:
     links: dict[int, dict[int, Any]] = field(default_factory=dict)
 
     def parts(self, socket: Any, path: Path) -> Iterator[Part]:
-        """Return the shaders that a socket adds up to, each once."""
+        """Yield the shaders whose sum or mixture reaches a socket, each once."""
         todo, seen = [(socket, path)], set()
         while todo:
             origin = self.origin(*todo.pop())
             if origin is None or origin is _NOWHERE:
                 continue
-            if not origin.shader:  # Cycles lets a colour shine where a shader should be
-                # (of a world, before Blender 5, a tenth of it)
+            if not origin.shader:  # Cycles emits a colour that is linked where a shader is expected
+                # (a tenth of it for a world, before Blender 5).
                 colour = origin.value if bpy.app.version >= (5, 0) else None
                 yield Part("EMISSION", {"Color": colour, "Strength": 1.0}, frozenset({"Color"}))
                 continue
@@ -360,8 +362,8 @@ class _Reader:
                 first, second = not isinstance(share, float) or share < 1.0, share is None or share > 0.0  # type: ignore[operator]
                 todo += [(node.inputs[i], path) for i, counts in ((1, first), (2, second)) if counts]
             elif node.type == "ADD_SHADER":
-                todo += [(each, path) for each in node.inputs]
-            elif node.type != "EEVEE_SPECULAR":  # Cycles has no such thing
+                todo += [(term, path) for term in node.inputs]
+            elif node.type != "EEVEE_SPECULAR":  # which Cycles does not have
                 yield self._part(node, path)
 
     def _part(self, node: Any, path: Path) -> Part:
@@ -377,7 +379,7 @@ class _Reader:
         )
 
     def value(self, socket: Any, path: Path) -> Value | None:
-        """Return what a socket is given if that is the same everywhere, else None."""
+        """Return the value that reaches a socket if it is constant, else None."""
         origin = self.origin(socket, path)
         if origin is None:
             return _default(socket)
@@ -386,7 +388,7 @@ class _Reader:
         return _as(socket.type, origin.value)
 
     def origin(self, socket: Any, path: Path) -> _Origin | None:
-        """Return where the link into a socket begins; None if it is as good as unlinked."""
+        """Return the start of the link into a socket; None if the socket is effectively unlinked."""
         for _ in range(10_000):
             link = self._link(socket)
             if link is None:
@@ -398,7 +400,7 @@ class _Reader:
                     return None
                 socket = inner
                 if bpy.app.version < (5, 0) and self._link(socket) is None:
-                    return _Origin(value=0.0)  # later Blenders take it for unlinked
+                    return _Origin(value=0.0)  # later versions treat it as unlinked
             elif node.type in ("GROUP", "CUSTOM GROUP"):
                 inner = _group_output(node, output)
                 if inner is None or len(path) > _DEEP:
@@ -424,7 +426,7 @@ class _Reader:
         return _NOWHERE if value is None else _Origin(value=value)
 
     def _link(self, socket: Any) -> Any:
-        """The link into a socket that counts."""
+        """The effective link into a socket, or None."""
         tree = socket.id_data
         key = tree.as_pointer()
         if key not in self.links:
@@ -437,10 +439,10 @@ class _Reader:
 
 
 def _group_output(node: Any, output: Any) -> Any:
-    """The socket inside a group that an output of it stands for, or None."""
+    """The socket inside a group that feeds one of its outputs, or None."""
     tree = node.node_tree
-    ends = [n for n in tree.nodes if n.type == "GROUP_OUTPUT" and n.is_active_output] if tree else []
-    return next((s for end in ends for s in end.inputs if s.identifier == output.identifier), None)
+    outputs = [n for n in tree.nodes if n.type == "GROUP_OUTPUT" and n.is_active_output] if tree else []
+    return next((s for end in outputs for s in end.inputs if s.identifier == output.identifier), None)
 
 
 def _default(socket: Any) -> Value | None:
@@ -453,11 +455,11 @@ def _default(socket: Any) -> Value | None:
 
 
 def _as(kind: str, value: Value) -> Value:
-    """Turn a value into what a socket of that kind makes of it."""
+    """Convert a value as a socket of the given type does."""
     if kind in ("RGBA", "VECTOR"):
         width = 4 if kind == "RGBA" else 3
-        whole = (value,) * 3 if isinstance(value, float) else value
-        return (*whole[:3], 1.0)[:width]
+        channels = (value,) * 3 if isinstance(value, float) else value
+        return (*channels[:3], 1.0)[:width]
     if isinstance(value, float):
         return value
     if len(value) == 4:

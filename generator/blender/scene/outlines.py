@@ -1,4 +1,4 @@
-"""What belongs to an experiment but is no object, as lines to be drawn: voxels, patches, light legs, poses."""
+"""Line drawings of the parts of an experiment that are no objects: voxels, patches, light paths, poses."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ from generator.model.settings import Sweep
 
 _TURNS = 64
 _POSES = 8
-"""Per voxel: enough to see how they lie, and drawn in no time."""
+"""Largest number of poses that are drawn: enough to show their distribution, and quick to draw."""
 
 
 def voxels(grid: VoxelGrid) -> tuple[Array, Array]:
@@ -44,21 +44,21 @@ def boxes(grid: VoxelGrid) -> Array:
     quads = [(0, 1, 3, 2), (4, 5, 7, 6), (0, 1, 5, 4), (2, 3, 7, 6), (0, 2, 6, 4), (1, 3, 7, 5)]
     corners = [corner for a, b, c, d in quads for corner in (a, b, c, a, c, d)]
     lows = np.array([grid.bounds(voxel)[0] for voxel in range(grid.n_voxels)])
-    made: Array = lows[:, None] + unit[corners] * np.array(grid.size)
-    return made
+    triangles: Array = lows[:, None] + unit[corners] * np.array(grid.size)
+    return triangles
 
 
 def lit_patch(lamp: bpy.types.Object) -> Array:
-    """Return the rim of what a spot lamp lights of the plane y = 0, (n, 3), metres; empty if that is no ellipse."""
+    """Return the rim of a spot lamp's lit area on the plane y = 0, (n, 3), metres; empty if it is no ellipse."""
     if lamp.type != "LIGHT" or lamp.data.type != "SPOT":
         return np.empty((0, 3))
     matrix = numbers(lamp.matrix_world)
     origin, axes = matrix[:3, 3], matrix[:3, :3] / np.linalg.norm(matrix[:3, :3], axis=0)
-    turn = np.linspace(0.0, 2.0 * math.pi, _TURNS, endpoint=False)[:, None]
-    ways = -axes[:, 2] + math.tan(lamp.data.spot_size / 2.0) * (np.cos(turn) * axes[:, 0] + np.sin(turn) * axes[:, 1])
-    if origin[1] <= 0.0 or (ways[:, 1] >= 0.0).any():
+    phi = np.linspace(0.0, 2.0 * math.pi, _TURNS, endpoint=False)[:, None]
+    rays = -axes[:, 2] + math.tan(lamp.data.spot_size / 2.0) * (np.cos(phi) * axes[:, 0] + np.sin(phi) * axes[:, 1])
+    if origin[1] <= 0.0 or (rays[:, 1] >= 0.0).any():
         return np.empty((0, 3))
-    rim: Array = origin - ways * (origin[1] / ways[:, 1:2])
+    rim: Array = origin - rays * (origin[1] / rays[:, 1:2])
     return rim
 
 
@@ -69,7 +69,7 @@ def closed(corners: Array) -> Array:
 
 
 def watched(scene: bpy.types.Scene) -> Array:
-    """Return the corners of what the camera sees of the plane y = 0, (4, 3), metres; empty if it sees none."""
+    """Return the corners of the camera's view on the plane y = 0, (4, 3), metres; empty if there is none."""
     try:
         return geometry.view(scene, roles.find(scene, "camera"))[1]
     except NlosError:
@@ -77,7 +77,7 @@ def watched(scene: bpy.types.Scene) -> Array:
 
 
 def legs(scene: bpy.types.Scene) -> Array:
-    """Return the way of the light: lamp, w1, target, w2, camera, (5, 3), metres; empty if there is none."""
+    """Return the light path: lamp, w1, target, w2, camera, (5, 3), metres; empty if there is none."""
     rim, corners = lit_patch(roles.find(scene, "spot")), watched(scene)
     if not len(rim) or not len(corners):
         return np.empty((0, 3))
@@ -88,7 +88,7 @@ def legs(scene: bpy.types.Scene) -> Array:
 
 
 def sampled(scene: bpy.types.Scene, sweep: Sweep) -> Array:
-    """Return where the target stands in the first poses of a sweep, (n, 3), metres.
+    """Return the target's positions in the first poses of a sweep, (n, 3), metres.
 
     Raises
     ------
@@ -96,6 +96,6 @@ def sampled(scene: bpy.types.Scene, sweep: Sweep) -> Array:
         The scene cannot be read, or the target fits nowhere.
     """
     described = read_scene(scene)
-    some = replace(sweep, poses=min(sweep.poses, _POSES))
-    is_free = clearance.clearance(scene, described, engine=some.engine)
-    return np.array([pose.position for pose in poses.plan(described.grid, some, geometry.hull(scene), is_free)])
+    preview = replace(sweep, poses=min(sweep.poses, _POSES))
+    is_free = clearance.clearance(scene, described, engine=preview.engine)
+    return np.array([pose.position for pose in poses.plan(described.grid, preview, geometry.hull(scene), is_free)])

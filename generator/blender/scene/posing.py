@@ -1,4 +1,4 @@
-"""The target: moved to a pose, held against its file's animation, put back."""
+"""Moves the target to a pose, checks that nothing else in the file holds it, and restores it afterwards."""
 
 from __future__ import annotations
 
@@ -21,11 +21,11 @@ from generator.model.errors import NlosError
 from generator.model.scene import Target
 
 _SHEAR = 1e-5
-"""A frame is sheared if it differs by more from one that is not, in units of its scale."""
+"""A frame counts as sheared if it differs by more than this from an unsheared one, in units of its scale."""
 
 
 def move_target(scene: bpy.types.Scene, position: Vector, rotation: Vector) -> None:
-    """Put the target's origin at a position, turned about x, then y, then z.
+    """Place the target's origin at a position, rotated about x, then y, then z.
 
     Parameters
     ----------
@@ -42,33 +42,33 @@ def move_target(scene: bpy.types.Scene, position: Vector, rotation: Vector) -> N
     target = find(scene, "target")
     if target.parent is not None:
         _cut_loose(scene, target)
-    # Never through the matrix: its scale, read back and set again, would drift by a rounding with every pose, and
-    # the pixels would depend on the poses before.
+    # Not by the matrix: its scale, read back and set again, would drift by a rounding error with every pose, and
+    # the pixels would depend on earlier poses.
     turn = Euler([math.radians(a) for a in rotation], "XYZ")
     target.rotation_mode = "XYZ"
     target.delta_location, target.delta_rotation_euler = (0.0, 0.0, 0.0), (0.0, 0.0, 0.0)
     target.location, target.rotation_euler = position, turn
     bpy.context.view_layer.update()
     if not target.visible_get():
-        return  # the viewport does not know of it; what is rendered is looked at before a sweep (`engines.survey`)
-    wanted = Matrix.LocRotScale(
+        return  # not evaluated in the viewport; a sweep checks the rendered pose beforehand (`engines.survey`)
+    expected = Matrix.LocRotScale(
         mathutils.Vector(position), turn, mathutils.Vector(target.scale) * mathutils.Vector(target.delta_scale)
     )
-    got = target.evaluated_get(bpy.context.evaluated_depsgraph_get()).matrix_world
+    actual = target.evaluated_get(bpy.context.evaluated_depsgraph_get()).matrix_world
     tolerance = 1e-5 * (1.0 + max(map(abs, position)))
-    if any(abs(a - b) > tolerance for r, s in zip(wanted, got, strict=True) for a, b in zip(r, s, strict=True)):
+    if any(abs(a - b) > tolerance for r, s in zip(expected, actual, strict=True) for a, b in zip(r, s, strict=True)):
         raise NlosError(f"{file_name()}: {held(target)}")
 
 
 def held(target: bpy.types.Object) -> str:
-    """Return that a target does not go where it is put, why, and what would mend it."""
-    moves, name = target.animation_data, f"the target {target.name!r}"
+    """Return a sentence that says that the target cannot be moved, and what holds it."""
+    animation, name = target.animation_data, f"the target {target.name!r}"
     holders = [f"the constraint {c.name!r}" for c in target.constraints if c.enabled and not c.mute]
-    if moves and moves.action:
-        holders.append(f"the animation {moves.action.name!r}")
-    if moves and any(track.strips and not track.mute for track in moves.nla_tracks):
+    if animation and animation.action:
+        holders.append(f"the animation {animation.action.name!r}")
+    if animation and any(track.strips and not track.mute for track in animation.nla_tracks):
         holders.append("its NLA strips")
-    if moves and moves.drivers:
+    if animation and animation.drivers:
         holders.append("its drivers")
     if target.rigid_body:
         holders.append("its rigid body simulation")
@@ -79,11 +79,11 @@ def held(target: bpy.types.Object) -> str:
 
 
 def _cut_loose(scene: bpy.types.Scene, target: bpy.types.Object) -> None:
-    """Take the target from its parents and leave it the size that they give it."""
+    """Remove the target's parent, and keep the size that the parents give it."""
     matrix = Matrix(snapshot(scene).matrices["target"].tolist())
     scale = matrix.to_scale()
-    plain = Matrix.LocRotScale(*matrix.decompose())
-    if np.abs(numbers(plain) - numbers(matrix))[:3, :3].max() > _SHEAR * max(map(abs, scale)):
+    unsheared = Matrix.LocRotScale(*matrix.decompose())
+    if np.abs(numbers(unsheared) - numbers(matrix))[:3, :3].max() > _SHEAR * max(map(abs, scale)):
         raise NlosError(
             f"{file_name()}: the target {target.name!r} is sheared by its parents' scale, which no pose can hold; "
             "apply that scale (Object > Apply > Scale), or make it visual geometry"
@@ -94,9 +94,9 @@ def _cut_loose(scene: bpy.types.Scene, target: bpy.types.Object) -> None:
 
 @contextlib.contextmanager
 def put_back(scene: bpy.types.Scene) -> Iterator[None]:
-    """Put the target back on leaving, however it was moved."""
+    """Restore the target's parent and pose when the context is left."""
     target = find(scene, "target")
-    # In this order: a parent set later would change what was set before it.
+    # The order matters: setting the parent changes values that were set before it.
     names = [
         *("parent", "parent_type", "parent_bone", "matrix_parent_inverse", "rotation_mode", "location"),
         *("rotation_euler", "rotation_quaternion", "rotation_axis_angle", "scale"),
@@ -105,7 +105,7 @@ def put_back(scene: bpy.types.Scene) -> Iterator[None]:
     before = {name: getattr(target, name) for name in names}
     for name, value in before.items():
         if isinstance(value, mathutils.Vector | Euler | Quaternion | Matrix):
-            before[name] = value.copy()  # else a view of what is going to change
+            before[name] = value.copy()  # otherwise a view of a value that will change
     before["rotation_axis_angle"] = tuple(target.rotation_axis_angle)
     try:
         yield
@@ -117,20 +117,20 @@ def put_back(scene: bpy.types.Scene) -> Iterator[None]:
 
 @contextlib.contextmanager
 def stand_in(scene: bpy.types.Scene, wanted: Target) -> Iterator[None]:
-    """Put another object in the target's place, unturned; on leaving, take it away again."""
+    """Replace the target by another object, unrotated, until the context is left."""
     parts = target_parts(scene)
-    other = build_target(wanted)
-    other.location = parts[0].matrix_world.translation
+    substitute = build_target(wanted)
+    substitute.location = parts[0].matrix_world.translation
     with Overrides() as overrides:
         for part in parts:
             overrides.set(part, "hide_render", True)
         del parts[0][ROLE]
-        add_part(scene.collection, other, "target")
+        add_part(scene.collection, substitute, "target")
         try:
             bpy.context.view_layer.update()
             yield
         finally:
-            data, materials = other.data, list(other.data.materials)
-            bpy.data.batch_remove([other, data, *materials])
+            data, materials = substitute.data, list(substitute.data.materials)
+            bpy.data.batch_remove([substitute, data, *materials])
             parts[0][ROLE] = "target"
     bpy.context.view_layer.update()

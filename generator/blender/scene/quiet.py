@@ -1,4 +1,4 @@
-"""Blender's console kept quiet, and settings that are put back."""
+"""Suppression of Blender's console output, and temporary changes of its settings."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from generator.model.errors import NlosError
 
 @contextlib.contextmanager
 def quiet() -> Iterator[None]:
-    """Silence what Blender prints about its own doings: by C, to file descriptor 1, and by Python's sys.stdout."""
+    """Suppress what Blender prints: from C to file descriptor 1, and from Python to sys.stdout."""
     if sys.stdout is not None:
         sys.stdout.flush()
     try:
@@ -38,10 +38,10 @@ def quiet() -> Iterator[None]:
 
 
 class Overrides:
-    """Set attributes of Blender's data and set them back on leaving, last first.
+    """Set attributes of Blender's data, and restore them in reverse order when the context is left.
 
-    Animation and drivers have their say when a render starts, and would overrule what is set; so those of just these
-    attributes are muted for as long.
+    Animation and drivers are applied when a render starts and would overwrite the values, so those of exactly these
+    attributes are muted for that time.
     """
 
     def __init__(self) -> None:
@@ -51,12 +51,12 @@ class Overrides:
         return self
 
     def set(self, owner: Any, name: str, value: Any) -> None:
-        """Set an attribute until the block is left.
+        """Set an attribute until the context is left.
 
         Raises
         ------
         NlosError
-            It is animated by an action that animates something else as well, which muting it would change.
+            The attribute is animated by an action that also animates something else, which muting would change.
         """
         for curve in animating(owner, name):
             self._undo.append(functools.partial(setattr, curve, "mute", False))
@@ -65,54 +65,54 @@ class Overrides:
         setattr(owner, name, value)
 
     def keep(self, owner: Any, *first: str) -> None:
-        """Set back whatever will have changed of an owner's settings, where setting one changes others.
+        """Restore all of an owner's settings when the context is left, where setting one changes others.
 
         Parameters
         ----------
         owner : bpy.types.bpy_struct
-            With the settings that it owns, theirs too.
+            The settings of what it owns are restored too.
         *first : str
-            Names of those that decide what others may be, in the order in which they do.
+            Names of settings that decide which values others may have; they are restored first, in this order.
         """
-        with quiet():  # Blender complains of colour spaces that are not set
-            every = list(_plain(owner))
-        before = sorted(every, key=lambda one: first.index(one[1]) if one[1] in first else len(first))
+        with quiet():  # Blender prints complaints about colour spaces that are not set
+            values = list(_plain(owner))
+        before = sorted(values, key=lambda entry: first.index(entry[1]) if entry[1] in first else len(first))
         self._undo.append(functools.partial(_set_back, owner, before))
 
     def __exit__(self, *_: object) -> None:
         for undo in reversed(self._undo):
-            with contextlib.suppress(TypeError):  # what only another Blender or add-on knows, such as its engine
+            with contextlib.suppress(TypeError):  # a value of another Blender or add-on, such as its engine
                 undo()
 
 
 def _plain(owner: Any, way: tuple[str, ...] = ()) -> Iterator[tuple[tuple[str, ...], str, Any]]:
-    """Every value that can be set of an owner, and of what it owns: the way to whose it is, its name, and which."""
-    for about in owner.bl_rna.properties:
-        if about.type == "COLLECTION" or about.identifier == "rna_type":
+    """Yield every settable value of an owner and of what it owns: path to its holder, attribute's name, value."""
+    for prop in owner.bl_rna.properties:
+        if prop.type == "COLLECTION" or prop.identifier == "rna_type":
             continue
-        value = getattr(owner, about.identifier)
-        if about.type == "POINTER":
+        value = getattr(owner, prop.identifier)
+        if prop.type == "POINTER":
             if value is not None and not isinstance(value, bpy.types.ID):
-                yield from _plain(value, (*way, about.identifier))
-        elif not about.is_readonly:
-            yield way, about.identifier, tuple(value) if getattr(about, "is_array", False) else value
+                yield from _plain(value, (*way, prop.identifier))
+        elif not prop.is_readonly:
+            yield way, prop.identifier, tuple(value) if getattr(prop, "is_array", False) else value
 
 
 @quiet()
 def _set_back(root: Any, before: list[tuple[tuple[str, ...], str, Any]]) -> None:
-    for way, name, value in before:
-        # Looked up anew: a change of colour management frees the curves of the old one.
-        owner = functools.reduce(lambda holder, step: getattr(holder, step, None), way, root)
+    for path, name, value in before:
+        # Looked up again, because a change of colour management frees the curves of the old one.
+        owner = functools.reduce(lambda holder, step: getattr(holder, step, None), path, root)
         if owner is None:
             continue
-        now = getattr(owner, name)
-        if (tuple(now) if isinstance(value, tuple) else now) != value:
-            with contextlib.suppress(TypeError):  # likewise
+        current = getattr(owner, name)
+        if (tuple(current) if isinstance(value, tuple) else current) != value:
+            with contextlib.suppress(TypeError):  # as in `Overrides.__exit__`
                 setattr(owner, name, value)
 
 
 def animating(owner: Any, name: str) -> list[Any]:
-    """Return the F-curves, among them drivers, that set an attribute when a render starts.
+    """Return the F-curves, including drivers, that set an attribute when a render starts.
 
     Parameters
     ----------
@@ -122,27 +122,27 @@ def animating(owner: Any, name: str) -> list[Any]:
     Raises
     ------
     NlosError
-        One is in an action that animates something else as well.
+        An F-curve belongs to an action that also animates something else.
     """
     block: Any = getattr(owner, "id_data", None)
     animation = getattr(block, "animation_data", None)
     if animation is None:
         return []
-    found = [curve for curve in animation.drivers if _sets(curve, owner, name)]
+    matching = [curve for curve in animation.drivers if _sets(curve, owner, name)]
     for action, slot in _actions(animation):
         curves = [curve for curve in _curves(action, slot) if _sets(curve, owner, name)]
-        # Another scene's settings are not rendered.
+        # A scene may share its action with another scene, whose settings are not rendered.
         if curves and not isinstance(block, bpy.types.Scene) and _shared(action, slot):
             raise NlosError(
                 f"{file_name()}: {block.name!r} shares the action {action.name!r}, which animates its {name!r}, with "
                 "something else; give it an action of its own"
             )
-        found += curves
-    return found
+        matching += curves
+    return matching
 
 
 def _sets(curve: Any, owner: Any, name: str) -> bool:
-    """Whether an F-curve that counts sets that attribute."""
+    """Whether an unmuted F-curve sets an attribute."""
     path = curve.data_path
     if curve.mute or not path.endswith((name, f'"{name}"]')):
         return False
@@ -151,12 +151,12 @@ def _sets(curve: Any, owner: Any, name: str) -> bool:
         return bool(owner == getattr(owner.id_data, "cycles", None))
     try:
         return bool((owner.id_data.path_resolve(head) if head else owner.id_data) == owner)
-    except ValueError:  # it leads nowhere
+    except ValueError:  # the path leads nowhere
         return False
 
 
 def _actions(animation: Any) -> list[tuple[Any, Any]]:
-    """Actions that animate a data-block, by itself or as strips, each with the handle of its slot, if any."""
+    """Actions that animate a data-block, directly or as NLA strips, each with the handle of its slot, if any."""
     users, strips = [animation], [strip for track in animation.nla_tracks for strip in track.strips]
     while strips:
         strip = strips.pop()

@@ -1,8 +1,7 @@
-"""Settings of a scene file that a sweep replaces by its own, and why.
+"""Settings of a scene file that a sweep replaces by its own values, and why.
 
-One table, which the engines apply, `check` tells of, `dataset.toml` records and docs/settings.md prints.
-
-What is not in it is the file's own business, and is rendered as plain Cycles renders it.
+This one table is applied by the engines, reported by `check`, recorded in `dataset.toml` and printed in
+docs/settings.md. Settings that are not in it keep the file's values, and are rendered as plain Cycles renders them.
 """
 
 from __future__ import annotations
@@ -21,14 +20,14 @@ class Setting:
     Attributes
     ----------
     path : str
-        From the scene, as Blender's Python spells it; ``layer`` stands for every view layer.
+        Attribute path from the scene in Blender's Python; ``layer`` stands for every view layer.
     value : object
-        That a sweep has.
+        Value in a sweep.
     words : str
-        What it is, as Blender's interface names it; empty where another value in the file changes no pixel, since it
-        is about the file that is written, or since the sweep's own settings say it (``--samples``).
+        Name in Blender's interface; empty where another value in the file changes no pixel, because it concerns the
+        file that is written, or because the sweep's own settings replace it (``--samples``).
     why : str
-        Why a sweep does not take the file's.
+        Why a sweep does not use the file's value.
     """
 
     path: str
@@ -55,13 +54,13 @@ OUTPUT = (
         "values are the renderer's, scene-linear",
     ),
     Setting("render.engine", "CYCLES", "render engine", "no other engine of Blender knows radiance"),
-    Setting("render.resolution_percentage", 100),  # what the file says is in the sweep's resolution already
+    Setting("render.resolution_percentage", 100),  # the file's value is already in the sweep's resolution
     Setting("render.pixel_aspect_x", 1.0, "pixel aspect x", "pixels are square"),
     Setting("render.pixel_aspect_y", 1.0, "pixel aspect y", "pixels are square"),
     Setting("render.use_border", False, "render region", "a picture is all that the camera sees"),
     Setting("render.use_compositing", False, "compositing", "values are the renderer's, scene-linear"),
     Setting("render.use_sequencer", False, "sequencer", "a picture is of the scene, not of its edit"),
-    # Its style modules are Python, and run though a file's scripts are off.
+    # Its style modules are Python, and run even if a file's scripts are disabled.
     Setting("render.use_freestyle", False, "Freestyle", _NO_LIGHT),
     Setting("render.use_stamp", False, "text burnt in", _NO_LIGHT),
     Setting("render.use_motion_blur", False, "motion blur", "a picture is of one instant"),
@@ -74,12 +73,12 @@ OUTPUT = (
     Setting("render.use_render_cache", False),
     Setting("render.use_persistent_data", True),
 )
-"""Float32 radiance straight from the renderer: of the whole view, at one instant, with nothing drawn over it."""
+"""Float32 radiance directly from the renderer: of the whole view, at one instant, with nothing drawn over it."""
 IMAGES = tuple(setting for setting in OUTPUT if setting.path.startswith("render.image_settings."))
-"""Of those, the format: Blender renders no small picture of a file that is set to video."""
+"""The image format among them: Blender renders no small picture of a file whose output is set to video."""
 
 SAMPLING = (
-    Setting("cycles.device", "CPU"),  # --device says otherwise
+    Setting("cycles.device", "CPU"),  # unless --device is given
     Setting("cycles.use_adaptive_sampling", False, "adaptive sampling", f"{_ALL_SAMPLES}; to stop early is biased"),
     Setting("cycles.use_denoising", False, "denoising", "it is biased; --denoise asks for it"),
     Setting("cycles.time_limit", 0.0, "time limit", "pixels do not depend on how fast the machine is"),
@@ -103,13 +102,13 @@ SAMPLING = (
     Setting("cycles.sample_offset", 0, "sample offset", _ALL_SAMPLES),
     Setting("cycles.use_pixel_jitter", False, "pixel jitter", _OWN_NOISE),  # Blender 5.2
     Setting("layer.samples", 0),
-    Setting("layer.cycles.use_denoising", True),  # what --denoise asks for, for every layer
+    Setting("layer.cycles.use_denoising", True),  # lets --denoise apply to every layer
 )
 """Unbiased Cycles: a fixed number of samples, nothing clamped, filtered, denoised, guessed or cut short."""
 
 
 def places(scene: Any, setting: Setting) -> Iterator[tuple[Any, str]]:
-    """Yield what holds a setting, and the attribute's name; nothing in a Blender that has no such setting."""
+    """Yield the owners of a setting with the attribute's name; nothing if this Blender has no such setting."""
     first, *middle, name = setting.path.split(".")
     for owner in scene.view_layers if first == "layer" else (getattr(scene, first),):
         for part in middle:
@@ -119,14 +118,14 @@ def places(scene: Any, setting: Setting) -> Iterator[tuple[Any, str]]:
 
 
 def replace(scene: Any, overrides: Overrides, settings: Iterable[Setting]) -> None:
-    """Give the scene the values that a sweep renders with, in place of the file's."""
+    """Set the values that a sweep renders with, in place of the file's."""
     for setting in settings:
         for owner, name in places(scene, setting):
             overrides.set(owner, name, setting.value)
 
 
 def replaced(scene: Any) -> list[Setting]:
-    """Return the settings in which a file differs from a sweep, or may, and which reach the pixels."""
+    """Return the settings that affect the pixels and in which a file differs, or may differ, from a sweep."""
     return [
         setting
         for setting in (*OUTPUT, *SAMPLING)
@@ -139,21 +138,21 @@ def replaced(scene: Any) -> list[Setting]:
 
 
 def told(scene: Any, setting: Setting) -> str:
-    """Return in words what a file says of a setting, and what a sweep has instead."""
+    """Return a phrase that gives a setting's value in the file and in a sweep."""
     owner, name = next(places(scene, setting))
-    own = "animated" if animating(owner, name) else words(getattr(owner, name))
-    return f"{setting.words} ({own} in the file, {words(setting.value)} in a sweep)"
+    file_value = "animated" if animating(owner, name) else words(getattr(owner, name))
+    return f"{setting.words} ({file_value} in the file, {words(setting.value)} in a sweep)"
 
 
 def is_default(scene: Any, setting: Setting) -> bool:
-    """Whether a file has of a setting what every new file of Blender has."""
+    """Whether a setting has the default value of Blender, and is not animated."""
     owner, name = next(places(scene, setting))
     default = owner.bl_rna.properties[name].default
     return bool(getattr(owner, name) == default) and not animating(owner, name)
 
 
 def words(value: Any) -> str:
-    """Return a setting's value as people say it."""
+    """Return a setting's value in words."""
     if isinstance(value, bool):
         return "on" if value else "off"
     return value if isinstance(value, str) else f"{value:g}"
@@ -175,4 +174,4 @@ _AT_WORK: dict[str, Callable[[Any], bool]] = {
     "render.use_sequencer": _edits,
     "cycles.sample_offset": lambda scene: getattr(scene.cycles, "use_sample_subset", True),
 }
-"""Of what does something only along with something else: whether it does in this file."""
+"""For settings that act only together with others: whether they act in this file."""

@@ -1,4 +1,4 @@
-"""Roles that objects play, kept as properties of theirs, so that scenes may be edited and renamed."""
+"""Roles of objects, stored as their custom properties, so that scenes may be edited and objects renamed."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ ROLE = "nlos_role"
 
 
 BUILT = "nlos_built"
-"""Of what `build` made, and may take away again."""
+"""Mark of what `build` made and may remove again."""
 
 
 KIND = "nlos_target_kind"
@@ -50,7 +50,7 @@ _NO_SURFACE = ("LIGHT_PROBE", "CAMERA", "SPEAKER", "ARMATURE", "LATTICE")
 
 
 def limit_reflections(scene: bpy.types.Scene, order: int) -> None:
-    """Let Cycles follow light over that many reflections and no more: the one place that translates.
+    """Limit Cycles to a number of reflections: the only place that converts them to bounces.
 
     Cycles counts bounces after the camera ray's first hit, which is itself a reflection, so order n is n - 1 bounces.
     """
@@ -70,7 +70,7 @@ def reflection_order(scene: bpy.types.Scene) -> int:
 
 
 def cycles_settings(scene: bpy.types.Scene) -> Any:
-    """Return Cycles' settings, or say that it is switched off."""
+    """Return Cycles' settings; raise NlosError if Cycles is switched off."""
     if not hasattr(scene, "cycles"):
         raise NlosError("Cycles is switched off: enable it in Preferences > Add-ons (Cycles Render Engine)")
     return scene.cycles
@@ -87,20 +87,20 @@ def find(scene: bpy.types.Scene, role: str) -> bpy.types.Object:
     Raises
     ------
     NlosError
-        None does, or more than one does.
+        No object plays it, or more than one does.
     """
-    found = players(scene, role)
-    words = role.replace("_", " ")
-    if not found:
+    objs = players(scene, role)
+    label = role.replace("_", " ")
+    if not objs:
         raise NlosError(
-            f"{file_name()}: no object is the {words}; give one the custom property {ROLE} = {role!r} in Blender"
+            f"{file_name()}: no object is the {label}; give one the custom property {ROLE} = {role!r} in Blender"
         )
-    if len(found) > 1:
-        names = ", ".join(repr(o.name) for o in found)
+    if len(objs) > 1:
+        names = ", ".join(repr(o.name) for o in objs)
         raise NlosError(
-            f"{file_name()}: {len(found)} objects are named as {words} ({names}); only one may have {ROLE} = {role!r}"
+            f"{file_name()}: {len(objs)} objects are named as {label} ({names}); only one may have {ROLE} = {role!r}"
         )
-    return found[0]
+    return objs[0]
 
 
 def players(scene: bpy.types.Scene, role: str) -> list[bpy.types.Object]:
@@ -109,7 +109,7 @@ def players(scene: bpy.types.Scene, role: str) -> list[bpy.types.Object]:
 
 
 def unseen(scene: bpy.types.Scene, obj: bpy.types.Object) -> str:
-    """Return why an object is not rendered, in words that follow its name; empty if it is."""
+    """Return why an object is not rendered, as a phrase that follows its name; empty if it is rendered."""
     if obj.hide_render:
         return "is hidden from renders"
 
@@ -124,11 +124,11 @@ def unseen(scene: bpy.types.Scene, obj: bpy.types.Object) -> str:
 
 
 def show(scene: bpy.types.Scene, obj: bpy.types.Object) -> None:
-    """Let an object be rendered, and the collections that hold it."""
+    """Make an object, and the collections that hold it, visible in renders."""
     obj.hide_render = False
 
     def open_up(layer: Any) -> bool:
-        below = [open_up(child) for child in layer.children]  # all of them, not the first that holds it
+        below = [open_up(child) for child in layer.children]  # visits all children, not only the first that holds it
         if obj.name in layer.collection.objects or any(below):
             if layer.exclude and layer.collection != scene.collection:
                 layer.exclude = False
@@ -141,7 +141,7 @@ def show(scene: bpy.types.Scene, obj: bpy.types.Object) -> None:
 
 
 def others(scene: bpy.types.Scene) -> list[str]:
-    """Return the names of rendered objects that play no role, nor belong to the target: what an artist added."""
+    """Return the names of rendered objects without a role that are not part of the target: what an artist added."""
     with_target = {child for target in players(scene, "target") for child in target.children_recursive}
     return sorted(
         o.name
@@ -151,7 +151,7 @@ def others(scene: bpy.types.Scene) -> list[str]:
 
 
 def target_parts(scene: bpy.types.Scene) -> list[bpy.types.Object]:
-    """Return the target and, after it, all its children that are rendered, theirs too: what moves together.
+    """Return the target, followed by all its rendered descendants, which move with it.
 
     Raises
     ------
@@ -159,18 +159,18 @@ def target_parts(scene: bpy.types.Scene) -> list[bpy.types.Object]:
         There is not exactly one target.
     """
     target = find(scene, "target")
-    inside = set(scene.objects)
-    children = [o for o in target.children_recursive if o in inside and ROLE not in o and not o.hide_render]
+    scene_objects = set(scene.objects)
+    children = [o for o in target.children_recursive if o in scene_objects and ROLE not in o and not o.hide_render]
     return [target, *(o for o in children if o.type not in _NO_SURFACE)]
 
 
 def read_grid(scene: bpy.types.Scene) -> VoxelGrid:
-    """Return the voxels that the scene remembers.
+    """Return the voxel grid that is stored in the scene.
 
     Raises
     ------
     NlosError
-        It remembers none, or what it remembers is no grid.
+        No grid is stored, or the stored values are not a valid grid.
     """
     missing = [key for key in (GRID_LO, GRID_HI, GRID_SHAPE) if key not in scene]
     if missing:

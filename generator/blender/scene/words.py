@@ -1,4 +1,4 @@
-"""Blender's values as arrays, as short decimals and as words."""
+"""Conversion of Blender's values to arrays and short decimals, and the scene's name in messages."""
 
 from __future__ import annotations
 
@@ -11,20 +11,20 @@ from generator.model.arrays import Array, Range, Vector
 
 
 def numbers(value: Any) -> Array:
-    """Return a matrix, vector or colour of Blender's as float64, the same to the bit in every Blender.
+    """Return a Blender matrix, vector or colour as a float64 array, identical to the bit in every Blender version.
 
-    From Blender 5.0 on NumPy finds float32 in them, columns first, and would compute with that.
+    From Blender 5.0 on, NumPy would otherwise read them as column-major float32 and compute with that.
     """
     return np.array(value, dtype=np.float64, order="C")
 
 
 def file_name() -> str:
-    """Return what to call the open scene in an error: its file, if it has one."""
+    """Return the name of the open scene for error messages: its file, or "scene" if it has none."""
     return bpy.data.filepath or "scene"
 
 
 def short(value: float) -> float:
-    """Return the shortest decimal that Blender's float32 stands for: 0.05, not 0.05000000074505806."""
+    """Return the shortest decimal that has the same float32 value: 0.05, not 0.05000000074505806."""
     return float(str(np.float32(value)))
 
 
@@ -34,5 +34,5 @@ def range_of(low: Array, high: Array, axis: int) -> Range:
 
 
 def vector(values: Any) -> Vector:
-    """Return three of Blender's float32 as their shortest decimals."""
+    """Return three float32 values of Blender as their shortest decimals."""
     return (short(values[0]), short(values[1]), short(values[2]))
