@@ -5,6 +5,8 @@ from __future__ import annotations
 import argparse
 from pathlib import Path
 
+import numpy as np
+
 from classify.cli.options import (
     RAW,
     Commands,
@@ -312,7 +314,8 @@ def run_detect(options: argparse.Namespace) -> int:
         write_text(options.output / "detect.csv", csv_text(headings, table))
         detect.draw(options.output / "detect.png", atlas, detections, options.false_alarm)
         last = detections[-1]
-        hardest = min(range(len(last.found)), key=lambda voxel: last.found[voxel].value)
+        shares = [interval.value for interval in last.found]
+        hardest = int(np.nanargmin(shares))  # a voxel without poses has no share
         lead = [
             f"At {100.0 * options.false_alarm:g} % false alarms and {last.frames} frames, something in voxel "
             f"{atlas.grid.labels[hardest]} is found least often: {last.found[hardest].percent()}."

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import time
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field
@@ -88,13 +89,16 @@ class TrackedSequence:
         inside = [holds(step, record.position) for step, record, there in frames if there]
         return wilson(sum(inside), len(inside))
 
-    def found_again(self) -> list[int]:
-        """Return, for the end of each gap, how many frames it took to detect the object again."""
-        waits = []
+    def reacquired(self) -> list[int | None]:
+        """Return, for the end of each gap, how many frames it took to detect the object again.
+
+        None stands for a gap after which it was not detected before the next gap, or the end.
+        """
+        waits: list[int | None] = []
         for frame in range(1, len(self.there)):
             if self.there[frame] and not self.there[frame - 1]:
-                detected = [s.found for s in self.steps[frame:]]
-                waits.append(detected.index(True) + 1 if any(detected) else len(detected))
+                present = itertools.takewhile(lambda k: self.there[k], range(frame, len(self.there)))
+                waits.append(next((k - frame + 1 for k in present if self.steps[k].found), None))
         return waits
 
     def words(self) -> list[str]:
@@ -105,8 +109,11 @@ class TrackedSequence:
             f"right voxel in {self.voxels().percent()}, within the 95 % region {self.held().percent()}",
             f"presence told rightly in {self.told().percent()}",
         ]
-        if waits := self.found_again():
-            lines.append(f"found again after {', '.join(map(str, waits))} frames")
+        waits = self.reacquired()
+        if counts := [str(wait) for wait in waits if wait is not None]:
+            lines.append(f"found again after {', '.join(counts)} frames")
+        if lost := waits.count(None):
+            lines.append(f"not found again after {lost} of {len(waits)} gaps")
         return lines
 
     def csv(self) -> str:

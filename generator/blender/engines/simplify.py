@@ -193,7 +193,7 @@ def _value(part: nodes.Part, name: str) -> Any:
         return np.full(3, _GREY)
     pixels = np.empty(len(image.pixels), dtype=np.float32)
     image.pixels.foreach_get(pixels)
-    colours = pixels.reshape(-1, image.channels)[:, : min(3, image.channels)]
+    colours = pixels.reshape(-1, image.channels)[:, : 3 if image.channels >= 3 else 1]  # of two, the second is alpha
     if image.colorspace_settings.name == "sRGB" and not image.is_float:
         colours = np.where(colours <= 0.04045, colours / 12.92, ((colours + 0.055) / 1.055) ** 2.4)  # IEC 61966-2-1
     return np.resize(colours.mean(axis=0), 3)

@@ -81,8 +81,8 @@ def to_metres(scene: bpy.types.Scene) -> None:
     Blender computes a lamp's light with lengths in its units: unless these are metres, it is off by their square.
     """
     factor = scene.unit_settings.scale_length
-    scene.unit_settings.scale_length = 1.0
     _transform(scene, Matrix.Diagonal((factor, factor, factor, 1.0)))
+    scene.unit_settings.scale_length = 1.0
     for data in {o.data for o in scene.objects if o.type in ("LIGHT", "CAMERA") and o.data}:
         for name in ("shadow_soft_size", "size", "size_y", "ortho_scale", "clip_start", "clip_end"):
             if hasattr(data, name):

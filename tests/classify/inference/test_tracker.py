@@ -5,6 +5,7 @@ from __future__ import annotations
 import csv
 import math
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -203,6 +204,15 @@ def test_lost_and_found_again(tmp_path, command):
     bad = command("classify", "track", tmp_path / "a.atlas", frames.path, "--gap", "9")
     assert bad.returncode == 2
     assert "--gap '9': must read FROM:TO" in bad.stderr
+
+
+def test_a_gap_is_not_ended_by_the_next():
+    """What is detected in or after a later gap does not count for an earlier one; what never is, is no number."""
+    there = [True, False, True, True, False, True, True, False, True]
+    found = [True, False, False, False, True, False, True, False, False]
+    steps = [SimpleNamespace(found=each) for each in found]
+    tracked = sequence.TrackedSequence(steps=steps, there=there)
+    assert tracked.reacquired() == [None, 2, None]
 
 
 def make_walk(path, simulated):

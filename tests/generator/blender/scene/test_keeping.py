@@ -88,6 +88,8 @@ def test_what_is_held_is_named_and_nothing_moves():
     with pytest.raises(NlosError, match="'Mine' is held by constraints"):
         adopt.to_metres(scene)
     assert all(scene.objects[name].matrix_basis == matrix for name, matrix in before.items())
+    assert scene.unit_settings.scale_length == 0.5  # else it would count as converted
+    assert not adopt.in_metres(scene)
 
 
 @pytest.mark.parametrize("how", ["exclude", "hide_render"])
