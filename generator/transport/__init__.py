@@ -1,4 +1,4 @@
-"""The three-reflection integral, on plain arrays: exact, noise-free, to the accuracy that is asked for."""
+"""The three-reflection integral on plain arrays: free of noise, and exact to the requested accuracy."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ __all__ = ["AmbientLight", "LitPatch", "Mesh", "Rendered", "Sphere", "Transport"
 
 
 def __getattr__(name: str) -> Any:
-    # Readers of worlds and sets need no compiler: it takes a second to load.
+    # Code that only reads worlds and data sets does not need the compiler, which takes a second to load.
     if name in ("Rendered", "Transport"):
         from generator.transport import render
 

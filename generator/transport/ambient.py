@@ -1,18 +1,18 @@
-"""Uniform ambient light: what falls on the watched wall, and what the target changes of it.
+"""Uniform ambient light: the light that falls on the watched wall, and how the target changes it.
 
-The sky shines from everywhere where no surface is, and is reflected up to three times, the last time by the watched
-wall. Surfaces are cut into cells, between whose middles radiosity is interpolated; where light comes from is found by
-following rays from each cell back (gathering), their directions a low-discrepancy lattice, so that there is no noise
-and one pose always gives one picture. What the target changes is gathered from the directions alone in which
-a cell sees it: there its own light takes the place of what is behind it. The changes are what the lamp's pictures are
-added to, so they need few digits.
+The sky shines from every direction in which there is no surface, and its light is reflected up to three times, the
+last time by the watched wall. Surfaces are cut into cells, between whose middles radiosity is interpolated. Incoming
+light is found by following rays backwards from each cell (gathering). Their directions are a low-discrepancy lattice,
+so that there is no noise and one pose always gives one picture. What the target changes is gathered only from the
+directions in which a cell sees the target: there its light replaces the light from behind it. The changes are added
+to the lamp's pictures, so they need few digits.
 
 With E_k the irradiance and B_k = rho E_k the radiosity after k reflections (Goral et al. 1984, equation 6, unrolled),
-E_1 the visible share of the sky, all in units of pi times the sky's radiance L, and dB what the target changes:
+E_1 the visible share of the sky, all in units of pi times the sky's radiance L, and dB the change due to the target:
 
     dE_(k+1) = F dB_k + sum over rays that meet the target of w (B_k(target) - B_k(behind it) - dB_k(behind it))
 
-and the wall's radiance is rho L (E_1 + E_2 + E_3), as many as there may be reflections.
+and the wall's radiance is rho L (E_1 + E_2 + E_3), with one term for each reflection that is allowed.
 """
 
 from __future__ import annotations
@@ -35,20 +35,20 @@ Floats = NDArray[Any]
 Numbers = NDArray[np.int64]
 
 _CELL, _BODY_CELL = 0.2, 0.25
-"""Size of a cell, in units of its distance from the watched patch, and of the target's cells, of its radius."""
+"""Size of a cell in units of its distance from the watched patch; of a target's cell, of the target's radius."""
 _ROWS, _WALL = 1024, 4096
-"""Rays from each cell, and from each point of the picture, to the empty scene."""
+"""Number of rays into the empty scene from each cell, and from each point of the picture."""
 _TOWARDS, _SEEN = 32, 256
-"""Rays towards the target from each cell, and from each point of the picture."""
+"""Number of rays towards the target from each cell, and from each point of the picture."""
 _LEAVE = 256
-"""Rays from each cell of the target."""
+"""Number of rays from each cell of the target."""
 _MOST_SURFACES = 2000
 _POINTS, _MOST_POINTS = 12, 48
-"""Of the picture, along a side: at first, and where polynomials do not hold its light well."""
+"""Points along a side of the picture: at first, and at most where polynomials fit its light badly."""
 _DEGREES = 0.6
-"""Coefficients along a side for each point."""
+"""Polynomial coefficients per point, along a side."""
 _ROUGH = 0.1
-"""Relative, root mean square: what polynomials may miss before there are more points; the lattice's noise counts."""
+"""Relative root mean square error of the polynomials, lattice noise included, above which more points are taken."""
 _NEAR = 1e-6
 _CHUNK = 1 << 18
 
@@ -66,28 +66,28 @@ def lattice(count: int, dimensions: int) -> Floats:
 
 
 def _turned(count: int, dimensions: int, owners: Numbers) -> Floats:
-    """The lattice (owners, count, dimensions), moved by another amount for each owner: their errors differ."""
-    moves = np.random.default_rng(dimensions).random((int(owners.max(initial=-1)) + 1, dimensions))[owners]
-    made: Floats = (lattice(count, dimensions)[None] + moves[:, None]) % 1.0
-    return made
+    """Return the lattice (owners, count, dimensions), shifted for each owner so that their errors differ."""
+    shifts = np.random.default_rng(dimensions).random((int(owners.max(initial=-1)) + 1, dimensions))[owners]
+    points: Floats = (lattice(count, dimensions)[None] + shifts[:, None]) % 1.0
+    return points
 
 
 def _sums(owner: Numbers, values: Floats, count: int) -> Floats:
-    """Sums (count, groups) of values (n, groups) that belong to owners (n,)."""
-    made = np.zeros((count, values.shape[1]))
-    if len(owner):  # of nothing, `bincount` makes integers, weights or no weights
-        for group, one in enumerate(values.T):
-            made[:, group] = np.bincount(owner, one, count)
-    return made
+    """Return the sums (count, groups) of the values (n, groups) that belong to each owner (n,)."""
+    sums = np.zeros((count, values.shape[1]))
+    if len(owner):  # `bincount` returns integers for empty arrays, even with weights
+        for group, column in enumerate(values.T):
+            sums[:, group] = np.bincount(owner, column, count)
+    return sums
 
 
 def _dot(one: Floats, other: Floats) -> Floats:
-    made: Floats = np.einsum("ni,ni->n", one, other)
-    return made
+    product: Floats = np.einsum("ni,ni->n", one, other)
+    return product
 
 
 def _beside(axis: Floats) -> tuple[Floats, Floats]:
-    """Two unit vectors (n, 3) at right angles to unit vectors (n, 3) (Duff et al. 2017, listing 2)."""
+    """Return two unit vectors (n, 3) at right angles to unit vectors (n, 3) (Duff et al. 2017, listing 2)."""
     x, y, z = axis.T
     sign = np.where(z >= 0.0, 1.0, -1.0)
     a = -1.0 / (sign + z)
@@ -96,22 +96,22 @@ def _beside(axis: Floats) -> tuple[Floats, Floats]:
 
 
 def _around(axis: Floats, cosine: Floats, angle: Floats) -> Floats:
-    """Unit vectors (n, 3) at such cosines from axes (n, 3)."""
+    """Return unit vectors (n, 3) at given cosines (n,) to axes (n, 3) and angles (n,) around them."""
     sine = np.sqrt(np.maximum(0.0, 1.0 - cosine**2))
     first, second = _beside(axis)
     across = (sine * np.cos(angle))[:, None] * first + (sine * np.sin(angle))[:, None] * second
-    made: Floats = cosine[:, None] * axis + across
-    return made
+    vectors: Floats = cosine[:, None] * axis + across
+    return vectors
 
 
 def _hemisphere(normals: Floats, spread: Floats) -> Floats:
-    """Directions (n, 3) above normals (n, 3), as dense as the cosine, of points (n, 2) of the unit square."""
+    """Return directions (n, 3) about normals (n, 3), of cosine density, for points (n, 2) of the unit square."""
     return _around(normals, np.sqrt(1.0 - spread[:, 0]), 2.0 * math.pi * spread[:, 1])
 
 
 @dataclass(frozen=True)
 class Hits:
-    """What rays find: four cells (n, 4), or -1 where there is nothing but sky, and the share of each (n, 4)."""
+    """What rays meet: four cells (n, 4), or -1 where they meet only the sky, and the share of each (n, 4)."""
 
     cells: Numbers
     shares: Floats
@@ -121,94 +121,95 @@ class Hits:
 
     @property
     def sky(self) -> NDArray[np.bool_]:
-        """Whether nothing was met (n,)."""
+        """Whether each ray met no surface (n,)."""
         return self.cells[:, 0] < 0
 
     def of(self, values: Floats) -> Floats:
-        """Interpolate cells' values (cells, groups), (n, groups); nothing where nothing was met."""
-        made: Floats = np.einsum("nkg,nk->ng", values[self.cells], self.shares)
-        return made
+        """Interpolate cells' values (cells, groups) for each ray, (n, groups); zero where no surface was met."""
+        interpolated: Floats = np.einsum("nkg,nk->ng", values[self.cells], self.shares)
+        return interpolated
 
 
 class Cells:
-    """Surfaces cut into cells, each side of a flat one by itself: small near a place, larger away from it.
+    """Surfaces cut into cells, each side of a flat one separately: small near a place, larger away from it.
 
     Parameters
     ----------
     surfaces : Surfaces
     ball_tint : ndarray of shape (spheres, groups)
-        Albedo of its spheres; flat ones have theirs.
+        Albedo of the spheres; that of flat surfaces is in ``surfaces``.
     size : float
-        Of a cell, in units of its distance from the place, or the least distance.
+        Size of a cell, in units of its distance from the place, which counts as ``least`` where it is smaller.
     place : ndarray of shape (3,)
     least : float
 
     Attributes
     ----------
     tint : ndarray of shape (cells, groups)
+        Albedo of each cell.
     """
 
     def __init__(self, surfaces: Surfaces, ball_tint: Floats, size: float, place: Floats, least: float) -> None:
         self._surfaces = surfaces
         edges = np.stack([surfaces.first, surfaces.second], axis=1)
         self._long = np.linalg.norm(edges, axis=2)
-        offset = place - surfaces.origin
-        away = np.abs((offset * surfaces.normal).sum(axis=1))
-        foot = (surfaces.dual * offset[:, None]).sum(axis=2) * self._long
-        centre = surfaces.origin + edges.sum(axis=1) / 3.0
-        bent = surfaces.triangle  # cells of one size: they are followed by area, not along the edges
-        away = np.maximum(least, np.where(bent, np.linalg.norm(centre - place, axis=1), away))
-        self._foot = np.where(bent[:, None], 0.5 * self._long, foot)
-        self._away = away
+        offsets = place - surfaces.origin
+        distance = np.abs((offsets * surfaces.normal).sum(axis=1))
+        foot = (surfaces.dual * offsets[:, None]).sum(axis=2) * self._long
+        centres = surfaces.origin + edges.sum(axis=1) / 3.0
+        triangle = surfaces.triangle  # cells of one size, since they are mapped by area, not along the edges
+        distance = np.maximum(least, np.where(triangle, np.linalg.norm(centres - place, axis=1), distance))
+        self._foot = np.where(triangle[:, None], 0.5 * self._long, foot)
+        self._away = distance
         low, high = self._scale(-self._foot), self._scale(self._long - self._foot)
         self._count = np.maximum(1, np.ceil((high - low) / size)).astype(np.int64)
         self._low, self._step = low, (high - low) / self._count
-        each = self._count.prod(axis=1)
-        self._start = np.cumsum(each) - each
-        self._half = int(each.sum())
+        counts = self._count.prod(axis=1)
+        self._start = np.cumsum(counts) - counts
+        self._half = int(counts.sum())
         self._bands = max(2, math.ceil(2.0 / size))
         self.count = 2 * self._half + 2 * self._bands**2 * len(surfaces.spheres)
-        flat = np.repeat(surfaces.tint, each, axis=0)
+        flat = np.repeat(surfaces.tint, counts, axis=0)
         self.tint = np.concatenate([flat, flat, np.repeat(ball_tint, 2 * self._bands**2, axis=0)])
-        self._owner = np.repeat(np.arange(len(each)), each)
+        self._owner = np.repeat(np.arange(len(counts)), counts)
 
     def _scale(self, along: Floats) -> Floats:
-        made: Floats = np.arcsinh(along / self._away[:, None])
-        return made
+        scaled: Floats = np.arcsinh(along / self._away[:, None])
+        return scaled
 
     def hit(self, start: Floats, way: Floats) -> tuple[Hits, Floats]:
-        """Follow rays (n, 3) of unit length to the first surface: what they find, and how far (n,)."""
+        """Follow rays (n, 3) of unit length to the first surface; return what they meet, and the distance (n,)."""
         surfaces = self._surfaces
         cells, shares = np.full((len(start), 4), -1), np.zeros((len(start), 4))
         far = np.full(len(start), np.inf)
         if len(surfaces.origin):
             which, far = surfaces.first_hit(start, way)
             met = which >= 0
-            there = start[met] + far[met, None] * way[met]
-            cells[met], shares[met] = self._flat(which[met], there, way[met])
+            points = start[met] + far[met, None] * way[met]
+            cells[met], shares[met] = self._flat(which[met], points, way[met])
         for number, ball in enumerate(surfaces.spheres):
             offset = start - ball[:3]
             along, beyond = _dot(offset, way), _dot(offset, offset) - ball[3] ** 2
-            inside = along**2 - beyond
-            enters = -along - np.sqrt(np.maximum(inside, 0.0))
-            met = (inside > 0.0) & (enters > _NEAR * ball[3]) & (enters < far)
+            discriminant = along**2 - beyond
+            enters = -along - np.sqrt(np.maximum(discriminant, 0.0))
+            met = (discriminant > 0.0) & (enters > _NEAR * ball[3]) & (enters < far)
             place = (offset[met] + enters[met, None] * way[met]) / ball[3]
             far[met], cells[met], shares[met] = enters[met], self._round(number, place)[:, None], [1.0, 0.0, 0.0, 0.0]
         return Hits(cells, shares), far
 
     def _flat(self, which: Numbers, place: Floats, way: Floats) -> tuple[Numbers, Floats]:
-        """The four cells of flat surfaces around places, (n, 4), and the weight of each in linear interpolation."""
+        """Return the four cells of flat surfaces around places, (n, 4), and their weights in linear interpolation."""
         surfaces = self._surfaces
         offset = place - surfaces.origin[which]
         u, v = np.einsum("nij,nj->in", surfaces.dual[which], offset)
-        bent = surfaces.triangle[which]
+        triangle = surfaces.triangle[which]
         rest = np.maximum(1.0 - u, 1e-12)
-        at = np.stack([np.where(bent, 1.0 - rest**2, u), np.where(bent, v / rest, v)], axis=1)
-        scale = np.arcsinh((at * self._long[which] - self._foot[which]) / self._away[which, None])
+        uv = np.stack([np.where(triangle, 1.0 - rest**2, u), np.where(triangle, v / rest, v)], axis=1)
+        scale = np.arcsinh((uv * self._long[which] - self._foot[which]) / self._away[which, None])
         count = self._count[which]
         step = (scale - self._low[which]) / self._step[which] - 0.5
         low = np.clip(np.floor(step).astype(np.int64), 0, np.maximum(count - 2, 0))
-        high, share = np.minimum(low + 1, count - 1), step - low  # at a surface's edge, it goes on straight
+        high, share = np.minimum(low + 1, count - 1), step - low  # extrapolated at a surface's edge
         first = self._start[which] + self._half * (_dot(way, surfaces.normal[which]) > 0.0)
         ends, parts = (low, high), (1.0 - share, share)
         pairs = [(i, j) for i in range(2) for j in range(2)]
@@ -216,30 +217,32 @@ class Cells:
         return cells, np.stack([parts[i][:, 0] * parts[j][:, 1] for i, j in pairs], axis=1)
 
     def _round(self, number: int, place: Floats) -> Numbers:
-        """Cells of a sphere at unit vectors (n, 3): bands of one height, and twice as many meridians."""
+        """Return the cells of a sphere at unit vectors (n, 3): bands of equal height, and twice as many meridians."""
         band = np.clip(((place[:, 2] + 1.0) / 2.0 * self._bands).astype(np.int64), 0, self._bands - 1)
         turn = np.arctan2(place[:, 1], place[:, 0]) / (2.0 * math.pi) % 1.0
         meridian = np.minimum((turn * 2 * self._bands).astype(np.int64), 2 * self._bands - 1)
-        made: Numbers = 2 * self._half + number * 2 * self._bands**2 + band * 2 * self._bands + meridian
-        return made
+        cells: Numbers = 2 * self._half + number * 2 * self._bands**2 + band * 2 * self._bands + meridian
+        return cells
 
     def places(self, cells: Numbers, spread: Floats) -> tuple[Floats, Floats]:
-        """Return places in cells (n,), and normals there, (n, 3) each, of points (n, 2) of the unit square."""
+        """Return places in cells (n,) and the normals there, (n, 3) each, for points (n, 2) of the unit square."""
         surfaces = self._surfaces
-        made, normals = np.zeros((2, len(cells), 3))
+        points, normals = np.zeros((2, len(cells), 3))
         flat = cells < 2 * self._half
         back, inner = np.divmod(cells[flat], max(1, self._half))
         which = self._owner[inner]
         step = np.stack(np.divmod(inner - self._start[which], self._count[which, 1]), axis=1)
-        # The ends of a cell, and between them evenly.
+        # The ends of a cell; points are uniform between them.
         low, high = (self._low[which] + (step + k) * self._step[which] for k in (0, 1))
         low, high = np.sinh(low), np.sinh(high)
         along = self._away[which, None] * (low + spread[flat] * (high - low)) + self._foot[which]
         u, v = np.clip(along / self._long[which], 0.0, 1.0).T
         rest = np.sqrt(1.0 - u)
-        bent = surfaces.triangle[which]
-        u, v = np.where(bent, 1.0 - rest, u), np.where(bent, v * rest, v)
-        made[flat] = surfaces.origin[which] + u[:, None] * surfaces.first[which] + v[:, None] * surfaces.second[which]
+        triangle = surfaces.triangle[which]
+        u, v = np.where(triangle, 1.0 - rest, u), np.where(triangle, v * rest, v)
+        points[flat] = (
+            surfaces.origin[which] + u[:, None] * surfaces.first[which] + v[:, None] * surfaces.second[which]
+        )
         normals[flat] = np.where(back[:, None] > 0, -1.0, 1.0) * surfaces.normal[which]
         number, inner = np.divmod(cells[~flat] - 2 * self._half, 2 * self._bands**2)
         step = np.stack(np.divmod(inner, 2 * self._bands), axis=1) + spread[~flat]
@@ -247,14 +250,14 @@ class Cells:
         ring = np.sqrt(np.maximum(0.0, 1.0 - z**2))
         outward = np.stack([ring * np.cos(angle), ring * np.sin(angle), z], axis=1)
         balls = surfaces.spheres[number]
-        made[~flat], normals[~flat] = balls[:, :3] + balls[:, 3:] * outward, outward
-        return made, normals
+        points[~flat], normals[~flat] = balls[:, :3] + balls[:, 3:] * outward, outward
+        return points, normals
 
 
 @dataclass(frozen=True)
 class _Starts:
-    """Rays that leave cells or points: origins and normals (n, 3), whose each is (n,), where in the unit square its
-    direction lies (n, 2), how many each receiver has, and how many receivers there are."""
+    """Rays that leave cells or points: origins and normals (n, 3), the receiver of each (n,), the point of the unit
+    square for its direction (n, 2), the number of rays of each receiver, and the number of receivers."""
 
     places: Floats
     normals: Floats
@@ -265,7 +268,7 @@ class _Starts:
 
     @classmethod
     def of(cls, cells: Cells, some: Numbers, rays: int) -> _Starts:
-        """Rays from all over some cells."""
+        """Return rays that start all over some cells."""
         spread = _turned(rays, 4, some).reshape(-1, 4)
         owner = np.repeat(some, rays)
         return cls(*cells.places(owner, spread[:, 2:]), owner, spread[:, :2], rays, cells.count)
@@ -273,9 +276,9 @@ class _Starts:
 
 @dataclass(frozen=True)
 class Rows:
-    """What receivers have of each cell's radiosity: a sparse matrix (receivers, cells), as its entries.
+    """Irradiance of receivers per radiosity of each cell: a sparse matrix (receivers, cells), as its entries.
 
-    NumPy alone is what Blender's Python has; a product with it takes a hundredth of a picture's time.
+    Blender's Python has NumPy only; a product with the matrix takes a hundredth of a picture's time.
 
     Attributes
     ----------
@@ -293,18 +296,18 @@ class Rows:
     @classmethod
     def joined(cls, shape: tuple[int, int], parts: Sequence[Rows]) -> Rows:
         """Return the sum of matrices of one shape."""
-        nothing = np.zeros(0, dtype=np.int64)
-        owner, cell = (np.concatenate([nothing, *(getattr(p, name) for p in parts)]) for name in ("owner", "cell"))
+        empty = np.zeros(0, dtype=np.int64)
+        owner, cell = (np.concatenate([empty, *(getattr(p, name) for p in parts)]) for name in ("owner", "cell"))
         return cls(shape, owner, cell, np.concatenate([np.zeros(0), *(p.weight for p in parts)]))
 
     def __matmul__(self, values: Floats) -> Floats:
-        """What receivers have of cells' values (cells, groups), (receivers, groups)."""
+        """Return what receivers obtain (receivers, groups) from cells' values (cells, groups)."""
         return _sums(self.owner, self.weight[:, None] * values[self.cell], self.shape[0])
 
 
 @dataclass(frozen=True)
 class _Met:
-    """Rays that meet the target: whose (n,), their weights (n,), what they find of it, and what is behind."""
+    """Rays that meet the target: receiver and weight of each (n,), cells of the target, and cells behind it."""
 
     owner: Numbers
     weight: Floats
@@ -314,48 +317,48 @@ class _Met:
 
 @dataclass(frozen=True)
 class _Leaving:
-    """What rays that leave the target find of the room, and whether they meet the target itself before (n,)."""
+    """What rays that leave the target meet of the room, and whether they meet the target itself before that (n,)."""
 
     seen: Hits
     own: NDArray[np.bool_]
 
 
 class _Watch:
-    """The picture's points: where its light is asked for, and polynomials that hold it (the rule of `picture.Rule`,
-    with more points than it has coefficients).
+    """Points where the picture's light is evaluated, and polynomials that are fitted to it (the rule of
+    `picture.Rule`, with more points than coefficients).
 
     Attributes
     ----------
     starts : _Starts
     share : ndarray of shape (points,)
-        Of the sky that each sees, in the empty scene.
+        Share of the sky that each point sees in the empty scene.
     matrix : Rows of shape (points, cells)
-        What it has of each cell's radiosity.
+        Irradiance of each point per radiosity of each cell.
     """
 
     def __init__(self, sky: Sky, to_wall: Floats, points: int) -> None:
         nodes, weights = leggauss(points)
-        some = math.ceil(_DEGREES * points)
-        one = (np.arange(some) + 0.5)[:, None] * (legvander(nodes, some - 1) * weights[:, None]).T
-        back = legvander(nodes, some - 1)
-        self._forth, self._back = np.kron(one, one), np.kron(back, back)
+        degrees = math.ceil(_DEGREES * points)
+        transform = (np.arange(degrees) + 0.5)[:, None] * (legvander(nodes, degrees - 1) * weights[:, None]).T
+        basis = legvander(nodes, degrees - 1)
+        self._forth, self._back = np.kron(transform, transform), np.kron(basis, basis)
         u, v = np.tile(nodes, points), np.repeat(nodes, points)
         uv = (np.stack([u, v], axis=1) + 1.0) / 2.0
-        lifted = np.concatenate([uv, np.ones((len(uv), 1))], axis=1) @ to_wall.T
-        places = np.append(lifted[:, :2] / lifted[:, 2:], np.zeros((len(uv), 1)), axis=1)
+        homogeneous = np.concatenate([uv, np.ones((len(uv), 1))], axis=1) @ to_wall.T
+        places = np.append(homogeneous[:, :2] / homogeneous[:, 2:], np.zeros((len(uv), 1)), axis=1)
         self._places = places
         self.starts = self._rays(_SEEN)
         self.share, self.matrix = sky.rows(self._rays(_WALL))
 
     def _rays(self, count: int) -> _Starts:
-        many = np.arange(len(self._places))
-        owner = np.repeat(many, count)
+        indices = np.arange(len(self._places))
+        owner = np.repeat(indices, count)
         normals = np.tile([0.0, 0.0, 1.0], (len(owner), 1))
-        spread = _turned(count, 2, many).reshape(-1, 2)
-        return _Starts(self._places[owner], normals, owner, spread, count, len(many))
+        spread = _turned(count, 2, indices).reshape(-1, 2)
+        return _Starts(self._places[owner], normals, owner, spread, count, len(indices))
 
     def held(self, light: Floats) -> tuple[Floats, float]:
-        """Coefficients (groups, n) of light (points, groups), and what of it they miss, relative."""
+        """Return coefficients (groups, n) of light (points, groups), and their relative root mean square error."""
         coefficients = self._forth @ light
         missed: Floats = light - self._back @ coefficients
         total = float((light**2).sum())
@@ -363,7 +366,7 @@ class _Watch:
 
 
 def _rows(shape: tuple[int, int], owners: Numbers, found: Hits) -> Rows:
-    """Sum what the same number of rays from each receiver (n,) find, cell by cell."""
+    """Sum, cell by cell, what the rays of each receiver (n,) meet, of which all have the same number."""
     rays = len(found.cells) // len(owners)
     row, corner = np.nonzero(found.shares)
     key = row // rays * shape[1] + found.cells[row, corner]
@@ -374,25 +377,25 @@ def _rows(shape: tuple[int, int], owners: Numbers, found: Hits) -> Rows:
 
 
 class Sky:
-    """The sky over an empty scene: what of it reaches whom.
+    """The sky over an empty scene, and how its light reaches the surfaces.
 
     Parameters
     ----------
     setting : Setting
-        Of a world with ambient light, whatever its target.
+        Setting of a world with ambient light, whatever its target.
     order : int
-        Reflections.
+        Number of reflections.
 
     Attributes
     ----------
     cells : Cells
-        The room's and the relay wall's.
+        Cells of the room and of the relay wall.
     first, second : ndarray of shape (cells, groups)
-        Their radiosities after one and two reflections.
+        Radiosities of the cells after one and two reflections.
     gather : Rows of shape (cells, cells)
-        What each has of each other's radiosity.
+        Irradiance of each cell per radiosity of each other cell.
     starts : _Starts
-        Rays from those that the picture can have light of.
+        Rays from the cells whose light can reach the picture.
 
     Raises
     ------
@@ -409,14 +412,14 @@ class Sky:
         groups = setting.tint.shape[1]
         self.cells = Cells(setting.around, np.zeros((0, groups)), _CELL, np.zeros(3), 1.0)
         self._watches: dict[int, _Watch] = {}
-        # What cannot be seen by way of others changes nothing: the outer sides of a room's walls.
+        # Cells that the picture sees neither directly nor by way of others do not matter: a room's outer sides.
         share, reached = np.zeros(self.cells.count), np.zeros(self.cells.count, dtype=bool)
         gathered: list[Rows] = []
         fresh = np.unique(self.watch(_POINTS).matrix.cell)
         while len(fresh):
             reached[fresh] = True
-            some, rows = self.rows(_Starts.of(self.cells, fresh, _ROWS))
-            share += some
+            sky_share, rows = self.rows(_Starts.of(self.cells, fresh, _ROWS))
+            share += sky_share
             gathered.append(rows)
             seen = np.unique(rows.cell)
             fresh = seen[~reached[seen]]
@@ -426,24 +429,24 @@ class Sky:
         self.starts = _Starts.of(self.cells, np.flatnonzero(reached), _TOWARDS)
 
     def watch(self, points: int) -> _Watch:
-        """Return the picture's points, so many along a side."""
+        """Return the picture's points, ``points`` along each side."""
         if points not in self._watches:
             self._watches[points] = _Watch(self, self._to_wall, points)
         return self._watches[points]
 
     def rows(self, starts: _Starts) -> tuple[Floats, Rows]:
-        """Return what receivers have of the sky (n,) and of each cell's radiosity (n, cells), target or no target."""
+        """Return receivers' share of the sky (n,) and irradiance per cell's radiosity (n, cells) without a target."""
         shape = starts.receivers, self.cells.count
-        sky, made = np.zeros(starts.receivers), []
+        sky, matrices = np.zeros(starts.receivers), []
         step = max(1, _CHUNK // starts.rays) * starts.rays  # whole receivers
-        for at in range(0, len(starts.owner), step):
-            part = slice(at, at + step)
+        for start in range(0, len(starts.owner), step):
+            part = slice(start, start + step)
             ways = _hemisphere(starts.normals[part], starts.spread[part])
-            found, _ = self.cells.hit(starts.places[part], ways)
+            hits, _ = self.cells.hit(starts.places[part], ways)
             owners = starts.owner[part][:: starts.rays]
-            sky[owners] = found.sky.reshape(len(owners), -1).mean(axis=1)
-            made.append(_rows(shape, owners, found))
-        return sky, Rows.joined(shape, made)
+            sky[owners] = hits.sky.reshape(len(owners), -1).mean(axis=1)
+            matrices.append(_rows(shape, owners, hits))
+        return sky, Rows.joined(shape, matrices)
 
     def background(self) -> Floats:
         """Return coefficients (groups, n) of the picture of the empty scene."""
@@ -463,9 +466,9 @@ class Ambient:
     Parameters
     ----------
     setting : Setting
-        Of a world with ambient light.
+        Setting of a world with ambient light.
     sky : Sky
-        Over its empty scene.
+        Sky over the empty scene of that world.
     """
 
     def __init__(self, setting: Setting, sky: Sky) -> None:
@@ -474,9 +477,9 @@ class Ambient:
         low, high = target.box
         self._centre = (low + high) / 2.0
         corners = np.concatenate(target.corners())
-        reach = np.linalg.norm(corners - self._centre, axis=1).max(initial=0.0)
-        rounds = np.linalg.norm(target.spheres[:, :3] - self._centre, axis=1) + target.spheres[:, 3]
-        self._radius = float(max(reach, rounds.max(initial=0.0)))
+        corner_reach = np.linalg.norm(corners - self._centre, axis=1).max(initial=0.0)
+        ball_reach = np.linalg.norm(target.spheres[:, :3] - self._centre, axis=1) + target.spheres[:, 3]
+        self._radius = float(max(corner_reach, ball_reach.max(initial=0.0)))
         tint = setting.tint[len(setting.tint) - balls :]
         self._body = Cells(target, tint, _BODY_CELL, self._centre, self._radius)
         self._leaving = _Starts.of(self._body, np.arange(self._body.count), _LEAVE)
@@ -488,14 +491,14 @@ class Ambient:
         return self._drawn(self._sky.background())
 
     def change(self, turn: Floats, place: Floats, *, shadows: bool = True) -> Floats:
-        """Return what the target at a pose changes, (groups, height, width).
+        """Return the change of the picture by the target at a pose, (groups, height, width).
 
         Parameters
         ----------
         turn, place : ndarray of shape (3, 3) and (3,)
-            In the wall's frame.
+            Rotation and position in the wall's frame.
         shadows : bool
-            With what it keeps from the wall; without, what it sends there alone.
+            Whether to include the light that it hides from the wall; without, only the light that it sends there.
         """
         points, tint = _POINTS, self._body.tint
         around = self._met(self._sky.starts, turn, place)
@@ -513,28 +516,28 @@ class Ambient:
             points *= 2
 
     def _met(self, starts: _Starts, turn: Floats, place: Floats) -> _Met:
-        """Follow rays into the cone around the target."""
+        """Follow rays into the cone around the target; return those that meet it before the room."""
         offset = place + turn @ self._centre - starts.places
         facing = _dot(offset, starts.normals) > -self._radius
         offset, origin, normal = offset[facing], starts.places[facing], starts.normals[facing]
         spread, owner = starts.spread[facing], starts.owner[facing]
         far = np.sqrt(_dot(offset, offset))
         sine = self._radius / np.maximum(far, self._radius)
-        widest = np.where(far > self._radius, np.sqrt(1.0 - sine**2), -1.0)
+        cos_cone = np.where(far > self._radius, np.sqrt(1.0 - sine**2), -1.0)
         axis = offset / np.maximum(far, 1e-300)[:, None]
-        way = _around(axis, 1.0 - (1.0 - widest) * spread[:, 0], 2.0 * math.pi * spread[:, 1])
-        weight = _dot(way, normal) * 2.0 * (1.0 - widest) / starts.rays
-        some = np.flatnonzero(weight > 0.0)
-        body, near = self._body.hit((origin[some] - place) @ turn, way[some] @ turn)
+        way = _around(axis, 1.0 - (1.0 - cos_cone) * spread[:, 0], 2.0 * math.pi * spread[:, 1])
+        weight = _dot(way, normal) * 2.0 * (1.0 - cos_cone) / starts.rays
+        rows = np.flatnonzero(weight > 0.0)
+        body, near = self._body.hit((origin[rows] - place) @ turn, way[rows] @ turn)
         met = ~body.sky
-        some, body, near = some[met], body[met], near[met]
-        behind, beyond = self._sky.cells.hit(origin[some], way[some])
+        rows, body, near = rows[met], body[met], near[met]
+        behind, beyond = self._sky.cells.hit(origin[rows], way[rows])
         free = beyond > near
-        some, body, behind = some[free], body[free], behind[free]
-        return _Met(owner[some], weight[some], body, behind)
+        rows, body, behind = rows[free], body[free], behind[free]
+        return _Met(owner[rows], weight[rows], body, behind)
 
     def _light(self, watch: _Watch, met: _Met, around: _Met, leaving: _Leaving, tint: Floats) -> Floats:
-        """What the target changes at the picture's points, (points, groups), with cells of such albedo."""
+        """Return the target's change at the picture's points, (points, groups), if its cells have albedo ``tint``."""
         groups, rho = tint.shape[1], self._sky.cells.tint
 
         def sky(hits: _Met, starts: _Starts) -> Floats:
@@ -548,8 +551,8 @@ class Ambient:
         light = sky(met, watch.starts)
         if self._sky.order < 2:
             return light
-        every = (self._body.count, -1)
-        share = (leaving.seen.sky & ~leaving.own).reshape(every).mean(axis=1)
+        shape = (self._body.count, -1)
+        share = (leaving.seen.sky & ~leaving.own).reshape(shape).mean(axis=1)
         body = tint * share[:, None]
         change = rho * sky(around, self._sky.starts)
         room = self._sky.first + change
@@ -558,11 +561,11 @@ class Ambient:
             return light
         change = rho * (self._sky.gather @ change + instead(around, self._sky.starts, body, room))
         arriving = np.where(leaving.own[:, None], self._own.of(body), leaving.seen.of(room))
-        body = tint * arriving.reshape(*every, groups).mean(axis=1)
+        body = tint * arriving.reshape(*shape, groups).mean(axis=1)
         return light + watch.matrix @ change + instead(met, watch.starts, body, self._sky.second + change)
 
     def _drawn(self, coefficients: Floats) -> Floats:
-        """A picture (groups, height, width) of its coefficients (groups, n)."""
+        """Return the picture (groups, height, width) with coefficients (groups, n)."""
         width, height = self._resolution
         out = np.zeros((1, len(coefficients), height, width))
         whole = np.array([[0.0, 1.0, 0.0, 1.0]]), np.array([[0.0, 0.0, 1.0]])

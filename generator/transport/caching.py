@@ -1,4 +1,4 @@
-"""Where compiled functions are kept. Knows nothing of numba, so that asking does not load it."""
+"""Cache folder of compiled functions. Does not import numba, so that finding the folder does not load it."""
 
 from __future__ import annotations
 
@@ -24,21 +24,21 @@ def sources() -> list[Path]:
 
 @functools.cache
 def folder() -> Path | None:
-    """Return a folder that can be written, or None: functions are compiled anew by each process then.
+    """Return a cache folder that can be written to, or None: each process then compiles the functions anew.
 
-    The first of: what ``NUMBA_CACHE_DIR`` names, beside the sources, the user's own cache, a private temporary
-    folder. numba renews its cache when a function's own file changes, but not when a function that it calls does. So
-    the cache of each state of the sources has a folder of its own.
+    It is the first writable one of: the folder that ``NUMBA_CACHE_DIR`` names, one next to the sources, the user's
+    cache, a private temporary folder. numba renews its cache when a function's own file changes, but not when the
+    file of a function that it calls does. Therefore each state of the sources has a cache folder of its own.
     """
     digest = hashlib.sha256()
     for source in sources():
         digest.update(source.read_bytes())
     for parent in _parents():
-        made = parent / f"numba-{digest.hexdigest()[:12]}"
+        cache = parent / f"numba-{digest.hexdigest()[:12]}"
         with contextlib.suppress(OSError):
-            made.mkdir(parents=True, exist_ok=True)
-            with tempfile.TemporaryFile(dir=made):
-                return made
+            cache.mkdir(parents=True, exist_ok=True)
+            with tempfile.TemporaryFile(dir=cache):
+                return cache
     return None
 
 
@@ -50,39 +50,39 @@ def _compiles() -> bool:
 
 
 def _parents() -> Iterator[Path]:
-    if named := os.environ.get("NUMBA_CACHE_DIR"):
-        yield Path(named).absolute()
+    if configured := os.environ.get("NUMBA_CACHE_DIR"):
+        yield Path(configured).absolute()
     yield _HERE / "__pycache__"
-    if own := os.environ.get("LOCALAPPDATA" if os.name == "nt" else "XDG_CACHE_HOME"):
-        yield Path(own).absolute() / "nlos-lab"
-    with contextlib.suppress(RuntimeError):  # there is no home
+    if user_cache := os.environ.get("LOCALAPPDATA" if os.name == "nt" else "XDG_CACHE_HOME"):
+        yield Path(user_cache).absolute() / "nlos-lab"
+    with contextlib.suppress(RuntimeError):  # no home directory
         yield Path.home() / ".cache" / "nlos-lab"
     with contextlib.suppress(OSError):
         yield _private()
 
 
 def _private() -> Path:
-    """A temporary folder that nobody else can write to: what is in it is run."""
+    """Return a temporary folder that nobody else can write to, because code in it is executed."""
     if os.name == "nt":
-        return Path(tempfile.gettempdir(), "nlos-lab")  # is the user's own there
-    made = Path(tempfile.gettempdir(), f"nlos-lab-{os.getuid()}")
+        return Path(tempfile.gettempdir(), "nlos-lab")  # a folder of the user's own on Windows
+    path = Path(tempfile.gettempdir(), f"nlos-lab-{os.getuid()}")
     with contextlib.suppress(FileExistsError):
-        made.mkdir(mode=0o700)
-    found = made.lstat()
-    if not stat.S_ISDIR(found.st_mode) or found.st_uid != os.getuid() or found.st_mode & 0o077:
-        raise PermissionError(f"{made}: is not this user's alone")
-    return made
+        path.mkdir(mode=0o700)
+    status = path.lstat()
+    if not stat.S_ISDIR(status.st_mode) or status.st_uid != os.getuid() or status.st_mode & 0o077:
+        raise PermissionError(f"{path}: is not this user's alone")
+    return path
 
 
 def compiling_words(engine: str | None) -> str:
-    """Return what to say before an engine's first run, which compiles it; nothing if there is nothing to wait for."""
+    """Return the message to show before an engine's first run, which compiles it; empty if there is no wait."""
     if not _compiles():
         return ""
     newest = max(source.stat().st_mtime for source in caching.sources())
-    kept = caching.folder()
-    compiled = kept is not None and any(index.stat().st_mtime > newest for index in kept.glob("*/*.nbi"))
+    cache = caching.folder()
+    compiled = cache is not None and any(index.stat().st_mtime > newest for index in cache.glob("*/*.nbi"))
     if compiled or engine not in ("surfel", "auto"):
         return ""
-    when = "engine surfel" if engine == "surfel" else "engine auto: surfel, if the scene allows it,"
-    again = "once" if kept else "by every process, for nothing that it makes can be kept (set NUMBA_CACHE_DIR)"
-    return f"{when} is compiled for this machine first, {again}; that takes a minute or so"
+    subject = "engine surfel" if engine == "surfel" else "engine auto: surfel, if the scene allows it,"
+    frequency = "once" if cache else "by every process, for nothing that it makes can be kept (set NUMBA_CACHE_DIR)"
+    return f"{subject} is compiled for this machine first, {frequency}; that takes a minute or so"

@@ -1,4 +1,4 @@
-"""numba where it is installed; inside Blender, which lacks it, the same functions run as plain Python and NumPy."""
+"""Compile with numba where installed; in Blender, which lacks it, the functions run as plain Python and NumPy."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ import numpy as np
 from generator.transport import caching
 
 NONE, ONE = np.zeros(2, dtype=np.int64), np.ones(2, dtype=np.int64)
-"""Numbers 0 and 1 for calls: numba compiles a function anew for every literal that it is called with."""
+"""Sources of 0 and 1 as arguments (`NONE[0]`, `ONE[0]`): numba compiles a function anew for each literal argument."""
 
 Function = TypeVar("Function", bound=Callable[..., Any])
 
@@ -29,56 +29,56 @@ else:
 
 
 def jit(function: Function) -> Function:
-    """Compile a function if numba is there."""
+    """Compile a function if numba is installed."""
     return _compile(function)
 
 
 def jit_in_place(function: Function) -> Function:
-    """Compile a function that makes no arrays and returns none, nor calls one that does.
+    """Compile a function that neither creates nor returns arrays, and calls none that does.
 
-    Nothing in it counts references. That is done by atomic instructions, two for each array that a call is given: in
-    functions as small as those that cut polygons it was two fifths of the time. numba refuses to compile one that
-    makes an array; one that returned an array would free what others still use (tests/generator/transport/
+    It is compiled without reference counting, which takes two atomic instructions for each array argument of a call:
+    two fifths of the time in functions as small as those that cut polygons. numba refuses to compile such a function
+    if it creates an array; if it returned one, it would free memory that is still in use (tests/generator/transport/
     test_compiled.py).
     """
     return _compile(function, _nrt=False)
 
 
 def jit_inlined(function: Function) -> Function:
-    """As `jit_in_place`, for what is called in the innermost loops: a call copies its records, number by number."""
+    """As `jit_in_place`, and inlined, for innermost loops: a call would copy its records, number by number."""
     return _compile(function, _nrt=False, forceinline=True)
 
 
 def jit_released(function: Function) -> Function:
     """Compile a function that `in_parts` may call from several threads.
 
-    For a deep function that is a third of the time that numba takes to compile a parallel loop around it.
+    For a function with many nested calls, this takes a third of the time of compiling a parallel loop around it.
     """
     return _compile(function, nogil=True)
 
 
 def in_parts(function: Callable[..., None], n: int, *arguments: Any) -> None:
-    """Call ``function(start, stop, *arguments)`` for parts of range(n), on the threads that `limit_threads` gave.
+    """Call ``function(start, stop, *arguments)`` for parts of range(n), on as many threads as `limit_threads` allows.
 
-    What is already a part of something runs where it is.
+    A call made from one of these threads is not divided again and runs on that thread.
     """
     threads = int(numba.get_num_threads()) if COMPILED and not _is_part.here else 1
     if threads == 1 or n == 1:
         function(0, n, *arguments)
         return
     step = max(1, n // (8 * threads))
-    parts = [_pool(threads).submit(function, at, min(at + step, n), *arguments) for at in range(0, n, step)]
+    parts = [_pool(threads).submit(function, start, min(start + step, n), *arguments) for start in range(0, n, step)]
     for part in parts:
         part.result()
 
 
 class _IsPart(threading.local):
-    """Whether this thread is one of a pool."""
+    """Whether the current thread belongs to a pool."""
 
     here = False
 
     def enter(self) -> None:
-        """Make it one."""
+        """Mark the current thread as one of a pool."""
         self.here = True
 
 
@@ -98,25 +98,25 @@ if hasattr(os, "register_at_fork"):
 def _compile(function: Function, **options: Any) -> Function:
     if not COMPILED:
         return function
-    before, kept = _config.CACHE_DIR, caching.folder()
+    previous, cache = _config.CACHE_DIR, caching.folder()
     try:
-        _config.CACHE_DIR = str(kept or "")
-        return _njit(function, cache=kept is not None, **options)
+        _config.CACHE_DIR = str(cache or "")
+        return _njit(function, cache=cache is not None, **options)
     finally:
-        _config.CACHE_DIR = before
+        _config.CACHE_DIR = previous
 
 
 def _njit(function: Function, **options: Any) -> Function:
     # "contract" lets a multiplication and an addition become one instruction, which rounds once instead of twice.
-    # Nothing else of fastmath: reassociation would make the last bits depend on the compiler's mood.
-    made: Function = numba.njit(function, error_model="numpy", fastmath={"contract"}, **options)
-    return made
+    # The rest of fastmath stays off: reassociation would make the last bits depend on how the compiler optimises.
+    compiled: Function = numba.njit(function, error_model="numpy", fastmath={"contract"}, **options)
+    return compiled
 
 
 def limit_threads(threads: int) -> int:
-    """Let parallel loops use that many threads (0: all cores); return how many they use."""
+    """Set how many threads `in_parts` and parallel loops may use (0: all cores); return the number in use."""
     if not COMPILED:
         return 1
-    most = int(_config.NUMBA_NUM_THREADS)
-    numba.set_num_threads(min(threads, most) if threads else most)
+    available = int(_config.NUMBA_NUM_THREADS)
+    numba.set_num_threads(min(threads, available) if threads else available)
     return int(numba.get_num_threads())

@@ -19,8 +19,8 @@ Floats = NDArray[Any]
 def draw(to_wall: Floats, patch: Patch, resolution: tuple[int, int], accuracy: float) -> Floats:
     """Return a picture (height, width) of the lit patch, of radiance 1 under the lamp.
 
-    A pixel is the integral over what it shows of the patch: a polygon, since the patch is one of so many corners, of
-    its own area, that it may pass for an ellipse (its moments err with the square of the angle between corners).
+    A pixel is the integral over the part of the patch that it shows. That part is a polygon, since the ellipse is
+    replaced by a polygon of its area and many corners (its moments err with the square of the angle between corners).
 
     Parameters
     ----------
@@ -30,27 +30,27 @@ def draw(to_wall: Floats, patch: Patch, resolution: tuple[int, int], accuracy: f
     resolution : (int, int)
         Width and height, pixels.
     accuracy : float
-        Relative.
+        Relative accuracy.
     """
     width, height = resolution
     corners = max(32, math.ceil(8.0 / math.sqrt(accuracy)))
     step = 2.0 * math.pi / corners
     angle = step * np.arange(corners)[:, None]
-    out = math.sqrt(step / math.sin(step))
-    rim = patch.centre + out * (np.cos(angle) * patch.major + np.sin(angle) * patch.minor)
+    scale = math.sqrt(step / math.sin(step))
+    rim = patch.centre + scale * (np.cos(angle) * patch.major + np.sin(angle) * patch.minor)
     from_wall = np.linalg.inv(to_wall)
     along, across = leggauss(4), leggauss(4)
     if patch.cos_width > 0.0:
-        # A soft edge is smooth only piecewise: the more so, the more of it is in a pixel.
+        # A soft edge is smooth only piecewise: the more of it a pixel holds, the more points the pixel needs.
         seen = abs(float(from_wall[2] @ [patch.x, patch.y, 1.0]))
         pixel = abs(float(np.linalg.det(to_wall))) * seen**3 / (width * height)
         share = min(1.0, math.sqrt(pixel / abs(patch.major_x * patch.minor_y - patch.major_y * patch.minor_x)))
         most = 24 if accuracy > 3e-3 else 96
         along, across = leggauss(max(4, math.ceil(most * share))), leggauss(max(4, math.ceil(most / 4.0 * share)))
     rules = tuple(((nodes + 1.0) / 2.0, weights / 2.0) for nodes, weights in (along, across))
-    made = np.zeros((height, width))
-    in_parts(_draw, height, made, to_wall, from_wall, patch, rim, rules)
-    return made
+    image = np.zeros((height, width))
+    in_parts(_draw, height, image, to_wall, from_wall, patch, rim, rules)
+    return image
 
 
 @jit_released
@@ -66,7 +66,7 @@ def _draw(
 ) -> None:
     """Write rows of the picture."""
     height, width = made.shape
-    # Of the map from (u, v) to the wall; its derivative is this over the cube of the homogeneous coordinate.
+    # Determinant of the map from (u, v) to the wall, whose Jacobian is this over the homogeneous coordinate cubed.
     determinant = abs(
         to_wall[0, 0] * (to_wall[1, 1] * to_wall[2, 2] - to_wall[1, 2] * to_wall[2, 1])
         - to_wall[0, 1] * (to_wall[1, 0] * to_wall[2, 2] - to_wall[1, 2] * to_wall[2, 0])

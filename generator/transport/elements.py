@@ -1,8 +1,8 @@
-"""Surfaces cut into cells, and cells into quadrature points, as fine as the points that look at them ask.
+"""Surfaces cut into cells, and cells into quadrature points, as finely as the points that see them require.
 
-A cell is a parallelogram, a triangle, or a piece of a sphere. Its Gauss-Legendre points converge geometrically with
-their number, the faster the farther the cell is from the light's next corner compared with its own size; that ratio
-alone decides how many points a cell gets and when it is cut, so nothing has to be told that it is near.
+A cell is a parallelogram, a triangle, or a piece of a sphere. Its Gauss-Legendre rule converges geometrically with
+the number of points, at a rate that grows with the distance to the points that see the cell, in units of the cell's
+size. That ratio alone decides how many points a cell gets and when it is cut, so near cells need no special case.
 """
 
 from __future__ import annotations
@@ -22,21 +22,21 @@ Floats = NDArray[Any]
 PARALLELOGRAM, TRIANGLE, SPHERE = 0, 1, 2
 
 KIND, SIDED, ORIGIN, FIRST, SECOND, LOW, HIGH, START, END, RADIUS = 0, 1, 2, 5, 8, 11, 12, 13, 14, 15
-"""Columns of a cell's row: its kind; whether it has one side; the corner (3) and two edges (3 + 3) of a flat one; of
-a sphere, the middle (3), the pole (3), a direction across it (3), and the part that a cell is: from the lowest to the
-highest cosine to the pole, from the first to the last angle around it."""
+"""Columns of a cell's row: its kind; whether it has only one side; the corner (3) and two edges (3 + 3) of a flat
+one; of a sphere, the middle (3), the pole (3), a direction across it (3), the extent of the cell (lowest and highest
+cosine to the pole, first and last angle around it), and the radius."""
 
 WIDTH = 16
 
 POINT, NORMAL, AREA, CELL, ONE_SIDED = 0, 3, 6, 7, 8
-"""Columns of a quadrature point's row: place (3), unit normal (3), area, which cell it is of, and `SIDED`."""
+"""Columns of a quadrature point's row: position (3), unit normal (3), area, index of its cell, and `SIDED`."""
 
 MAX_POINTS = 6
-"""Along one side of a cell: a cell that wants more is cut."""
+"""Most points along one side of a cell: a cell that needs more is cut."""
 
 
 def _gauss() -> Floats:
-    """Gauss points and weights on [0, 1], row k holding the rule of k points: plain, and for the weight 2u."""
+    """Return Gauss points and weights on [0, 1]: plain, and for the weight 2u; row k holds the rule of k points."""
     nodes, weights = np.zeros((MAX_POINTS + 1, MAX_POINTS)), np.zeros((MAX_POINTS + 1, MAX_POINTS))
     corner, corner_weights = np.zeros_like(nodes), np.zeros_like(nodes)
     for k in range(1, MAX_POINTS + 1):
@@ -47,8 +47,8 @@ def _gauss() -> Floats:
         i = np.arange(k)
         diagonal = 1.0 / ((2.0 * i + 1.0) * (2.0 * i + 3.0))
         j = np.arange(1, k)
-        beside = np.sqrt(j * (j + 1.0)) / (2.0 * j + 1.0)
-        values, vectors = np.linalg.eigh(np.diag(diagonal) + np.diag(beside, 1) + np.diag(beside, -1))
+        off_diagonal = np.sqrt(j * (j + 1.0)) / (2.0 * j + 1.0)
+        values, vectors = np.linalg.eigh(np.diag(diagonal) + np.diag(off_diagonal, 1) + np.diag(off_diagonal, -1))
         corner[k, :k], corner_weights[k, :k] = (values + 1.0) / 2.0, vectors[0] ** 2
     return np.stack([nodes, weights, corner, corner_weights])
 
@@ -67,15 +67,15 @@ def cells(bodies: tuple[Body, ...]) -> tuple[Floats, Floats, Floats]:
     -------
     flat : ndarray of shape (n, WIDTH)
     spheres : ndarray of shape (s, WIDTH)
-        Whole: where they are cut depends on where the light comes from (`cap_cell`).
+        Whole spheres: where they are cut depends on where the light comes from (`cap_cell`).
     albedo : ndarray of shape (n + s, 3)
     """
     flat, flat_albedo = [np.zeros((0, WIDTH))], [np.zeros((0, 3))]
     balls, ball_albedo = [np.zeros((0, WIDTH))], [np.zeros((0, 3))]
     for body in bodies:
         if isinstance(body, Mesh):
-            made, albedo = _flat_cells(body)
-            flat.append(made)
+            rows, albedo = _flat_cells(body)
+            flat.append(rows)
             flat_albedo.append(albedo)
         else:
             ball = np.zeros((1, WIDTH))
@@ -92,22 +92,22 @@ def cells(bodies: tuple[Body, ...]) -> tuple[Floats, Floats, Floats]:
 
 def _flat_cells(mesh: Mesh) -> tuple[Floats, Floats]:
     origin, first, second, kind, kept = merge_parallelograms(mesh.triangles, mesh.albedo)
-    made = np.zeros((len(origin), WIDTH))
-    made[:, KIND] = kind
-    made[:, ORIGIN:FIRST], made[:, FIRST:SECOND], made[:, SECOND:LOW] = origin, first, second
-    outward = is_convex_solid(mesh.triangles)
-    if outward:
-        made[:, SIDED] = 1.0
+    rows = np.zeros((len(origin), WIDTH))
+    rows[:, KIND] = kind
+    rows[:, ORIGIN:FIRST], rows[:, FIRST:SECOND], rows[:, SECOND:LOW] = origin, first, second
+    is_solid = is_convex_solid(mesh.triangles)
+    if is_solid:
+        rows[:, SIDED] = 1.0
         centre = mesh.triangles.reshape(-1, 3).mean(axis=0)
         normal = np.cross(first, second)
         inward = ((origin - centre) * normal).sum(axis=1) < 0.0
-        # Swapping the edges turns a normal round: a mesh's own orientation may be inside out.
-        made[inward, FIRST:SECOND], made[inward, SECOND:LOW] = second[inward], first[inward]
-    return made, mesh.albedo[kept]
+        # Swapping the edges reverses a normal: a mesh's own orientation may be inside out.
+        rows[inward, FIRST:SECOND], rows[inward, SECOND:LOW] = second[inward], first[inward]
+    return rows, mesh.albedo[kept]
 
 
 def merge_parallelograms(triangles: Floats, albedo: Floats) -> tuple[Floats, Floats, Floats, Floats, Floats]:
-    """Join neighbouring triangles that make a parallelogram of one colour; drop those without area.
+    """Join consecutive triangles that form a parallelogram of one colour; drop those without area.
 
     Returns
     -------
@@ -116,25 +116,25 @@ def merge_parallelograms(triangles: Floats, albedo: Floats) -> tuple[Floats, Flo
     kind : ndarray of shape (n,)
         PARALLELOGRAM or TRIANGLE.
     kept : ndarray of shape (n,), int
-        A triangle that each came from.
+        Index of a triangle that each came from.
     """
     a, b, c = triangles[:, 0], triangles[:, 1], triangles[:, 2]
     size = np.linalg.norm(b - a, axis=1) * np.linalg.norm(c - a, axis=1)
     area = np.linalg.norm(np.cross(b - a, c - a), axis=1)
-    whole = np.flatnonzero(area > 1e-12 * size)
+    valid = np.flatnonzero(area > 1e-12 * size)
     rows: list[tuple[Floats, Floats, Floats, int, int]] = []
-    at = 0
-    while at < len(whole):
-        i = whole[at]
-        at += 1
-        made = None
-        if at < len(whole) and (albedo[i] == albedo[whole[at]]).all():
-            made = _parallelogram(triangles[i], triangles[whole[at]])
-        if made is None:
+    index = 0
+    while index < len(valid):
+        i = valid[index]
+        index += 1
+        parallelogram = None
+        if index < len(valid) and (albedo[i] == albedo[valid[index]]).all():
+            parallelogram = _parallelogram(triangles[i], triangles[valid[index]])
+        if parallelogram is None:
             rows.append((a[i], b[i] - a[i], c[i] - a[i], TRIANGLE, i))
         else:
-            rows.append((*made, PARALLELOGRAM, i))
-            at += 1
+            rows.append((*parallelogram, PARALLELOGRAM, i))
+            index += 1
     edges = np.array([row[:3] for row in rows], dtype=float).reshape(-1, 3, 3)
     kind = np.array([row[3] for row in rows], dtype=float)
     kept = np.array([row[4] for row in rows], dtype=np.int64)
@@ -142,7 +142,7 @@ def merge_parallelograms(triangles: Floats, albedo: Floats) -> tuple[Floats, Flo
 
 
 def _parallelogram(one: Floats, two: Floats) -> tuple[Floats, Floats, Floats] | None:
-    """Corner and edges of the parallelogram that two triangles make, if they do."""
+    """Return the corner and edges of the parallelogram that two triangles form, None if they form none."""
     gap = 1e-6 * float(np.abs(one - one[0]).max())
     for i in range(3):
         apex, left, right = one[i], one[(i + 1) % 3], one[(i + 2) % 3]
@@ -184,9 +184,9 @@ def is_convex_solid(triangles: Floats) -> bool:
         return i
 
     used: set[int] = set()
-    for (face, _), (other, across) in corners_of.values():
-        used.update((face, other))
-        parent[root(face)] = root(other)
+    for (face, _), (neighbour, across) in corners_of.values():
+        used.update((face, neighbour))
+        parent[root(face)] = root(neighbour)
         a, b, c = points[corners[face]]
         normal = np.cross(b - a, c - a)
         side = float((points[across] - a) @ normal)
@@ -213,7 +213,7 @@ copy_row = jit_in_place(_copy_loops) if COMPILED else _copy_arrays
 
 @jit_in_place
 def beside(axis: Floats, side: Floats) -> None:
-    """Write some unit vector at right angles to a unit vector."""
+    """Write a unit vector at right angles to a unit vector."""
     least = 0
     for r in range(1, 3):
         if abs(axis[r]) < abs(axis[least]):
@@ -254,7 +254,7 @@ def place(cell: Floats, turn: Floats, at: Floats, placed: Floats) -> None:
 
 @jit_in_place
 def turn_to(ball: Floats, pole: Floats, spread: float) -> float:
-    """Turn a sphere's row to a point; return the angle of the cap that is seen from within ``spread`` of it."""
+    """Turn a sphere's pole to a point; return the angle of the cap seen from within ``spread`` of that point."""
     far = 0.0
     for r in range(3):
         ball[FIRST + r] = pole[r] - ball[ORIGIN + r]
@@ -281,11 +281,11 @@ def corner_of(cell: Floats, corner: int, point: Floats) -> None:
 
 @jit_in_place
 def points_wanted(width: float, distance: float, digits: float) -> int:
-    """Gauss points along a side of half-width ``width`` for an error of exp(-digits).
+    """Return the number of Gauss points along a side of half-width ``width`` for an error of exp(-digits).
 
-    The integrand is analytic but for the points it looks at, at least ``distance`` from the middle: inside the
+    The integrand is analytic except at the points that see the cell, at least ``distance`` from its middle: for the
     ellipse through them Gauss's rule of k points errs by rho^(-2 k) (Trefethen 2008, theorem 4.5), times (2 k)^3
-    because 1 / r^4 has a pole of the fourth order there. Too near a pole for that, the cell is to be cut.
+    because 1 / r^4 has a pole of the fourth order there. A cell too near a pole for that must be cut.
     """
     ratio = distance / max(width, 1e-300)
     if ratio <= 1.6:
@@ -347,7 +347,7 @@ def cut(cell: Floats, stack: Floats, top: int, along_first: bool, along_second: 
                     row[ORIGIN + r] = cell[ORIGIN + r] + e
                 elif part == 2:
                     row[ORIGIN + r] = cell[ORIGIN + r] + f
-                elif part == 3:  # the middle one stands on its head
+                elif part == 3:  # the middle one is inverted
                     row[ORIGIN + r], row[FIRST + r], row[SECOND + r] = cell[ORIGIN + r] + e + f, -e, -f
         return top + 4
     parts = 0
@@ -359,8 +359,8 @@ def cut(cell: Floats, stack: Floats, top: int, along_first: bool, along_second: 
             if cell[KIND] == SPHERE:
                 if along_first:
                     low, high = math.acos(min(1.0, cell[HIGH])), math.acos(max(-1.0, cell[LOW]))
-                    between = math.cos((low + high) / 2.0)
-                    row[HIGH if i else LOW] = between
+                    cosine = math.cos((low + high) / 2.0)
+                    row[HIGH if i else LOW] = cosine
                 if along_second:
                     row[END - j] = (cell[START] + cell[END]) / 2.0
                 continue
@@ -394,7 +394,7 @@ def cell_point(cell: Floats, i: int, j: int, ku: int, kv: int, gauss: Floats, po
         for r in range(3):
             point[r] = cell[ORIGIN + r] + nodes[ku, i] * cell[FIRST + r] + nodes[kv, j] * cell[SECOND + r]
         return weights[ku, i] * weights[kv, j] * area
-    # Duffy 1982: the triangle as a square whose one side is shrunk to a corner.
+    # Duffy 1982: the triangle as a square of which one side is shrunk to a corner.
     for r in range(3):
         across = (1.0 - nodes[kv, j]) * cell[FIRST + r] + nodes[kv, j] * cell[SECOND + r]
         point[r] = cell[ORIGIN + r] + corner[ku, i] * across
@@ -403,7 +403,7 @@ def cell_point(cell: Floats, i: int, j: int, ku: int, kv: int, gauss: Floats, po
 
 @jit
 def with_room_for(rows: Floats, filled: int, more: int) -> Floats:
-    """Return an array that holds the ``filled`` rows of another, or that itself, with room for some more."""
+    """Return ``rows``, or a copy of its ``filled`` rows in a larger array, with room for ``more`` rows."""
     if filled + more <= rows.shape[0]:
         return rows
     grown = np.empty((2 * rows.shape[0] + more, rows.shape[1]))
@@ -413,7 +413,7 @@ def with_room_for(rows: Floats, filled: int, more: int) -> Floats:
 
 @jit_in_place
 def add_points(cell: Floats, owner: int, ku: int, kv: int, gauss: Floats, found: Floats, count: int) -> int:
-    """Append a cell's quadrature points, ku along its first side, kv along its second; return how many there are."""
+    """Append a cell's quadrature points, ku along its first side, kv along its second; return the new count."""
     for i in range(ku):
         for j in range(kv):
             row = found[count]
@@ -425,6 +425,6 @@ def add_points(cell: Floats, owner: int, ku: int, kv: int, gauss: Floats, found:
 
 @jit_in_place
 def distance_to_disc(x: Floats, c0: float, c1: float, radius: float) -> float:
-    """From a point to a disc on the wall."""
-    beside = max(0.0, math.sqrt((x[0] - c0) ** 2 + (x[1] - c1) ** 2) - radius)
-    return math.sqrt(beside * beside + x[2] * x[2])
+    """Return the distance from a point to a disc on the wall."""
+    lateral = max(0.0, math.sqrt((x[0] - c0) ** 2 + (x[1] - c1) ** 2) - radius)
+    return math.sqrt(lateral * lateral + x[2] * x[2])

@@ -1,4 +1,4 @@
-"""A target's flat faces, which stop sending light where their own planes meet the wall."""
+"""Flat faces of a target, whose light on the wall ends where their planes meet it."""
 
 from __future__ import annotations
 
@@ -15,27 +15,27 @@ from generator.transport.picture import Parts
 Floats = NDArray[Any]
 
 _MOST = 12
-"""Faces of a target: of more, each is too little of the picture to be drawn apart."""
+"""Most faces of a target: with more, each contributes too little to the picture to be drawn separately."""
 _COPLANAR = 1e-9
 _CORNERS = np.array([[0.0, 0.0, 1.0], [1.0, 0.0, 1.0], [0.0, 1.0, 1.0], [1.0, 1.0, 1.0]])
 
 
 class Faces:
-    """Cells in one plane, asked where their planes cross the picture.
+    """Faces, each the cells in one plane, and where their planes cross the picture.
 
     Parameters
     ----------
     flat : ndarray of shape (n, WIDTH)
         Flat cells, in the target's frame.
     balls : int
-        Spheres; with any, and with too many planes, everything is one face that is never drawn apart.
+        Number of spheres; with any, or with too many planes, all cells are one face that is never drawn separately.
     to_wall : ndarray of shape (3, 3)
     patch : lit.Patch
 
     Attributes
     ----------
     of : ndarray of shape (n + balls,), int
-        Which face each cell is in.
+        Index of the face that each cell is in.
     """
 
     def __init__(self, flat: Floats, balls: int, to_wall: Floats, patch: Patch) -> None:
@@ -47,10 +47,10 @@ class Faces:
         self._one_sided = [bool(p[4]) for p in planes]
 
     def parts(self, turns: Floats, places: Floats) -> tuple[Parts, Floats]:
-        """Return what pictures of poses are sums of.
+        """Return the parts whose sums are the pictures of poses.
 
-        A side of a face whose plane crosses the picture is a part of its own, if light falls on it; everything else
-        is one.
+        A side of a face whose plane crosses the picture is a separate part, if light falls on it; everything else is
+        one part.
 
         Parameters
         ----------
@@ -60,11 +60,11 @@ class Faces:
         -------
         parts : Parts
         wanted : ndarray of shape (parts, faces), int
-            As `records.Parts` has it.
+            As in `records.Parts`.
         """
         faces = max(1, len(self._levels))
         rest = np.full((len(places), faces), FRONT | BACK)
-        made = [(k, np.array([0.0, 0.0, 1.0]), rest[k]) for k in range(len(places))]
+        entries = [(k, np.array([0.0, 0.0, 1.0]), rest[k]) for k in range(len(places))]
         centre, major, minor = self._patch.centre, self._patch.major, self._patch.minor
         for f in range(len(self._levels)):
             normal = turns @ self._normals[f]
@@ -77,17 +77,17 @@ class Faces:
                 rest[k, f] = 0
                 for side, sign in ((FRONT, 1.0), (BACK, -1.0))[: 1 if self._one_sided[f] else 2]:
                     if sign * lit[k] > -reach[k]:
-                        alone = np.zeros(faces, dtype=np.int64)
-                        alone[f] = side | ON
-                        made.append((int(k), sign * line[k], alone))
-        made = [part for part in made if part[2].any()]
-        picture = np.array([part[0] for part in made], dtype=np.int64)
-        lines = np.array([part[1] for part in made]).reshape(-1, 3)
-        return Parts(picture, lines), np.array([part[2] for part in made], dtype=np.int64).reshape(-1, faces)
+                        sides = np.zeros(faces, dtype=np.int64)
+                        sides[f] = side | ON
+                        entries.append((int(k), sign * line[k], sides))
+        entries = [part for part in entries if part[2].any()]
+        pictures = np.array([part[0] for part in entries], dtype=np.int64)
+        lines = np.array([part[1] for part in entries]).reshape(-1, 3)
+        return Parts(pictures, lines), np.array([part[2] for part in entries], dtype=np.int64).reshape(-1, faces)
 
 
 def _planes(flat: Floats, of: Floats) -> list[Floats]:
-    """Return planes (normal (3), level, one-sided), and write into ``of`` which one each cell is in; none if many."""
+    """Return planes (normal (3), level, one-sided), and write each cell's index into ``of``; none if too many."""
     origin, first, second = flat[:, ORIGIN:FIRST], flat[:, FIRST:SECOND], flat[:, SECOND:LOW]
     normal = np.cross(first, second)
     normal /= np.linalg.norm(normal, axis=1, keepdims=True)

@@ -1,8 +1,8 @@
 """The functions on the wall that a picture is made of, each to a relative accuracy, for many poses at once.
 
-What the target adds where nothing is in the way is a sum of smooth terms. What it adds where something may be, what
-the room sends, and what the target hides of that have shadows in them, which are cut out exactly where flat surfaces
-are few. Where they are many, and where a sphere is partly in shadow, rays are tested.
+Light that the target adds where nothing is in the way is a sum of smooth terms. Light that it adds where something
+may be in the way, light of the room, and the part of it that the target hides contain shadows. These are cut out
+exactly if flat surfaces are few. If they are many, or if a sphere is partly in shadow, rays are tested.
 """
 
 from __future__ import annotations
@@ -26,84 +26,84 @@ from generator.transport.shadows.cones import facets, ring
 Floats = NDArray[Any]
 
 Traced = Callable[[Floats, Floats, Floats], tuple[Floats, Floats]]
-"""Given owners (n,), wall points (n, 3) and the finest cells pose by pose, return values (n, groups) and how many
-elements each took."""
+"""Given owners (n,), wall points (n, 3) and the finest cell of each pose, return values (n, groups) and the number of
+elements that each took."""
 
 Shaded = Callable[[Floats, float, int], tuple[Floats, int]]
-"""Given wall points (k, 3), the finest cell and the pose, return values (groups, k) and how many elements it took."""
+"""Given wall points (k, 3), the finest cell and the pose, return values (groups, k) and the number of elements."""
 
 _SINGLE = 5e-5
-"""Relative accuracy down to which sums are taken in single precision."""
+"""Relative accuracy down to which sums are computed in single precision."""
 
 _SPARE = 2.3
 """Quadrature rules are chosen by the rate at which they converge, which leaves a factor open: 5 at most in
-`benchmarks/error_at_request.py`, of which this is the natural logarithm, and something to spare."""
+`benchmarks/error_at_request.py`. This is the natural logarithm of that factor with a margin."""
 
 _LOOSE = 2.0
-"""Sums over ray tests jump from point to point by about the accuracy, which no polynomial follows: panels of theirs
-are cut only for what is more than that."""
+"""Sums over ray tests jump from point to point by about the accuracy, which no polynomial follows: their panels are
+cut only for errors above this multiple of the accuracy."""
 
 _SLOPES = 10.0, 5e-3
-"""Derivatives of shadows jump where a shadow's edge meets a corner of the room along its length: they are drawn to so
-many times the accuracy, and to no better than the second."""
+"""Derivatives of shadows jump where a shadow's edge meets a corner of the room along its length: they are drawn to
+the first number times the accuracy, and to no better than the second number."""
 
 _HALVINGS = 8
-"""How often the elements at shadows' edges may be halved, from an eighth of the target."""
+"""Most times that the elements at shadows' edges are halved, starting from an eighth of the target."""
 
 
 CUT, _CUT_ROOM = 128, 40
-"""Most flat surfaces whose shadows are cut out as polygons, and most of a room that shades its own light on the wall:
-for up to some 200 a picture takes less time than with rays (`benchmarks/cutting.py`), but a background of 54 five
-times as long."""
+"""Most flat surfaces whose shadows are cut out as polygons, and most of a room that shades its own light on the wall.
+With up to some 200 a picture takes less time than with rays (`benchmarks/cutting.py`), but a background with 54 takes
+five times as long."""
 
 
 class Fields:
-    """A setting, an accuracy, and the functions on its wall.
+    """The functions on the wall of a setting, to an accuracy.
 
     Parameters
     ----------
     setting : Setting
     accuracy : float
-        Relative, as `render.Transport` has it.
+        Relative accuracy, as for `render.Transport`.
 
     Attributes
     ----------
     few : bool
-        Whether flat surfaces are so few that shadows are cut out.
+        Whether there are so few flat surfaces that shadows are cut out.
     """
 
     def __init__(self, setting: Setting, accuracy: float) -> None:
         self._setting = setting
         self._accuracy = accuracy
         self._digits = math.log(1.0 / accuracy)
-        # A sphere's own horizon, seen from the wall, is a kink that no rule follows, and a jump of derivatives: it
-        # takes finer cells.
+        # A sphere's horizon, as seen from the wall, is a kink that no quadrature rule follows, and a jump of
+        # derivatives, so it needs finer cells.
         finer = accuracy**-0.4
         self._rings = {False: max(2, math.ceil(0.2 * finer)), True: max(3, math.ceil(0.3 * finer))}
         self._rule = picture.Rule(6 if accuracy > 3e-3 else 8 if accuracy > 3e-5 else 12)
-        # Where nothing is in the way a point on the wall costs little, and more panels cost their elements again.
+        # Where nothing is in the way a point on the wall costs little, but each further panel needs its own elements.
         self._free_rule = picture.Rule(8 if accuracy > 3e-3 else 10 if accuracy > 3e-5 else 12)
         self._light = shaded.Light(setting.patch, setting.whole, self._digits)
         self.few = compiled.COMPILED and max(len(setting.room.origin), len(setting.target.origin)) <= CUT
         self._first = np.argsort(~setting.obstacles.is_blocker, kind="stable")
-        # A sphere's outline is a polygon of its area, which errs with the fourth power of the angle.
+        # A sphere's outline is replaced by a polygon of its area, whose error is of fourth order in the angle.
         sides = ring(12 if accuracy > 3e-3 else 24 if accuracy > 3e-4 else 48)
         self._room = shadowed.Room(
             facets(setting.room)[self._first], setting.room.tint[self._first], sides, setting.convex
         )
         # Widest cell where rays are tested, as a share of the target: an edge must not slip between its corners.
         self._widest = min(0.2, 0.25 * (100.0 * accuracy) ** (1.0 / 3.0))
-        # A quadrature point is a ray into the room there, whose light varies more slowly than the near field's.
+        # For hidden light a quadrature point is a ray into the room, where light varies less than in the near field.
         self._shadow_digits = min(self._digits, 7.0)
 
     def plain(self, turns: Floats, places: Floats, moving: bool) -> tuple[Floats, list[dict[str, Any]]]:
-        """What a convex target adds where nothing is in the way.
+        """Return the light that a convex target adds where nothing is in the way.
 
         Parameters
         ----------
         turns, places : ndarray of shape (n, 3, 3) and (n, 3)
         moving : bool
-            With derivatives.
+            Whether to compute derivatives.
 
         Returns
         -------
@@ -121,8 +121,8 @@ class Fields:
         def evaluate(owner: Floats, boxes: Floats) -> tuple[Floats, Floats]:
             values = np.empty((len(owner), groups, channels, len(rule.places)))
             reports = np.empty((len(owner), 4))
-            where = Boxes(owner, boxes, rule.places, setting.to_wall, like)
-            compiled.in_parts(integral.panels, len(owner), where, *arguments, values, reports)
+            panel_boxes = Boxes(owner, boxes, rule.places, setting.to_wall, like)
+            compiled.in_parts(integral.panels, len(owner), panel_boxes, *arguments, values, reports)
             np.maximum.at(most, parts.picture[owner], reports[:, :2])
             return values.reshape(len(owner), groups * channels, -1), reports[:, 3] / reports[:, 2]
 
@@ -137,7 +137,7 @@ class Fields:
         return pixels.reshape(n, groups, channels, *pixels.shape[2:]), reports
 
     def behind(self, turns: Floats, places: Floats) -> tuple[Floats, list[dict[str, Any]]]:
-        """What a target adds that may be partly hidden, by itself or by the room.
+        """Return the light that a target adds if it may be partly hidden, by itself or by the room.
 
         Parameters
         ----------
@@ -158,14 +158,14 @@ class Fields:
         else:
             pixels, lost = np.zeros((n, setting.tint.shape[1], *setting.resolution[::-1])), np.ones(n, dtype=bool)
             reports = [{} for _ in range(n)]
-        again = np.flatnonzero(lost)
-        if len(again):
+        remaining = np.flatnonzero(lost)
+        if len(remaining):
             evaluate = self._reflected_loops if self.few else self._reflected_arrays
-            some = evaluate(self._target(), Poses(*(field[again] for field in poses)))
-            pixels[again], panels, most = self._refined(
-                some, len(again), setting.tint.shape[1], setting.target.extent
+            reflected = evaluate(self._target(), Poses(*(field[remaining] for field in poses)))
+            pixels[remaining], panels, most = self._refined(
+                reflected, len(remaining), setting.tint.shape[1], setting.target.extent
             )
-            for k, pose in enumerate(again):
+            for k, pose in enumerate(remaining):
                 reports[pose] = _report(panels, k) | {"elements": int(most[k])}
         for report, order, traced_by_rays in zip(reports, poses.orders, lost, strict=True):
             report["patch_points"] = int(order) ** 2
@@ -174,44 +174,44 @@ class Fields:
         return pixels, reports
 
     def room(self) -> Floats:
-        """What the room's own surfaces send to the watched patch, (groups, height, width)."""
+        """Return the light that the room's own surfaces send to the watched patch, (groups, height, width)."""
         setting = self._setting
         poses = _poses(np.eye(3)[None], np.zeros((1, 3)))
         cells = self._target()._replace(
             flat=setting.room_cells, balls=np.zeros((0, elements.WIDTH)), albedo=setting.room.tint
         )
         lost = np.ones(1, dtype=bool)
-        if compiled.COMPILED and len(setting.room.origin) <= _CUT_ROOM:  # whatever the target, which is not there
+        if compiled.COMPILED and len(setting.room.origin) <= _CUT_ROOM:  # whatever the target, which is absent here
             poses.orders[:] = self._light.order(setting.room.samples())
             pixels, _, lost = self._received(cells, poses)
             pixels = pixels[:, :, 0]
         if lost.any():
             evaluate = self._reflected_arrays(cells, poses)
             pixels, _, _ = self._refined(evaluate, 1, cells.albedo.shape[1], setting.room.extent, care=0.05)
-        only: Floats = pixels[0]
-        return only
+        image: Floats = pixels[0]
+        return image
 
     def hidden(self, turns: Floats, places: Floats, moving: bool, level: Floats) -> tuple[Floats, Floats]:
-        """What a target hides of the room.
+        """Return the light of the room that a target hides.
 
         Parameters
         ----------
         turns, places : ndarray of shape (n, 3, 3) and (n, 3)
         moving : bool
-            With derivatives.
+            Whether to compute derivatives.
         level : ndarray of shape (n, groups, 1 or 7)
-            Mean square of what the target adds, which errors are measured against where it is larger.
+            Mean square of the light that the target adds; errors are relative to it where it is larger.
 
         Returns
         -------
         pixels : ndarray of shape (n, groups, 1 or 7, height, width)
         panels : ndarray of shape (n,)
-            How many it took.
+            Number of panels of each picture.
 
         Raises
         ------
         NlosError
-            There are derivatives of polygons only.
+            Derivatives are requested where shadows are not cut out as polygons.
         """
         setting, (n, groups, channels) = self._setting, level.shape
         pixels, panels = np.empty((n, groups, channels, *setting.resolution[::-1])), np.zeros(n, dtype=np.int64)
@@ -226,23 +226,25 @@ class Fields:
             level[:, :, 1:] *= max(_SLOPES[0], _SLOPES[1] / self._accuracy) ** 2
             pixels, drawn, lost = self._cut_out(cut, n, groups, channels, level.reshape(n, -1))
             panels = drawn.count
-        again = np.flatnonzero(lost)
-        if len(again):
+        remaining = np.flatnonzero(lost)
+        if len(remaining):
             if moving:
                 raise NlosError(f"derivatives: the room or the target has more than {CUT} surfaces")
-            evaluate = self._hidden_arrays(turns[again], places[again])
+            evaluate = self._hidden_arrays(turns[remaining], places[remaining])
             extent = setting.target.extent
-            pixels[again, :, 0], drawn, _ = self._refined(evaluate, len(again), groups, extent, level[again, :, 0])
-            panels[again] = drawn.count
+            pixels[remaining, :, 0], drawn, _ = self._refined(
+                evaluate, len(remaining), groups, extent, level[remaining, :, 0]
+            )
+            panels[remaining] = drawn.count
         return pixels, panels
 
     def _received(self, cells: Target, poses: Poses) -> tuple[Floats, picture.Panels, Floats]:
-        """What flat cells send that may hide each other; as `_cut_out` returns it."""
+        """Return the light of flat cells that may hide each other, as `_cut_out` returns it."""
         rules = self._rules(1.0)
 
         def cut(panels: Panels, values: Floats) -> None:
-            owned = len(panels.owner)
-            compiled.in_parts(shadowed.received_panels, owned, panels, cells, poses, self._room, rules, values)
+            count = len(panels.owner)
+            compiled.in_parts(shadowed.received_panels, count, panels, cells, poses, self._room, rules, values)
 
         return self._cut_out(cut, len(poses.places), cells.albedo.shape[1])
 
@@ -261,7 +263,7 @@ class Fields:
         pixels : ndarray of shape (n, groups, channels, height, width)
         panels : picture.Panels
         lost : ndarray of shape (n,), bool
-            Where there were too many polygons.
+            Whether there were too many polygons.
         """
         lost = np.zeros(n, dtype=bool)
 
@@ -280,10 +282,10 @@ class Fields:
         return pixels.reshape(n, groups, channels, *pixels.shape[2:]), panels, lost
 
     def _kin(self, groups: int, channels: int) -> Callable[[Floats], Floats] | None:
-        """What derivatives may err in proportion to: the largest of three directions, and of three axes.
+        """Return the function for the norms that errors of derivatives are relative to; None without derivatives.
 
-        One of them may be next to nothing, as for a ball that turns; a turn's natural measure is the shift of the
-        target's rim.
+        These are the largest over the three directions, and over the three axes: the derivative for one alone may
+        almost vanish, as for a ball that turns. A turn is also measured by the shift of the target's rim.
         """
         if channels == 1:
             return None
@@ -303,7 +305,7 @@ class Fields:
         return n, channels, height, width
 
     def _rules(self, spare: float = 0.0) -> Rules:
-        """Return the quadrature's rules, so many natural logarithms finer than the accuracy."""
+        """Return the quadrature rules, finer than the accuracy by ``spare`` natural logarithms."""
         setting = self._setting
         return Rules(setting.patch, setting.whole, setting.chords, elements.GAUSS, self._digits + spare)
 
@@ -315,14 +317,14 @@ class Fields:
         return Poses(turns, places, self._hiders(turns, places), self._orders(places))
 
     def _hiders(self, turns: Floats, places: Floats) -> Floats:
-        """How many of the room's surfaces can stand in the way, pose by pose: those that can, or all."""
+        """Return how many of the room's surfaces can stand in the way at each pose: static blockers, or all."""
         obstacles = self._setting.obstacles
-        each = [len(obstacles.blockers(p, t).origin) for p, t in zip(places, turns, strict=True)]
+        counts = [len(obstacles.blockers(p, t).origin) for p, t in zip(places, turns, strict=True)]
         few = int(obstacles.is_blocker.sum())
-        return np.array([few if n == few else len(self._first) for n in each], dtype=np.int64)
+        return np.array([few if n == few else len(self._first) for n in counts], dtype=np.int64)
 
     def _orders(self, places: Floats) -> Floats:
-        """Which of the patch's rules stands for it where each of its points throws shadows of its own."""
+        """Return, for each pose, the order of the patch's rule where each of its points throws its own shadow."""
         reach = self._setting.target.reach
         room = self._light.order(self._setting.room.samples())
         return np.array([max(room, self._light.order(p[None], reach)) for p in places], dtype=np.int64)
@@ -343,25 +345,25 @@ class Fields:
 
     def _reflected_arrays(self, shape: Target, poses: Poses) -> Traced:
         setting, rules = self._setting, self._rules()
-        itself = shape.flat is setting.room_cells
+        is_room = shape.flat is setting.room_cells
         wanted, faced = np.ones(len(shape.albedo), np.int64), integral.around_patch(setting.patch)
 
-        def some(wall: Floats, finest: float, pose: int) -> tuple[Floats, int]:
+        def at_pose(wall: Floats, finest: float, pose: int) -> tuple[Floats, int]:
             turn, place = poses.turns[pose], poses.places[pose]
             hiders: list[shaded.Hider] = [setting.obstacles.blockers(place, turn)]
-            if not itself and not setting.convex:
+            if not is_room and not setting.convex:
                 hiders.append(Placed(setting.target, turn, place))
-            found, _ = integral.cover(shape, turn, place, faced, _around(wall), rules, finest, wanted)
-            return shaded.reflected(wall, found, shape.albedo, self._light, hiders), len(found)
+            points, _ = integral.cover(shape, turn, place, faced, _around(wall), rules, finest, wanted)
+            return shaded.reflected(wall, points, shape.albedo, self._light, hiders), len(points)
 
-        return _arrays(some, shape.albedo.shape[1])
+        return _arrays(at_pose, shape.albedo.shape[1])
 
     def _hidden_arrays(self, turns: Floats, places: Floats) -> Traced:
         setting, target = self._setting, self._target()
         rules = self._rules()._replace(digits=self._shadow_digits)
         wanted, patch = np.ones_like(setting.faces.of), integral.around_patch(setting.patch)
 
-        def some(wall: Floats, finest: float, pose: int) -> tuple[Floats, int]:
+        def at_pose(wall: Floats, finest: float, pose: int) -> tuple[Floats, int]:
             turn, place = turns[pose], places[pose]
             view = _around(wall)
             seen, lit = (
@@ -373,38 +375,38 @@ class Fields:
             )
             return values, len(seen) + len(lit)
 
-        return _arrays(some, setting.room.tint.shape[1])
+        return _arrays(at_pose, setting.room.tint.shape[1])
 
     def _refined(
         self, evaluate: Traced, n: int, groups: int, extent: float, level: Floats | None = None, care: float = 0.5
     ) -> tuple[Floats, picture.Panels, Floats]:
         """Draw fields of sums over ray tests, refined until two resolutions of the shadows' edges agree.
 
-        ``level`` (n, groups) is a mean square that errors may be measured against in place of the field's own; the
-        two resolutions agree when they differ by ``care`` times the accuracy.
+        ``level`` (n, groups) is a mean square that errors are relative to where it is larger than the field's own;
+        two resolutions agree if they differ by at most ``care`` times the accuracy.
         """
         finest, most = np.full(n, extent / 8.0), np.zeros(n)
 
         def on_panels(owner: Floats, boxes: Floats, places: Floats) -> Floats:
             panels = len(owner)
             walls = self._walls(boxes, places)
-            every = np.repeat(owner, len(places))
-            values, used = evaluate(every, walls, finest)
-            np.maximum.at(most, every, used)
+            point_owner = np.repeat(owner, len(places))
+            values, used = evaluate(point_owner, walls, finest)
+            np.maximum.at(most, point_owner, used)
             return np.moveaxis(values.reshape(panels, -1, groups), 2, 1)
 
         whole = np.tile([0.0, 1.0, 0.0, 1.0], (n, 1))
         probes = picture.Rule(4)
         rough = np.arange(n)
-        before = on_panels(rough, whole, probes.places)
+        previous = on_panels(rough, whole, probes.places)
         for _ in range(_HALVINGS):
             finest[rough] /= 2.0
             values = on_panels(rough, whole[rough], probes.places)
-            change, norm = probes.mean_square(values - before), probes.mean_square(values)
+            change, norm = probes.mean_square(values - previous), probes.mean_square(values)
             if level is not None:
                 norm = np.maximum(norm, level[rough])
             keep = (change > (care * self._accuracy) ** 2 * norm).any(axis=1)
-            rough, before = rough[keep], values[keep]
+            rough, previous = rough[keep], values[keep]
             if not len(rough):
                 break
         pixels, used = picture.draw(
@@ -415,12 +417,12 @@ class Fields:
         return pixels, used, most
 
     def _walls(self, boxes: Floats, places: Floats) -> Floats:
-        """Wall points (panels * points, 3) of panels' places."""
+        """Return the wall points (panels * points, 3) at places of panels."""
         low, high = boxes[:, None, 0::2], boxes[:, None, 1::2]
-        lifted = np.ones((len(boxes), len(places), 3))
-        lifted[:, :, :2] = low + places * (high - low)
-        lifted = lifted.reshape(-1, 3) @ self._setting.to_wall.T
-        return np.column_stack([lifted[:, :2] / lifted[:, 2:], np.zeros(len(lifted))])
+        homogeneous = np.ones((len(boxes), len(places), 3))
+        homogeneous[:, :, :2] = low + places * (high - low)
+        homogeneous = homogeneous.reshape(-1, 3) @ self._setting.to_wall.T
+        return np.column_stack([homogeneous[:, :2] / homogeneous[:, 2:], np.zeros(len(homogeneous))])
 
 
 def _around(wall: Floats) -> Disc:
@@ -435,14 +437,14 @@ def _poses(turns: Floats, places: Floats) -> Poses:
 
 
 def _arrays(some: Shaded, groups: int) -> Traced:
-    """Evaluate pose by pose what is known for the wall points of one pose."""
+    """Return a function for wall points of many poses, from one for the points of a single pose."""
 
     def evaluate(owner: Floats, walls: Floats, finest: Floats) -> tuple[Floats, Floats]:
         values, used = np.empty((len(owner), groups)), np.empty(len(owner))
         for pose in np.unique(owner):
-            own = np.flatnonzero(owner == pose)
-            made, count = some(walls[own], float(finest[pose]), int(pose))
-            values[own], used[own] = made.T, count
+            indices = np.flatnonzero(owner == pose)
+            light, count = some(walls[indices], float(finest[pose]), int(pose))
+            values[indices], used[indices] = light.T, count
         return values, used
 
     return evaluate

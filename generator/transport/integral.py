@@ -1,4 +1,4 @@
-"""What a panel of the watched patch receives by way of the target: patch, target, wall; nothing in between."""
+"""Light from the patch by way of the target to a panel of the watched patch, with nothing in between."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from generator.transport.records import Boxes, Disc, Parts, Target
 Floats = NDArray[Any]
 
 FRONT, BACK, ON = 1, 2, 4
-"""Sides of a face, and that its light goes on beyond its horizon (`kernel.BEYOND`)."""
+"""Flags: sides of a face, and that its light continues beyond its horizon (`kernel.BEYOND`)."""
 
 _STACK = 512
 
@@ -26,7 +26,7 @@ _STACK = 512
 def _cover_cell(
     stack: Floats, owner: int, view: Disc, rules: Rules, widest: float, found: Floats, count: int
 ) -> tuple[Floats, int, float]:
-    """Cut the first cell of ``stack`` as finely as panel and patch ask, and append its quadrature points."""
+    """Cut the first cell of ``stack`` as finely as panel and patch require, and append its quadrature points."""
     middle = np.empty(3)
     cell = np.empty(elements.WIDTH)
     radius = radius_of(rules.patch)
@@ -39,11 +39,11 @@ def _cover_cell(
         to_panel = elements.distance_to_disc(middle, view.centre[0], view.centre[1], view.radius)
         to_patch = distance_to(middle, rules.patch)
         distance = min(to_panel, to_patch)
-        if cell[elements.KIND] == elements.SPHERE:  # whose normal turns within its radius
+        if cell[elements.KIND] == elements.SPHERE:  # its normal varies over a length of its radius
             distance = min(distance, cell[elements.RADIUS])
         ku = elements.points_wanted(first, distance, rules.digits)
         kv = elements.points_wanted(second, distance, rules.digits)
-        # Smaller than this, a cell's light is spread evenly over the panel, or the patch's over the cell.
+        # The light of a cell smaller than this is uniform over the panel, or the patch's light over the cell.
         least = 0.02 * (view.radius if to_panel < to_patch else radius)
         cut_first = (ku > elements.MAX_POINTS and first > least) or first > widest
         cut_second = (kv > elements.MAX_POINTS and second > least) or second > widest
@@ -73,17 +73,17 @@ def cover(
     widest: float,
     wanted: Floats,
 ) -> tuple[Floats, float]:
-    """Return quadrature points on the target, as fine as a panel of the wall and the lit patch ask.
+    """Return quadrature points on the target, as fine as a panel of the wall and the lit patch require.
 
     Parameters
     ----------
     target : Target
     turn, at : ndarray of shape (3, 3) and (3,)
-        Its rotation and position.
+        Rotation and position of the target.
     faced : Disc
-        Spheres are covered where they can be seen from within it.
+        Spheres are covered where they can be seen from within this disc.
     view : Disc
-        Around the panel.
+        Disc around the panel.
     rules : Rules
     widest : float
         No cell is left with half widths above this.
@@ -92,20 +92,20 @@ def cover(
 
     Returns
     -------
-    found : ndarray of shape (n, 9)
-        Their rows, whose columns `elements.POINT` and the like name; flat cells come first.
+    points : ndarray of shape (n, 9)
+        Rows with the columns that `elements.POINT` and so on name; those of flat cells come first.
     nearest : float
         Distance from the panel to the target.
     """
     flat, balls, rings = target.flat, target.balls, target.rings
     stack = np.empty((_STACK, elements.WIDTH))
-    found = np.empty((256, 9))
+    points = np.empty((256, 9))
     count, nearest = NONE[0], np.inf
     for c in range(flat.shape[0]):
         if wanted[c] == 0:
             continue
         elements.place(flat[c], turn, at, stack[0])
-        found, count, near = _cover_cell(stack, c, view, rules, widest, found, count)
+        points, count, near = _cover_cell(stack, c, view, rules, widest, points, count)
         nearest = min(nearest, near)
     ball = np.empty(elements.WIDTH)
     for c in range(balls.shape[0]):
@@ -117,9 +117,9 @@ def cover(
             for step in range(4 * rings):
                 elements.copy_row(ball, stack[0])
                 elements.cap_cell(stack[0], rim, ring, step, rings)
-                found, count, near = _cover_cell(stack, flat.shape[0] + c, view, rules, widest, found, count)
+                points, count, near = _cover_cell(stack, flat.shape[0] + c, view, rules, widest, points, count)
                 nearest = min(nearest, near)
-    return found[:count], nearest
+    return points[:count], nearest
 
 
 @jit
@@ -132,9 +132,9 @@ def around_patch(patch: Patch) -> Disc:
 def _moves(
     point: Floats, normal: Floats, at: Floats, area: float, seen: Floats, number: int, gradient: Floats, moves: Floats
 ) -> float:
-    """Write a point's column of `kernel.radiance_gradient`'s ``moves`` (10,); return what light it receives.
+    """Write a point's column (10,) of ``moves`` for `kernel.radiance_gradient`; return the point's irradiance.
 
-    ``gradient`` (6,) is room to work in.
+    ``gradient`` (6,) is scratch space.
     """
     light = kernel.irradiance_gradient(point, normal, seen, number, gradient)
     moves[0] = light * area
@@ -153,7 +153,7 @@ def _moves(
 
 
 class Panel(NamedTuple):
-    """A panel's points, ``a`` and ``b`` (k,) from the centre of a disc around them."""
+    """A panel's points, ``a`` and ``b`` (k,), relative to the centre of a disc around them."""
 
     a: Floats
     b: Floats
@@ -196,20 +196,20 @@ def _target_panel(
 ) -> None:
     """Add to ``total`` (groups, 1 or 7, k) what one panel's points receive from the target at a pose."""
     centre, radius = panel.disc.centre, panel.disc.radius
-    found, nearest = cover(target, turn, at, around_patch(rules.patch), panel.disc, rules, np.inf, wanted)
+    points, nearest = cover(target, turn, at, around_patch(rules.patch), panel.disc, rules, np.inf, wanted)
     groups, moving = target.albedo.shape[1], total.shape[1] > 1
-    sent = np.empty((groups, 6, 2 * found.shape[0]), dtype=panel.a.dtype)
-    moves = np.empty((10, 2 * found.shape[0] if moving else 0))
+    sent = np.empty((groups, 6, 2 * points.shape[0]), dtype=panel.a.dtype)
+    moves = np.empty((10, 2 * points.shape[0] if moving else 0))
     nodes = np.empty((3, ORDERS * ORDERS))
     normal, gradient = np.empty(3), np.empty(6)
     count, most = 0, 0
-    for k in range(found.shape[0]):
-        point, area, row = found[k, POINT:NORMAL], found[k, AREA], int(found[k, CELL])
-        for side in range(1 if found[k, ONE_SIDED] else 2):
+    for k in range(points.shape[0]):
+        point, area, row = points[k, POINT:NORMAL], points[k, AREA], int(points[k, CELL])
+        for side in range(1 if points[k, ONE_SIDED] else 2):
             if wanted[row] & (side + 1) == 0:
                 continue
             for r in range(3):
-                normal[r] = -found[k, NORMAL + r] if side else found[k, NORMAL + r]
+                normal[r] = -points[k, NORMAL + r] if side else points[k, NORMAL + r]
             u, v = centre[0] - point[0], centre[1] - point[1]
             if normal[0] * u + normal[1] * v - normal[2] * point[2] < -radius:
                 continue  # faces away from all of the panel

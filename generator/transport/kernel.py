@@ -4,7 +4,7 @@ Everything here is in a frame whose origin lies on the relay wall and whose thir
 point is (a, b, 0) and an element stands at height h. The frame is close to the points at hand: coordinate differences
 then keep all their digits, in float32 too, however far the scene is from its own origin.
 
-Each sum has two forms, loops for numba and arrays for NumPy, which tests hold equal to rounding.
+Each sum has two forms, loops for numba and arrays for NumPy; tests check that they agree to rounding.
 """
 
 from __future__ import annotations
@@ -19,11 +19,11 @@ from generator.transport.compiled import COMPILED, jit, jit_in_place
 Floats = NDArray[Any]
 
 BEYOND = -1e30
-"""A floor that nothing reaches, in single precision either."""
+"""A floor that no value reaches, not even in single precision."""
 
 
 def _radiance_loops(a: Floats, b: Floats, elements: Floats, count: int, floor: float, total: Floats) -> None:
-    """Add to ``total`` what the wall points (a, b, 0) receive from surface elements.
+    """Add to ``total`` the light that the wall points (a, b, 0) receive from surface elements.
 
         total_k += sum_j  max(floor, n_j . d h_j) / |d|^4,    d = w_k - x_j
 
@@ -36,9 +36,9 @@ def _radiance_loops(a: Floats, b: Floats, elements: Floats, count: int, floor: f
     elements : ndarray of shape (6, capacity)
         Rows: position along the two wall axes, height, and the normal's three components times strength.
     count : int
-        How many of them are filled.
+        Number of columns that are filled.
     floor : float
-        0; or `BEYOND`, for light that goes on below a face's own horizon, negative, as a function smooth across it.
+        0; or `BEYOND`, for light continued below a face's horizon, as negative values, smoothly across it.
     total : ndarray of shape (k,), added to
     """
     least = a.dtype.type(floor)
@@ -59,7 +59,7 @@ def _radiance_loops(a: Floats, b: Floats, elements: Floats, count: int, floor: f
             n1 = max(least, p1 * u1 + (q1 * v1 + c1))
             d0 = d0 * d0
             d1 = d1 * d1
-            # One division for two elements: dividing is what this loop waits for.
+            # One division for two elements, because divisions limit the speed of this loop.
             total[k] += (n0 * d1 + n1 * d0) / (d0 * d1)
     for i in range(2 * pairs, count):
         a0, b0, h0 = elements[0, i], elements[1, i], elements[2, i]
@@ -94,7 +94,7 @@ def _irradiance_loops(x: Floats, n: Floats, nodes: Floats, count: int) -> float:
     nodes : ndarray of shape (3, capacity)
         Rows: the patch's points along the two wall axes, and radiance times area.
     count : int
-        How many of them are filled.
+        Number of columns that are filled.
     """
     total = 0.0
     for q in range(count):
@@ -118,7 +118,7 @@ irradiance = jit(_irradiance_loops) if COMPILED else _irradiance_arrays
 
 @jit_in_place
 def irradiance_gradient(x: Floats, n: Floats, nodes: Floats, count: int, gradient: Floats) -> float:
-    """Return the irradiance as `irradiance` does, and leave its derivatives in ``gradient``.
+    """Return the irradiance as `irradiance` does, and write its derivatives to ``gradient``.
 
     Parameters
     ----------
@@ -151,7 +151,7 @@ def irradiance_gradient(x: Floats, n: Floats, nodes: Floats, count: int, gradien
 def radiance_gradient(
     a: Floats, b: Floats, elements: Floats, moves: Floats, count: int, floor: float, total: Floats
 ) -> None:
-    """Add to ``total`` what `radiance` does, and its derivatives with respect to a rigid motion of the elements.
+    """Add to ``total`` what `radiance` adds, and its derivatives with respect to a rigid motion of the elements.
 
     Parameters
     ----------

@@ -1,4 +1,4 @@
-"""What the engine itself can leave out of any world."""
+"""Parts of a scene that the engine itself can leave out of any world."""
 
 from __future__ import annotations
 
@@ -12,20 +12,20 @@ PATCH = "the lit patch's extent"
 PARTS = (SHADOW, PATCH)
 
 _POINT = 1e-3
-"""Of the lit patch, in itself, where it counts as a point."""
+"""Factor by which the lit patch shrinks where it counts as a point."""
 
 
 def without(world: World, dropped: Sequence[str]) -> tuple[World, bool]:
-    """Return a world without some parts, and whether the object's shadow on its room is left.
+    """Return a world without the dropped parts, and whether the object's shadow on the room is kept.
 
     Parameters
     ----------
     world : World
     dropped : sequence of str
-        Of `PARTS`; other names count nothing.
+        Members of `PARTS`; other names are ignored.
     """
     if PATCH in dropped:
         patch = world.patch
-        small = {name: _POINT * getattr(patch, name) for name in ("major", "minor")}
-        world = replace(world, patch=replace(patch, **small, intensity=patch.intensity / _POINT**2))
+        axes = {name: _POINT * getattr(patch, name) for name in ("major", "minor")}
+        world = replace(world, patch=replace(patch, **axes, intensity=patch.intensity / _POINT**2))
     return world, SHADOW not in dropped

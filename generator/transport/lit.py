@@ -1,4 +1,4 @@
-"""The lit patch: what light it sends where, and how many of its points that takes."""
+"""The lit patch: the light that it sends, and how many of its points are needed to compute that."""
 
 from __future__ import annotations
 
@@ -16,9 +16,9 @@ from generator.transport.elements import distance_to_disc
 Floats = NDArray[Any]
 
 ORDERS = 40
-"""Most quadrature points along a diameter of the lit patch: enough at a hundredth of its radius."""
+"""Most quadrature points along a diameter of the lit patch: enough at a distance of a hundredth of its radius."""
 
-# A set of many objects makes a setting for each, and the rules are most of the work of it.
+# A data set of many objects makes a setting for each, and the rules are most of the work for a setting.
 leggauss = cache(legendre.leggauss)
 
 
@@ -28,11 +28,11 @@ class Patch(NamedTuple):
     Attributes
     ----------
     x, y : float
-        Its centre.
+        Centre.
     major_x, major_y, minor_x, minor_y : float
-        Its semi-axes.
+        Semi-axes.
     lamp_x, lamp_y, height : float
-        The lamp.
+        Position of the lamp.
     axis_x, axis_y, axis_z : float
         Unit vector along which the lamp shines.
     cos_outer, cos_width : float
@@ -71,13 +71,13 @@ class Patch(NamedTuple):
 
 
 class Rules(NamedTuple):
-    """The patch, and how finely light is summed.
+    """The patch, and the quadrature rules for its light.
 
     Attributes
     ----------
     patch : Patch
     whole : ndarray
-        Quadrature rules of all of the patch (`whole_rules`).
+        Quadrature rules of the whole patch (`whole_rules`).
     chords : ndarray
         Rules for parts of it (`chord_rules`).
     gauss : ndarray
@@ -95,19 +95,19 @@ class Rules(NamedTuple):
 
 @jit_in_place
 def radius_of(patch: Patch) -> float:
-    """Length of the patch's major semi-axis."""
+    """Return the length of the patch's major semi-axis."""
     return math.sqrt(patch.major_x**2 + patch.major_y**2)
 
 
 @jit_in_place
 def distance_to(x: Floats, patch: Patch) -> float:
-    """From a point to the lit patch, or the disc around it."""
+    """Return the distance from a point to the disc around the lit patch."""
     return distance_to_disc(x, patch.x, patch.y, radius_of(patch))
 
 
 @jit_in_place
 def radiance(p: float, q: float, patch: Patch) -> float:
-    """Radiance of the lit patch at a wall point, in units of albedo / pi * intensity / height^2."""
+    """Return the radiance of the lit patch at a wall point, in units of albedo / pi * intensity / height^2."""
     u, v, w = p - patch.lamp_x, q - patch.lamp_y, -patch.height
     far = math.sqrt(u * u + v * v + w * w)
     ratio = patch.height / far
@@ -152,12 +152,12 @@ def chord_rules() -> Floats:
 
 @jit_in_place
 def order_at(x: Floats, patch: Patch, digits: float) -> int:
-    """Points along the patch's diameter that a surface point needs: fewer the farther it is."""
+    """Return the number of points along the patch's diameter that a surface point needs: fewer at larger distance."""
     radius = radius_of(patch)
     ratio = distance_to(x, patch) / radius
     rate = 2.0 * math.log(ratio + math.sqrt(1.0 + ratio * ratio))
     order = 1 if patch.cos_width == 0.0 else 12  # a soft edge is smooth only piecewise
-    # As for cells (`elements.points_wanted`), with the pole above the disc's middle in place of beside its rim.
+    # As for cells (`elements.points_wanted`), but with the pole above the disc's middle instead of outside its rim.
     while order < ORDERS - 4 and order * rate - 3.0 * math.log(2.0 * order) < digits:
         order += 1
     return order
@@ -165,10 +165,10 @@ def order_at(x: Floats, patch: Patch, digits: float) -> int:
 
 @jit_in_place
 def chord_order(order: int, arc: float, digits: float) -> int:
-    """Points that half of the part of the patch's edge that is seen, an arc of the unit circle, needs.
+    """Return the number of points for half of the visible part of the patch's edge, an arc of the unit circle.
 
-    Gauss's rule needs arc / 2 times the points that equal steps take around the circle (Trefethen 2008, section 5),
-    and as many as the light's own Fourier series, up to cos(3 alpha) / 4, asks: its error is a Bessel function of
+    Gauss's rule needs arc / 2 times the points of equal steps around the circle (Trefethen 2008, section 5), and as
+    many as the light's own Fourier series, up to cos(3 alpha) / 4, requires: its error is a Bessel function of
     order 2 k at 3 arc / 2 (Abramowitz and Stegun 9.1.62).
     """
     k = order + 3 if arc < 2.0 else math.ceil(order * arc / 2.0) + 3
@@ -179,7 +179,7 @@ def chord_order(order: int, arc: float, digits: float) -> int:
 
 @jit_in_place
 def clip(x: Floats, n: Floats, patch: Patch, rule: Floats, order: int, nodes: Floats) -> int:
-    """Write quadrature points of the part of the lit patch that a surface point can see; return how many.
+    """Write quadrature points of the part of the lit patch that a surface point can see; return their number.
 
     The surface's horizon cuts the ellipse along a chord. In the unit disc, with s across the chord and t along it,
     s = cos(alpha) turns the disc's edge into a smooth integrand over alpha, so Gauss's rule converges however small
@@ -193,7 +193,7 @@ def clip(x: Floats, n: Floats, patch: Patch, rule: Floats, order: int, nodes: Fl
         Gauss points and weights on [0, 1].
     order : int
     nodes : ndarray of shape (3, capacity), written
-        As `kernel.irradiance` takes them.
+        As for `kernel.irradiance`.
     """
     c0, c1 = patch.x, patch.y
     j0, j1, m0, m1 = patch.major_x, patch.major_y, patch.minor_x, patch.minor_y
@@ -227,7 +227,7 @@ def clip(x: Floats, n: Floats, patch: Patch, rule: Floats, order: int, nodes: Fl
 
 @jit
 def seen_from(x: Floats, n: Floats, rules: Rules, nodes: Floats) -> tuple[Floats, int]:
-    """Return the quadrature points of what a surface point sees of the patch, and how many they are."""
+    """Return the quadrature points of the part of the patch that a surface point sees, and their number."""
     patch = rules.patch
     order = order_at(x, patch, rules.digits)
     level = n[0] * (patch.x - x[0]) + n[1] * (patch.y - x[1]) - n[2] * x[2]

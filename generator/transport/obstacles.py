@@ -1,4 +1,4 @@
-"""What may stand in the way of what: sorted out once, by half spaces, so that few pairs need a ray."""
+"""Which surfaces can block which light: decided in advance, by half-spaces, so that few pairs need a ray test."""
 
 from __future__ import annotations
 
@@ -17,22 +17,22 @@ Flags = NDArray[np.bool_]
 
 _TOUCH = 1e-9
 _SUNK = 1e-6
-"""Depth below the wall, in half diagonals of the watched patch, that is rounding."""
+"""Depth below the wall, in half diagonals of the watched patch, that counts as rounding."""
 _RIM = 1.0 - 1e-3
 """Share of the lit and of the watched patch that must be free: a target may touch the edge of what is lit or seen."""
 _OUTLINE = 64
 
 
 class Obstacles:
-    """The surfaces of a scene, asked what they can hide.
+    """The surfaces of a scene, and tests of what they can hide.
 
-    Everything is in the wall's frame (`render.Frame`).
+    Everything is in the wall's frame (`prepared.Frame`).
 
     Parameters
     ----------
     room : Surfaces
     target : Surfaces
-        In its own frame.
+        Surfaces of the target, in its own frame.
     to_wall : ndarray of shape (3, 3)
     patch : lit.Patch
     eye : ndarray of shape (4,)
@@ -40,18 +40,18 @@ class Obstacles:
     Attributes
     ----------
     is_blocker : ndarray of shape (n,), bool
-        Of the room's flat surfaces, those in ``static_blockers``.
+        Which of the room's flat surfaces are in ``static_blockers``.
     static_blockers : Surfaces
-        Those of the room that can stand between two points of room, patch and watched patch. The walls of a closed
-        room are not among them: everything is on one side of each.
+        Surfaces of the room that can stand between two points of room, patch and watched patch. The walls of a
+        closed room are not among them: the whole scene is on one side of each.
     """
 
     def __init__(self, room: Surfaces, target: Surfaces, to_wall: Floats, patch: Patch, eye: Floats) -> None:
         self._room, self._target = room, target
         corners = np.array([[0.0, 0.0, 1.0], [1.0, 0.0, 1.0], [1.0, 1.0, 1.0], [0.0, 1.0, 1.0]]) @ to_wall.T
         self._watched = np.column_stack([corners[:, :2] / corners[:, 2:], np.zeros(4)])
-        turn = np.linspace(0.0, 2.0 * math.pi, 32, endpoint=False)
-        rim = patch.centre + np.outer(np.cos(turn), patch.major) + np.outer(np.sin(turn), patch.minor)
+        angles = np.linspace(0.0, 2.0 * math.pi, 32, endpoint=False)
+        rim = patch.centre + np.outer(np.cos(angles), patch.major) + np.outer(np.sin(angles), patch.minor)
         self._patch_rim = np.column_stack([rim, np.zeros(32)])
         self._lamp = np.array([patch.lamp_x, patch.lamp_y, patch.height, 1.0])
         self._patch_centre, self._patch_radius = (
@@ -65,13 +65,13 @@ class Obstacles:
         low, high = target.box
         self._box = np.array([[(low, high)[i >> r & 1][r] for r in range(3)] for i in range(8)])
         self._middle, self._radius = (low + high) / 2.0, float(np.linalg.norm(high - low)) / 2.0
-        # A surface is no blocker if all there is lies on one side of its plane.
+        # A surface is no blocker if the whole scene lies on one side of its plane.
         self._sides = np.zeros(len(room.origin))
         if len(room.origin):
-            every = np.concatenate([*room.corners(), self._watched, self._patch_rim])
-            size = float(np.ptp(every, axis=0).max())
+            points = np.concatenate([*room.corners(), self._watched, self._patch_rim])
+            size = float(np.ptp(points, axis=0).max())
             for k, (origin, normal) in enumerate(zip(room.origin, room.normal, strict=True)):
-                height = (every - origin) @ normal
+                height = (points - origin) @ normal
                 if (height >= -1e-7 * size).all():
                     self._sides[k] = 1.0
                 elif (height <= 1e-7 * size).all():
@@ -89,7 +89,7 @@ class Obstacles:
         return self._room.subset((self._sides == 0.0) | outside) if outside.any() else self.static_blockers
 
     def between(self, place: Floats, turn: Floats) -> Surfaces:
-        """Return those that can stand between the target and the patch, or the target and the watched patch."""
+        """Return the surfaces that can stand between the target and the patch or the watched patch."""
         blockers = self.blockers(place, turn)
         if not len(blockers.origin):
             return blockers
@@ -110,15 +110,15 @@ class Obstacles:
         ----------
         places, turns : ndarray of shape (n, 3) and (n, 3, 3)
         positions : ndarray of shape (n, 3)
-            To name a pose by, metres.
+            Positions by which messages name the poses, metres.
         """
         middles = turns @ self._middle + places
         lamp = self._lamp[:3]
         axis = self._patch_centre - lamp
         along = np.clip((middles - lamp) @ axis / (axis @ axis), 0.0, 1.0)
-        aside = np.linalg.norm(middles - lamp - along[:, None] * axis, axis=1)
+        distance = np.linalg.norm(middles - lamp - along[:, None] * axis, axis=1)
         low = middles[:, 2] < self._radius
-        lit, seen = aside < self._radius + self._patch_radius, self._may_be_seen(middles)
+        lit, seen = distance < self._radius + self._patch_radius, self._may_be_seen(middles)
         for k in np.flatnonzero(low | lit | seen):
             where = f"pose ({', '.join(f'{v:g}' for v in positions[k])})"
             if low[k]:
@@ -135,7 +135,7 @@ class Obstacles:
                 )
 
     def _reaches_into(self, spaces: Floats, eye: Floats, place: Floats, turn: Floats) -> bool:
-        """Whether the target reaches into half-spaces (k, 4) that have an eye as their apex."""
+        """Whether the target reaches into the intersection of half-spaces (k, 4) whose apex is an eye."""
         target = self._target
         if len(target.origin):
             first, second = target.origin + target.first, target.origin + target.second
@@ -161,7 +161,7 @@ class Obstacles:
         return reaches
 
     def _heights(self, place: Floats, turn: Floats) -> tuple[float, float]:
-        """Lowest and highest point of the target above the wall."""
+        """Return the heights of the target's lowest and highest point above the wall."""
         low, high = np.inf, -np.inf
         corners = np.concatenate(self._target.corners())
         if len(corners):
@@ -183,38 +183,38 @@ def _pyramid(eye: Floats, base: Floats) -> Floats:
     middle = base.mean(axis=0)
     sign = np.sign(normals @ middle - levels)
     sides = sign[:, None] * np.column_stack([normals, -levels])
-    # Parallel light has no apex: it comes from the plane that the camera stands in.
+    # A parallel projection has no apex: its space ends at the camera's plane.
     way = (eye[:3] - eye[3] * middle) / np.linalg.norm(eye[:3] - eye[3] * middle)
     start = eye[:3] if eye[3] else middle + eye[:3]
     return np.concatenate([sides, [np.append(-way, way @ start)]])
 
 
 def _outline(centre: Floats, radius: float, eye: Floats) -> Floats | None:
-    """Return the polygon around a sphere's outline, as an eye (homogeneous) sees it; none from inside."""
+    """Return the polygon around a sphere's outline as seen from an eye (homogeneous); None from inside."""
     axis = centre - eye[:3] if eye[3] else -eye[:3]
-    far = float(np.linalg.norm(axis))
-    axis = axis / far
+    distance = float(np.linalg.norm(axis))
+    axis = axis / distance
     if eye[3]:
-        if far <= radius:
+        if distance <= radius:
             return None
-        sine = radius / far
+        sine = radius / distance
         centre, radius = centre - sine * radius * axis, radius * math.sqrt(1.0 - sine * sine)
     across = np.cross(axis, np.eye(3)[np.argmin(np.abs(axis))])
     across /= np.linalg.norm(across)
-    turn = np.linspace(0.0, 2.0 * math.pi, _OUTLINE, endpoint=False)[:, None]
-    around = np.cos(turn) * across + np.sin(turn) * np.cross(axis, across)
-    made: Floats = centre + radius / math.cos(math.pi / _OUTLINE) * around
-    return made
+    angles = np.linspace(0.0, 2.0 * math.pi, _OUTLINE, endpoint=False)[:, None]
+    directions = np.cos(angles) * across + np.sin(angles) * np.cross(axis, across)
+    polygon: Floats = centre + radius / math.cos(math.pi / _OUTLINE) * directions
+    return polygon
 
 
 def _reaches_into(spaces: Floats, polygons: Floats) -> bool:
-    """Whether one of convex polygons (n, corners, 3) reaches into all of half-spaces (k, 4)."""
-    inside, near = np.ones(polygons.shape[:2], dtype=bool), np.ones(len(polygons), dtype=bool)
+    """Whether one of the convex polygons (n, corners, 3) reaches into the intersection of half-spaces (k, 4)."""
+    inside, is_candidate = np.ones(polygons.shape[:2], dtype=bool), np.ones(len(polygons), dtype=bool)
     for space in spaces:
         within = polygons @ space[:3] + space[3] > _TOUCH
         inside &= within
-        near &= within.any(axis=1)
-    return bool(inside.any()) or any(_is_left(polygon, spaces) for polygon in polygons[near])
+        is_candidate &= within.any(axis=1)
+    return bool(inside.any()) or any(_is_left(polygon, spaces) for polygon in polygons[is_candidate])
 
 
 def _is_left(polygon: Floats, spaces: Floats) -> bool:
@@ -235,7 +235,7 @@ def _is_left(polygon: Floats, spaces: Floats) -> bool:
 
 
 def _clear(surfaces: Surfaces, points: Floats) -> Flags:
-    """Return which surfaces cannot stand between any two of some points: those a plane parts from all of them."""
+    """Return which surfaces cannot stand between any two of some points: those that a plane separates from them."""
     clear = np.zeros(len(surfaces.origin), dtype=bool)
     for k in range(len(clear)):
         height = (points - surfaces.origin[k]) @ surfaces.normal[k]
@@ -259,8 +259,8 @@ def _clear(surfaces: Surfaces, points: Floats) -> Flags:
 def _parted(start: Floats, edge: Floats, inward: Floats, normal: Floats, points: Floats) -> bool:
     """Whether some plane through an edge has the surface on one side and the points on the other.
 
-    Looked at along the edge, the surface is a ray; the points' directions, counted from the opposite ray, must span
-    less than half a turn.
+    Seen along the edge, the surface is a ray; the angles of the points, counted from the opposite ray, must span less
+    than half a turn.
     """
     out = np.cross(edge, normal)
     out /= np.linalg.norm(out)

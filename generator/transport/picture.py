@@ -1,13 +1,13 @@
-"""A picture from panels: polynomials on as few panels as its smoothness allows, averaged over each pixel's box.
+"""Pictures from panels: polynomials on as few panels as smoothness allows, averaged over each pixel's box.
 
-Light that has been reflected by the target falls on the wall as a smooth function, so a picture of any resolution is
-held by a few hundred of its values. A panel is a box of the picture with m x m Gauss points; their Legendre
-coefficients say how well they hold the function, and a panel that holds it badly is cut in four. Pixels are exact
-integrals of the polynomials over their boxes, as Cycles' box filter asks.
+Light that the target reflects falls on the wall as a smooth function, so a few hundred values represent a picture of
+any resolution. A panel is a box of the picture with m x m Gauss points; their Legendre coefficients show how well
+they represent the function, and a panel that represents it badly is cut in four. Pixels are exact integrals of the
+polynomials over their boxes, as for Cycles' box filter.
 
-A flat face stops sending light where its own plane meets the wall: a kink of the picture along a line, and a jump of
-its derivatives, which panels could only approach. Such a face is a part of the picture of its own, smooth beyond the
-line too, and only what is on its bright side is kept.
+The light of a flat face ends where its plane meets the wall: a kink of the picture along a line, and a jump of its
+derivatives, which panels could only approximate. Such a face is a separate part of the picture, continued smoothly
+beyond the line, and only the part on its bright side is kept.
 """
 
 from __future__ import annotations
@@ -36,16 +36,16 @@ _TOO_NEAR = 8.0
 
 @dataclass(frozen=True)
 class Panels:
-    """What a picture was made of.
+    """Numbers of the panels that pictures were made of.
 
     Attributes
     ----------
     count : ndarray of shape (pictures,), int
-        Panels.
+        Number of panels.
     depth : ndarray of shape (pictures,), int
-        How often the smallest was cut.
+        How often the smallest panel was cut.
     error : ndarray of shape (pictures,)
-        Root mean square of what the polynomials leave out, estimated, relative to the picture's.
+        Estimated root mean square error of the polynomials, relative to the root mean square of the picture.
     """
 
     count: Floats
@@ -55,12 +55,12 @@ class Panels:
 
 @dataclass(frozen=True)
 class Parts:
-    """What pictures are sums of.
+    """Parts whose sums are pictures.
 
     Attributes
     ----------
     picture : ndarray of shape (parts,), int
-        Which picture each belongs to.
+        Index of the picture that each belongs to.
     line : ndarray of shape (parts, 3)
         A part counts where a u + b v + c > 0.
     """
@@ -74,33 +74,33 @@ class Parts:
         return cls(np.arange(pictures), np.tile([0.0, 0.0, 1.0], (pictures, 1)))
 
     def side(self, owner: Floats, boxes: Floats, places: Floats) -> Floats:
-        """Return a u + b v + c at places (k, 2) of boxes (n, 4), (n, k)."""
+        """Return a u + b v + c at places (k, 2) of boxes (n, 4), as (n, k)."""
         a, b, c = self.line[owner].T[:, :, None]
         low, wide = boxes[:, 0::2, None], (boxes[:, 1::2] - boxes[:, 0::2])[:, :, None]
         u, v = low[:, 0] + wide[:, 0] * places[:, 0], low[:, 1] + wide[:, 1] * places[:, 1]
-        there: Floats = a * u + b * v + c
-        return there
+        values: Floats = a * u + b * v + c
+        return values
 
 
 class Rule:
-    """Gauss points of a panel, and what turns values there into Legendre coefficients.
+    """Gauss points of a panel, and the transform of values there to Legendre coefficients.
 
     Parameters
     ----------
     m : int
-        Points along a side.
+        Number of points along a side.
 
     Attributes
     ----------
     places : ndarray of shape (n, 2)
-        Where a panel is evaluated, on [0, 1]: m x m Gauss points, along u fastest; points between them, which check
+        Where a panel is evaluated, on [0, 1]: m x m Gauss points, u varying fastest; points between them, which check
         the polynomial; and the four corners.
     """
 
     def __init__(self, m: int) -> None:
         x, w = leggauss(m)
         self.m = m
-        # Between the nodes, one point in each row and column for each of two lattices: a kink passes some of them.
+        # Between the nodes, two lattices with one point in each row and column, so that any kink passes some of them.
         i, middles = np.arange(m - 1), (x[:-1] + x[1:]) / 2.0
         between = np.concatenate([np.stack([middles, middles[slope * i % (m - 1)]], axis=1) for slope in (2, -2)])
         corners = np.array([[-1.0, -1.0], [1.0, -1.0], [-1.0, 1.0], [1.0, 1.0]])
@@ -109,8 +109,8 @@ class Rule:
         self.places = (np.concatenate([nodes, checks]) + 1.0) / 2.0
         self.weights = np.outer(w, w).ravel() / 4.0
         n = np.arange(m)
-        one = ((2 * n + 1) / 2.0)[:, None] * (legvander(x, m - 1) * w[:, None]).T
-        self.transform = np.kron(one, one)
+        transform = ((2 * n + 1) / 2.0)[:, None] * (legvander(x, m - 1) * w[:, None]).T
+        self.transform = np.kron(transform, transform)
         norms = 1.0 / (2 * n + 1)
         high = np.maximum(n[:, None], n[None, :]).ravel() >= m - 2
         self._tail = np.where(high, np.outer(norms, norms).ravel(), 0.0)
@@ -119,11 +119,11 @@ class Rule:
 
     def coefficients(self, values: Floats) -> Floats:
         """Return Legendre coefficients (..., m * m) of values (..., points)."""
-        made: Floats = values[..., : self.m**2] @ self.transform.T
-        return made
+        series: Floats = values[..., : self.m**2] @ self.transform.T
+        return series
 
     def mean_square(self, values: Floats, where: Floats | None = None) -> Floats:
-        """Return the mean square over the panel (...) of values (..., points), where a mask (n, points) has it."""
+        """Return the mean square over the panel (...) of values (..., points), where a mask (n, points) is set."""
         nodes = values[..., : self.m**2] ** 2
         if where is not None:
             nodes = nodes * where[:, None, : self.m**2]
@@ -131,11 +131,11 @@ class Rule:
         return squared
 
     def tail_square(self, coefficients: Floats, values: Floats) -> Floats:
-        """Return the mean square of what the polynomial may leave out.
+        """Return an estimate of the mean square error of the polynomial.
 
-        That is the two highest degrees, far more than what is left out if they fall off; what is wrong between the
-        points, where they do not; and what is wrong at the corners: light that enters there may stay between them and
-        the first points, a share 1 / m^2 of the panel.
+        It sums the two highest degrees, which are far larger than the error if coefficients decay; the error between
+        the points, in case they do not; and the error at the corners, as light that enters there may be confined to
+        the region between them and the first points, a share 1 / m^2 of the panel.
         """
         missed = (coefficients @ self._checks.T - values[..., self.m**2 :]) ** 2
         squared: Floats = coefficients**2 @ self._tail
@@ -158,17 +158,17 @@ def draw(
     Parameters
     ----------
     evaluate : callable
-        Owners are parts.
+        Its owners are parts.
     rule : Rule
     parts : Parts
     shape : (int, int, int, int)
         Pictures, channels, and the pictures' height and width, pixels.
     accuracy : float
-        Root mean square of the error, relative to that of the picture, channel by channel.
+        Root mean square error, relative to the root mean square of the picture, channel by channel.
     level : ndarray of shape (pictures, channels), optional
-        A mean square that errors are relative to where it is larger than the picture's own.
+        Mean square that errors are relative to where it is larger than that of the picture.
     kin : callable, optional
-        Makes of all channels' mean squares (pictures, channels) those that errors are relative to.
+        Turns all channels' mean squares (pictures, channels) into those that errors are relative to.
 
     Returns
     -------
@@ -183,36 +183,36 @@ def draw(
     settled, lost = np.zeros((pictures, channels)), np.zeros((pictures, channels))
     count, depth = np.zeros(pictures, dtype=np.int64), np.zeros(pictures, dtype=np.int64)
     shared = np.bincount(picture, minlength=pictures)
-    # Peaks of the size of the target's distance can hide between points down to this size of a panel.
+    # Peaks as wide as the target's distance can be missed between the points of panels larger than this.
     smallest = 2.0 * math.sqrt(accuracy) / max(width, height)
     for cut in range(MAX_DEPTH + 1):
         bright = parts.side(owner, boxes, rule.places) > 0.0
-        some = bright.any(axis=1)
-        owner, boxes, bright = owner[some], boxes[some], bright[some]
+        visible = bright.any(axis=1)
+        owner, boxes, bright = owner[visible], boxes[visible], bright[visible]
         if not len(owner):
             break
         values, nearness = evaluate(owner, boxes)
         coefficients = rule.coefficients(values)
-        own = picture[owner]
+        panel_picture = picture[owner]
         size = 0.5**cut
         area = size * size
         square, tail = area * rule.mean_square(values, bright), area * rule.tail_square(coefficients, values)
         norm = settled.copy()
-        np.add.at(norm, own, square)
+        np.add.at(norm, panel_picture, square)
         if level is not None:
             norm = np.maximum(norm, level)
         if kin is not None:
             norm = kin(norm)
-        # Small panels may err more: those along a line are few for their size.
-        allowed = (0.7 * accuracy) ** 2 * norm[own] * area * 2.0**cut / shared[own, None]
+        # Small panels are allowed larger errors: along a line there are few panels for their size.
+        allowed = (0.7 * accuracy) ** 2 * norm[panel_picture] * area * 2.0**cut / shared[panel_picture, None]
         good = (tail <= allowed).all(axis=1) & ((nearness <= _TOO_NEAR) | (size < smallest))
         if cut == MAX_DEPTH:
             good[:] = True
-        deposit(out, own[good], boxes[good], coefficients[good], parts.line[owner[good]])
-        np.add.at(settled, own[good], square[good])
-        np.add.at(lost, own[good], tail[good])
-        np.add.at(count, own[good], 1)
-        depth[own] = cut
+        deposit(out, panel_picture[good], boxes[good], coefficients[good], parts.line[owner[good]])
+        np.add.at(settled, panel_picture[good], square[good])
+        np.add.at(lost, panel_picture[good], tail[good])
+        np.add.at(count, panel_picture[good], 1)
+        depth[panel_picture] = cut
         owner, boxes = np.repeat(owner[~good], 4), _quarters(boxes[~good])
     with np.errstate(invalid="ignore", divide="ignore"):
         error = np.where(settled > 0.0, np.sqrt(lost / settled), 0.0).max(axis=1, initial=0.0)
@@ -233,12 +233,12 @@ def deposit(out: Floats, owner: Floats, boxes: Floats, coefficients: Floats, lin
     ----------
     out : ndarray of shape (pictures, channels, height, width), added to
     owner : ndarray of shape (n,), int
-        Pictures.
+        Index of the picture of each panel.
     boxes : ndarray of shape (n, 4)
     coefficients : ndarray of shape (n, channels, m * m)
-        Along u fastest.
+        Degrees along u vary fastest.
     lines : ndarray of shape (n, 3)
-        As `Parts` has them.
+        As in `Parts`.
     """
     if len(owner):
         order = np.argsort(owner, kind="stable")
@@ -250,7 +250,7 @@ def deposit(out: Floats, owner: Floats, boxes: Floats, coefficients: Floats, lin
 
 
 class _Runs(NamedTuple):
-    """Which picture each panel belongs to; the panels picture by picture; and where in these each picture begins."""
+    """Picture of each panel; the order of the panels by picture; and where in that order each picture begins."""
 
     owner: Floats
     order: Floats
@@ -259,7 +259,7 @@ class _Runs(NamedTuple):
 
 @jit
 def _shares(low: float, high: float, pixels: int, m: int) -> tuple[int, Floats]:
-    """Integrals of Legendre polynomials on [low, high] over the pixels that it meets, in pixels.
+    """Return integrals of Legendre polynomials on [low, high] over the pixels that it overlaps, in pixels.
 
     Uses (2 n + 1) P_n = d/dx (P_(n+1) - P_(n-1)).
 
@@ -294,14 +294,14 @@ def _shares(low: float, high: float, pixels: int, m: int) -> tuple[int, Floats]:
 def _keep_side(
     block: Floats, first: Floats, box: Floats, pixels: Floats, held: Floats, line: Floats, edge: Floats
 ) -> None:
-    """Cut from a panel's shares of pixels (channels, rows, columns) what lies beyond a line.
+    """Remove from a panel's shares of pixels (channels, rows, columns) what lies beyond a line.
 
-    A pixel that the line crosses is a polygon, and the integral over it one along its edges (Green's theorem): of the
-    polynomial's antiderivative along u, which m Gauss points an edge integrate exactly.
+    The rest of a pixel that the line crosses is a polygon. The integral over it equals one along its edges (Green's
+    theorem), of the polynomial's antiderivative in u, which m Gauss points per edge integrate exactly.
     """
     m = held.shape[1]
     wide, high = (box[1] - box[0]) / 2.0, (box[3] - box[2]) / 2.0
-    # The line, and below the pixel's sides, in the panel's own coordinates on [-1, 1].
+    # The line and (below) the pixel's sides, in the panel's own coordinates on [-1, 1].
     a, b = line[0] * wide, line[1] * high
     c = line[0] * (box[0] + wide) + line[1] * (box[2] + high) + line[2]
     corners, polygon = np.empty((4, 2)), np.empty((8, 2))
@@ -337,12 +337,12 @@ def _keep_side(
                         along[i + 1] = ((2 * i + 1) * x * along[i] - i * along[i - 1]) / (i + 1)
                         down[i + 1] = ((2 * i + 1) * y * down[i] - i * down[i - 1]) / (i + 1)
                     # (2 i + 1) P_i = d/dx (P_(i+1) - P_(i-1))
-                    before = 1.0
+                    previous = 1.0
                     along[0] = x
                     for i in range(1, m):
-                        here = along[i]
-                        along[i] = (along[i + 1] - before) / (2 * i + 1)
-                        before = here
+                        current = along[i]
+                        along[i] = (along[i + 1] - previous) / (2 * i + 1)
+                        previous = current
                     share = edge[1, q] * rise * wide * high * pixels[0] * pixels[1]
                     for channel in range(block.shape[0]):
                         total = 0.0
@@ -368,22 +368,22 @@ def _deposit(
     channels, height, width = out.shape[1], out.shape[2], out.shape[3]
     m = edge.shape[1]
     pixels = np.array([width, height])
-    for run in range(start, stop):  # of one picture: no two threads write the same
+    for run in range(start, stop):  # a run is one picture, so no two threads write to the same one
         for k in range(runs.ends[run], runs.ends[run + 1]):
             item = runs.order[k]
             box, line = boxes[item], lines[item]
             first_column, across = _shares(box[0], box[1], width, m)
             first_row, down = _shares(box[2], box[3], height, m)
             across_t = np.ascontiguousarray(across.T)
-            held = np.ascontiguousarray(coefficients[item]).reshape(channels, m, m)
+            polynomial = np.ascontiguousarray(coefficients[item]).reshape(channels, m, m)
             block = np.empty((channels, down.shape[0], across.shape[0]))
             for c in range(channels):
-                block[c] = np.dot(down, np.dot(held[c], across_t))
+                block[c] = np.dot(down, np.dot(polynomial[c], across_t))
             least = line[2] + min(line[0] * box[0], line[0] * box[1]) + min(line[1] * box[2], line[1] * box[3])
             if least < 0.0:
-                _keep_side(block, np.array([first_column, first_row]), box, pixels, held, line, edge)
-            into = out[runs.owner[item]]
-            into[:, first_row : first_row + down.shape[0], first_column : first_column + across.shape[0]] += block
+                _keep_side(block, np.array([first_column, first_row]), box, pixels, polynomial, line, edge)
+            image = out[runs.owner[item]]
+            image[:, first_row : first_row + down.shape[0], first_column : first_column + across.shape[0]] += block
 
 
 def _colour_loops(
@@ -401,7 +401,7 @@ def _colour_loops(
     Parameters
     ----------
     start, stop : int
-        Which of them.
+        Range of the pictures.
     made : ndarray of shape (n, height, width, 3), written
     background : ndarray of shape (height, width, 3)
     added, hidden : ndarray of shape (n, groups, height, width)

@@ -1,7 +1,7 @@
-"""Convex polygons in a plane: cut along lines, taken from one another, and light summed over them.
+"""Convex polygons in a plane: cutting them along lines, subtracting them from each other, summing light over them.
 
-Sums over a polygon converge as fast as the light on it is smooth, so a shadow whose edge is a polygon's edge costs no
-more than no shadow.
+How fast sums over a polygon converge depends only on how smooth the light on it is, so a shadow whose edges are the
+edges of polygons costs no more than no shadow.
 """
 
 from __future__ import annotations
@@ -20,17 +20,17 @@ from generator.transport.records import Disc
 Floats = NDArray[Any]
 
 CORNERS = 128
-"""Most that a polygon can have."""
+"""Largest number of corners of a polygon."""
 PIECES = 96
-"""Most that a polygon may fall into."""
+"""Largest number of pieces that a polygon may be cut into."""
 
 ORIGIN, FIRST, SECOND, NORMAL, LEVEL, COUNT, CORNER, OUTLINE, SIDED, FACET = 0, 3, 6, 9, 12, 13, 14, 26, 34, 36
 """Columns of a facet's row: a corner (3), two unit axes in its plane (3 + 3), its unit normal (3), the level of its
-plane, how many corners it has, these corners (4 x 3), the same along the axes (4 x 2), whether it has one side; and
-how many columns there are."""
+plane, the number of its corners, these corners (4 x 3), their coordinates along the axes (4 x 2), whether it has only
+one side; and the number of columns."""
 
 AREA, ORDER = 3, 4
-"""Columns, after its place (3), of a quadrature point: its area, and which of the patch's rules it asks for."""
+"""Columns of a quadrature point, after its position (3): its area, and the index of the patch's rule it needs."""
 
 _STACK = 128
 
@@ -39,15 +39,15 @@ _STACK = 128
 def lay(origin: Floats, first: Floats, second: Floats, triangle: bool, row: Floats) -> None:
     """Write a parallelogram or triangle, given by a corner and two edges, as a facet."""
     row[ORIGIN:FIRST] = origin
-    one, two, normal = row[FIRST:SECOND], row[SECOND:NORMAL], row[NORMAL:LEVEL]
+    axis_u, axis_v, normal = row[FIRST:SECOND], row[SECOND:NORMAL], row[NORMAL:LEVEL]
     for r in range(3):
         s, t = (r + 1) % 3, (r + 2) % 3
         normal[r] = first[s] * second[t] - first[t] * second[s]
-    one[:] = first / math.sqrt((first * first).sum())
+    axis_u[:] = first / math.sqrt((first * first).sum())
     normal /= math.sqrt((normal * normal).sum())
     for r in range(3):
         s, t = (r + 1) % 3, (r + 2) % 3
-        two[r] = normal[s] * one[t] - normal[t] * one[s]
+        axis_v[r] = normal[s] * axis_u[t] - normal[t] * axis_u[s]
     row[LEVEL] = (normal * origin).sum()
     row[COUNT] = 3 if triangle else 4
     corners = row[CORNER:OUTLINE]
@@ -57,7 +57,7 @@ def lay(origin: Floats, first: Floats, second: Floats, triangle: bool, row: Floa
     corners[9:12] = origin + second
     for k in range(4):
         arm = corners[3 * k : 3 * k + 3] - origin
-        row[OUTLINE + 2 * k], row[OUTLINE + 2 * k + 1] = (arm * one).sum(), (arm * two).sum()
+        row[OUTLINE + 2 * k], row[OUTLINE + 2 * k + 1] = (arm * axis_u).sum(), (arm * axis_v).sum()
 
 
 @jit_inlined
@@ -82,7 +82,7 @@ def on_facet(facet: Floats, u: float, v: float, point: Floats) -> None:
 
 @jit_in_place
 def outline(facet: Floats, polygon: Floats) -> int:
-    """Write a facet's own corners along its axes; return how many."""
+    """Write a facet's own corners along its axes; return their number."""
     n = int(facet[COUNT])
     for k in range(n):
         polygon[k, 0], polygon[k, 1] = facet[OUTLINE + 2 * k], facet[OUTLINE + 2 * k + 1]
@@ -98,29 +98,29 @@ def copy(polygon: Floats, n: int, into: Floats) -> None:
 
 @jit_in_place
 def clip(polygon: Floats, n: int, a: float, b: float, c: float, kept: Floats) -> int:
-    """Write the part of a polygon where a u + b v + c >= 0 (Sutherland and Hodgman 1974); return its corners."""
+    """Write the part of a polygon where a u + b v + c >= 0 (Sutherland and Hodgman 1974); return its corner count."""
     m = 0
     if n == 0:
         return 0
     u0, v0 = polygon[n - 1, 0], polygon[n - 1, 1]
-    before = a * u0 + b * v0 + c
+    previous = a * u0 + b * v0 + c
     for k in range(n):
         u, v = polygon[k, 0], polygon[k, 1]
-        here = a * u + b * v + c
-        if (here >= 0.0) != (before >= 0.0):
-            t = before / (before - here)
+        value = a * u + b * v + c
+        if (value >= 0.0) != (previous >= 0.0):
+            t = previous / (previous - value)
             kept[m, 0], kept[m, 1] = u0 + t * (u - u0), v0 + t * (v - v0)
             m += 1
-        if here >= 0.0:
+        if value >= 0.0:
             kept[m, 0], kept[m, 1] = u, v
             m += 1
-        u0, v0, before = u, v, here
+        u0, v0, previous = u, v, value
     return m
 
 
 @jit_in_place
 def within(polygon: Floats, n: int, lines: Floats, k: int, kept: Floats, spare: Floats) -> int:
-    """Write the part of a polygon inside all of ``k`` lines (k, 3); return its corners, 0 if there is none."""
+    """Write the part of a polygon inside all of ``k`` lines (k, 3); return its number of corners, 0 if empty."""
     for i in range(k):
         inside = 0
         for j in range(n):
@@ -146,19 +146,19 @@ def within(polygon: Floats, n: int, lines: Floats, k: int, kept: Floats, spare: 
 def without(
     polygon: Floats, n: int, lines: Floats, k: int, pieces: Floats, corners: Floats, count: int, spare: Floats
 ) -> int:
-    """Append the parts of a polygon outside one of ``k`` lines; return how many pieces there are then.
+    """Append the parts of a polygon outside at least one of ``k`` lines; return the new number of pieces.
 
     Parameters
     ----------
     polygon : ndarray of shape (CORNERS, 2)
     n : int
-        Its corners.
+        Number of its corners.
     lines : ndarray of shape (k, 3)
     k : int
     pieces : ndarray of shape (PIECES, CORNERS, 2), written
     corners : ndarray of shape (PIECES,), int, written
     count : int
-        How many pieces there are; below 0, there were too many.
+        Number of pieces before; negative if there were too many.
     spare : ndarray of shape (3, CORNERS, 2)
     """
     if count < 0 or count + k >= PIECES:
@@ -182,7 +182,7 @@ def without(
 
 
 class Summing(NamedTuple):
-    """Room to sum light in: a stack of triangles, a point, and the rows of one cell's quadrature points."""
+    """Scratch space for summing light: a stack of triangles, a point, and rows of one cell's quadrature points."""
 
     stack: Floats
     point: Floats
@@ -191,7 +191,7 @@ class Summing(NamedTuple):
 
 @jit
 def room_to_sum() -> Summing:
-    """Return the arrays that summing works in."""
+    """Return scratch space for summing."""
     return Summing(np.empty((_STACK, 6)), np.empty(3), np.empty((elements.MAX_POINTS**2, 5)))
 
 
@@ -199,7 +199,7 @@ def room_to_sum() -> Summing:
 def fan(polygon: Floats, n: int) -> tuple[float, float, int, int]:
     """Return the point that a polygon's triangles share, and the first and last (exclusive) of the sides opposite it.
 
-    A fan from the middle keeps the triangles of a round polygon slim; those of a few corners are better left large.
+    A fan from the middle keeps the triangles of a round polygon slim; for few corners, large triangles are better.
     """
     if n <= 6:
         return polygon[0, 0], polygon[0, 1], 1, n - 1
@@ -217,7 +217,7 @@ def start_triangle(polygon: Floats, n: int, k: int, middle0: float, middle1: flo
 
 @jit_inlined
 def next_points(facet: Floats, view: Disc, rules: Rules, work: Summing, top: int) -> tuple[int, int]:
-    """Cut the topmost triangle on a facet as finely as a disc on the wall and the lit patch ask.
+    """Cut the topmost triangle on a facet as finely as a disc on the wall and the lit patch require.
 
     Parameters
     ----------
@@ -226,16 +226,16 @@ def next_points(facet: Floats, view: Disc, rules: Rules, work: Summing, top: int
     rules : Rules
     work : Summing
         The first ``top`` rows of its stack are triangles, a corner and two edges along the facet's axes. Its rows
-        ``found`` become the quadrature points of the first piece that need not be cut: position (3), area, and which
-        of the patch's rules it asks for.
+        ``found`` become the quadrature points of the first piece that need not be cut: position (3), area, and index
+        of the patch's rule.
     top : int
 
     Returns
     -------
     top, count : int
-        How many triangles are left, and how many points were written.
+        Number of triangles that are left, and of points that were written.
     """
-    stack, point, found = work
+    stack, point, rows = work
     nodes, weights, corner, corner_weights = rules.gauss[0], rules.gauss[1], rules.gauss[2], rules.gauss[3]
     least = 0.02 * radius_of(rules.patch)
     while top > 0:
@@ -265,7 +265,7 @@ def next_points(facet: Floats, view: Disc, rules: Rules, work: Summing, top: int
             for j in range(kv):
                 # Duffy 1982, as in `elements.cell_point`.
                 s, t = corner[ku, i] * (1.0 - nodes[kv, j]), corner[ku, i] * nodes[kv, j]
-                row = found[count]
+                row = rows[count]
                 on_facet(facet, o0 + s * e0 + t * f0, o1 + s * e1 + t * f1, row)
                 row[AREA], row[ORDER] = corner_weights[ku, i] * weights[kv, j] * area / 2.0, order
                 count += 1
@@ -275,7 +275,7 @@ def next_points(facet: Floats, view: Disc, rules: Rules, work: Summing, top: int
 
 @jit_in_place
 def _quarter(o0: float, o1: float, e0: float, e1: float, f0: float, f1: float, rows: Floats) -> None:
-    """Write the four triangles (4, 6) that halving a triangle's edges, to e and f, makes of it."""
+    """Write the four triangles (4, 6) into which a triangle is cut by halving its edges, to e and f."""
     for part in range(4):
         row = rows[part]
         row[0], row[1], row[2], row[3], row[4], row[5] = o0, o1, e0, e1, f0, f1
@@ -283,20 +283,20 @@ def _quarter(o0: float, o1: float, e0: float, e1: float, f0: float, f1: float, r
             row[0], row[1] = o0 + e0, o1 + e1
         elif part == 2:
             row[0], row[1] = o0 + f0, o1 + f1
-        elif part == 3:  # the middle one stands on its head
+        elif part == 3:  # the middle one is inverted
             row[0], row[1] = o0 + e0 + f0, o1 + e1 + f1
             row[2], row[3], row[4], row[5] = -e0, -e1, -f0, -f1
 
 
 class Path(NamedTuple):
-    """The way of light from the patch by way of a facet to a point of the wall.
+    """The path of light from the patch by way of a facet to a point of the wall.
 
     Attributes
     ----------
     facet : ndarray of shape (FACET,)
     wall : ndarray of shape (3,)
     node : ndarray of shape (3,)
-        One point of the patch, and its radiance times area; if that is 0, the whole patch.
+        One point (2) of the patch, and its radiance times area; if that is 0, light comes from the whole patch.
     """
 
     facet: Floats
@@ -306,12 +306,12 @@ class Path(NamedTuple):
 
 @jit_inlined
 def add_by_way_of(total: float, found: Floats, count: int, path: Path, whole: Floats) -> float:
-    """Return a sum plus what a wall point receives from the lit patch by way of points on a facet, unobstructed.
+    """Return ``total`` plus what a wall point receives from the lit patch by way of points on a facet, unobstructed.
 
         sum_y  A_y cos_y / |w - y|^3 h  sum_q  L_q cos cos / |q - y|^2
 
-    On a plane, cos_y |w - y| is the wall point's height above it, wherever y is; the sum is without that factor,
-    `height_of`.
+    On a plane, cos_y |w - y| is the wall point's height above it, wherever y is; that factor, `height_of`, is left
+    out of the sum.
 
     Parameters
     ----------
@@ -320,7 +320,7 @@ def add_by_way_of(total: float, found: Floats, count: int, path: Path, whole: Fl
         As `next_points` writes them.
     path : Path
     whole : ndarray
-        The patch's rules.
+        Quadrature rules of the patch.
     """
     facet, wall, node = path.facet, path.wall, path.node
     side = 1.0 if height_of(facet, wall[0], wall[1]) > 0.0 else -1.0
@@ -349,7 +349,7 @@ def add_by_way_of(total: float, found: Floats, count: int, path: Path, whole: Fl
 
 @jit_inlined
 def is_lit(path: Path) -> bool:
-    """Whether the facet's side that a wall point sees can catch light."""
+    """Whether the side of a facet that a wall point sees can receive light."""
     level = height_of(path.facet, path.wall[0], path.wall[1])
     if level == 0.0:
         return False

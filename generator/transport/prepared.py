@@ -1,4 +1,4 @@
-"""A world made ready for summing: in the wall's own frame and unit, surfaces as cells and as what rays meet."""
+"""A world prepared for summing: in the wall's own frame and unit, surfaces as cells and as obstacles of rays."""
 
 from __future__ import annotations
 
@@ -21,10 +21,10 @@ Floats = NDArray[Any]
 
 
 class Frame:
-    """The wall's own frame: origin in the middle of the watched patch, third axis the wall's normal, its own unit.
+    """The wall's own frame and unit: origin in the middle of the watched patch, third axis the wall's normal.
 
-    In units of the watched patch's half diagonal every scene is of the same size, so neither a millimetre nor a
-    kilometre over- or underflows, and wherever the scene stands its coordinates keep their digits.
+    The unit is half the watched patch's diagonal. All scenes then have the same size, so scenes of millimetres or of
+    kilometres neither over- nor underflow, and coordinates keep their digits wherever the scene is.
     """
 
     def __init__(self, watched: Watched) -> None:
@@ -37,46 +37,46 @@ class Frame:
         self.axes = np.stack([first, np.cross(watched.normal, first), watched.normal])
 
     def points(self, world: Array) -> Array:
-        """Return points (..., 3), metres in the world, in this frame."""
+        """Return in this frame the points (..., 3) of the world's frame, metres."""
         local: Array = (world - self.origin) @ self.axes.T / self.unit
         return local
 
     def directions(self, world: Array) -> Array:
-        """Return directions (..., 3) of the world in this frame, lengths kept."""
+        """Return in this frame the directions (..., 3) of the world's frame; lengths are kept."""
         local: Array = world @ self.axes.T
         return local
 
 
 class Setting:
-    """A world in its wall's frame.
+    """A world in its wall's own frame.
 
     Attributes
     ----------
     frame : Frame
     resolution : (int, int)
     patch : lit.Patch
-        Of radiance 1 under the lamp.
+        Lit patch, of radiance 1 under the lamp.
     whole, chords : ndarray
-        Its quadrature rules (`lit.whole_rules`, `lit.chord_rules`).
+        Quadrature rules of the patch (`lit.whole_rules`, `lit.chord_rules`).
     to_wall : ndarray of shape (3, 3)
-        From (u, v, 1) to the wall's axes.
+        Projective map from (u, v, 1) to the wall's two axes.
     wall_radiance, factor : ndarray of shape (3,)
-        Radiance, W/m^2/sr, of the lit patch under the lamp; and of what sums over the target give per unit.
+        Radiance, W/m^2/sr, of the lit patch under the lamp; and radiance per unit of the sums over the target.
     channel : list of int
-        Which group of tints each colour channel takes: surfaces that are all grey are one group.
+        Group of albedos that each colour channel uses; there is one group if all surfaces are grey.
     flat, balls : ndarray
         The target's cells, in its own frame.
     tint : ndarray of shape (cells, groups)
-        Their albedo.
+        Albedo of the target's cells.
     faces : Faces
     target : Surfaces
-        What rays meet of it, in its own frame.
+        Surfaces of the target that rays can meet, in its own frame.
     convex : bool
         Whether the target is one convex body or one flat sheet, so that no part of it hides another.
     room, around : Surfaces
-        Without and with the relay wall, where it counts.
+        Surfaces of the room: without the relay wall, and with it if there is ambient light.
     sky : ndarray of shape (3,)
-        Radiance, W/m^2/sr, of the watched wall where all of the sky's light is on it; of worlds with ambient light.
+        Radiance, W/m^2/sr, of the watched wall where the whole sky lights it; only with ambient light.
     room_cells : ndarray
     obstacles : Obstacles
     """
@@ -118,21 +118,21 @@ class Setting:
             wall = world.ambient.wall
             around.append(Mesh(frame.points(wall.triangles), wall.albedo))
             self.sky = world.ambient.radiance * watched.albedo
-        every = np.concatenate([tint, *(m.albedo for m in around)])
-        self.channel = [0, 0, 0] if (every == every[:, :1]).all() else [0, 1, 2]
-        kept = sorted(set(self.channel))
-        self.tint = np.ascontiguousarray(tint[:, kept])
+        albedos = np.concatenate([tint, *(m.albedo for m in around)])
+        self.channel = [0, 0, 0] if (albedos == albedos[:, :1]).all() else [0, 1, 2]
+        channels = sorted(set(self.channel))
+        self.tint = np.ascontiguousarray(tint[:, channels])
         self.faces = Faces(self.flat, len(self.balls), self.to_wall, self.patch)
-        self.room = Surfaces(room.triangles, room.albedo[:, kept])
-        whole = _joined(around)
-        self.around = Surfaces(whole.triangles, whole.albedo[:, kept])
+        self.room = Surfaces(room.triangles, room.albedo[:, channels])
+        joined = _joined(around)
+        self.around = Surfaces(joined.triangles, joined.albedo[:, channels])
         self.room_cells = elements.cells((room,))[0]
-        # A room is seen from inside, however it is closed.
+        # A room is seen from inside, even if it is a closed solid.
         self.room_cells[:, elements.SIDED] = 0.0
 
         meshes = _joined([Mesh(b.triangles / frame.unit, b.albedo) for b in world.target if isinstance(b, Mesh)])
         spheres = [np.append(b.centre, b.radius) / frame.unit for b in world.target if isinstance(b, Sphere)]
-        self.target = Surfaces(meshes.triangles, meshes.albedo[:, kept], np.reshape(spheres, (-1, 4)))
+        self.target = Surfaces(meshes.triangles, meshes.albedo[:, channels], np.reshape(spheres, (-1, 4)))
         one_sided = bool(len(self.balls)) or bool(self.flat[:, elements.SIDED].all())
         self.convex = len(world.target) == 1 and (one_sided or len(self.flat) == 1)
         eye = watched.eye

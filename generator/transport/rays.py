@@ -1,6 +1,6 @@
 """Which surface a ray meets first, and whether anything stands between two points.
 
-A handful of surfaces is tested one by one, exactly, in NumPy; a mesh goes to Embree (by way of embreex), whose
+A few surfaces are tested one by one, exactly, in NumPy; larger meshes are tested by Embree (through embreex), whose
 single precision moves a shadow's edge by a millionth of the scene.
 """
 
@@ -19,7 +19,7 @@ Floats = NDArray[Any]
 Flags = NDArray[np.bool_]
 
 FEW = 32
-"""Up to as many surfaces are tested one by one."""
+"""Largest number of surfaces that are tested one by one."""
 
 _NEAR = 1e-6
 _NEAR_EMBREE = 1e-4
@@ -32,16 +32,16 @@ class Surfaces:
     ----------
     triangles : ndarray of shape (n, 3, 3)
     tint : ndarray of shape (n, groups)
-        Albedo; two triangles that make a parallelogram of one tint are one surface.
+        Albedo; two triangles that form a parallelogram of one tint become one surface.
     spheres : ndarray of shape (s, 4)
         Centre and radius.
 
     Attributes
     ----------
     normal : ndarray of shape (m, 3)
-        Of each flat surface, unit length.
+        Unit normal of each flat surface.
     tint : ndarray of shape (m, groups)
-        Of each flat surface.
+        Albedo of each flat surface.
     """
 
     def __init__(self, triangles: Floats, tint: Floats, spheres: Floats | None = None) -> None:
@@ -55,7 +55,7 @@ class Surfaces:
         # Dual vectors: a point p of the plane lies at (u, v) = ((p - origin) . across, (p - origin) . along).
         self.dual = np.stack([np.cross(second, self.normal), np.cross(self.normal, first)], axis=1) / area[:, None]
         self.level = (origin * self.normal).sum(axis=1)
-        self._embree = self._few = None
+        self._embree = None
         if len(origin) > FEW:
             self._embree = _embree_scene(origin, first, second, self.triangle)
 
@@ -64,7 +64,7 @@ class Surfaces:
 
     @property
     def extent(self) -> float:
-        """Largest edge of the box around everything."""
+        """Length of the longest edge of the box around all surfaces."""
         low, high = self.box
         return float((high - low).max())
 
@@ -82,10 +82,10 @@ class Surfaces:
 
     @property
     def box(self) -> tuple[Floats, Floats]:
-        """Lowest and highest corner (3,) of the box around everything."""
+        """Lowest and highest corner (3,) of the box around all surfaces."""
         around = [self.spheres[:, :3] - self.spheres[:, 3:], self.spheres[:, :3] + self.spheres[:, 3:]]
-        every = np.concatenate([*self.corners(), *around])
-        return every.min(axis=0), every.max(axis=0)
+        points = np.concatenate([*self.corners(), *around])
+        return points.min(axis=0), points.max(axis=0)
 
     def corners(self) -> list[Floats]:
         """Return the corners of the flat surfaces, arrays of shape (n, 3)."""
@@ -93,7 +93,7 @@ class Surfaces:
         return [self.origin, self.origin + self.first, self.origin + self.second, far[~self.triangle]]
 
     def subset(self, keep: Flags) -> Surfaces:
-        """Return some of the flat surfaces, and all spheres."""
+        """Return the flat surfaces selected by ``keep``, and all spheres."""
         part = object.__new__(Surfaces)
         part.spheres = self.spheres
         for name in ("origin", "first", "second", "triangle", "normal", "tint", "dual", "level"):
@@ -117,16 +117,16 @@ class Surfaces:
         which : ndarray of shape (n,)
             Index of the surface, -1 for none.
         far : ndarray of shape (n,)
-            Distance in units of ``way``.
+            Distance in units of ``way``, infinite for none.
         """
         if self._embree is not None:
             scene, owner = self._embree
             low = np.float32(_NEAR_EMBREE)
             origin = (start + low * way).astype(np.float32)
-            found = scene.run(origin, way.astype(np.float32), output=1)
-            hit = np.asarray(found["primID"], dtype=np.int64)
-            which = np.where(hit >= 0, owner[hit], -1)
-            return which, np.where(hit >= 0, found["tfar"].astype(float) + low, np.inf)
+            hits = scene.run(origin, way.astype(np.float32), output=1)
+            primitive = np.asarray(hits["primID"], dtype=np.int64)
+            which = np.where(primitive >= 0, owner[primitive], -1)
+            return which, np.where(primitive >= 0, hits["tfar"].astype(float) + low, np.inf)
         with np.errstate(divide="ignore", invalid="ignore"):
             return _first_hit(start, way, self.normal, self.level, self.origin, self.dual, self.triangle)
 
@@ -152,7 +152,7 @@ class Surfaces:
 
 
 class Placed:
-    """Surfaces turned and moved: rays are taken to them, not they to the rays.
+    """Surfaces rotated and moved: rays are transformed to their frame, rather than surfaces to the frame of the rays.
 
     Parameters
     ----------
@@ -172,7 +172,7 @@ class Placed:
 
 
 def _embree_scene(origin: Floats, first: Floats, second: Floats, triangle: Flags) -> tuple[Any, NDArray[np.int64]]:
-    """An Embree scene, and which surface each of its triangles belongs to."""
+    """Return an Embree scene, and the index of the surface that each of its triangles belongs to."""
     try:
         from embreex.mesh_construction import TriangleMesh
         from embreex.rtcore_scene import EmbreeScene
@@ -182,11 +182,11 @@ def _embree_scene(origin: Floats, first: Floats, second: Floats, triangle: Flags
             "pip install embreex (or use --engine patch)"
         ) from None
     corners = np.stack([origin, origin + first, origin + second], axis=1)
-    whole = ~triangle
-    halves = np.stack([origin + first + second, origin + second, origin + first], axis=1)[whole]
+    parallelogram = ~triangle
+    halves = np.stack([origin + first + second, origin + second, origin + first], axis=1)[parallelogram]
     scene = EmbreeScene()
     TriangleMesh(scene, np.concatenate([corners, halves]).astype(np.float32))
-    return scene, np.concatenate([np.arange(len(origin)), np.flatnonzero(whole)])
+    return scene, np.concatenate([np.arange(len(origin)), np.flatnonzero(parallelogram)])
 
 
 @jit
@@ -230,7 +230,7 @@ def _blocked(
 
 @jit
 def _blocked_by_spheres(start: Floats, end: Floats, spheres: Floats) -> Flags:
-    """A chord counts from both its ends: points on a sphere, which rounding puts just inside, are not behind it."""
+    """Return whether spheres stand between points. A sphere hides none of its own points, even if rounded inwards."""
     blocked = np.zeros(start.shape[0], dtype=np.bool_)
     w0, w1, w2 = end[:, 0] - start[:, 0], end[:, 1] - start[:, 1], end[:, 2] - start[:, 2]
     length = w0 * w0 + w1 * w1 + w2 * w2

@@ -1,6 +1,6 @@
-"""What compiled functions are given: named records in place of long lists of arrays.
+"""Arguments of compiled functions: named records in place of long lists of arrays.
 
-numba takes named tuples as they are, so a field costs nothing. Lengths are in the wall's frame (`prepared.Frame`).
+numba supports named tuples directly, so a field costs nothing. Lengths are in the wall's frame (`prepared.Frame`).
 """
 
 from __future__ import annotations
@@ -34,9 +34,9 @@ class Target(NamedTuple):
         Flat cells and spheres.
     albedo : ndarray of shape (flat cells + spheres, groups)
     faces : ndarray of shape (flat cells + spheres,), int
-        Which of the target's faces each is in.
+        Index of the target's face that each is in.
     rings : int
-        How finely spheres are cut.
+        Number of rings of cells that a sphere is cut into.
     """
 
     flat: Floats
@@ -47,16 +47,16 @@ class Target(NamedTuple):
 
 
 class Poses(NamedTuple):
-    """Where the target is, pose by pose, and what there is in its way.
+    """Poses of the target, and what can hide it at each of them.
 
     Attributes
     ----------
     turns, places : ndarray of shape (n, 3, 3) and (n, 3)
         Rotation and position.
     hiders : ndarray of shape (n,), int
-        How many of the room's surfaces, from the first, can stand in the way.
+        Number of the room's surfaces, counted from the first, that can stand in the way.
     orders : ndarray of shape (n,), int
-        Which of the rules ``whole`` stands for the lit patch where its points throw shadows one by one.
+        Index of the rule in ``whole`` that represents the lit patch where each of its points throws a shadow.
     """
 
     turns: Floats
@@ -66,17 +66,17 @@ class Poses(NamedTuple):
 
 
 class Parts(NamedTuple):
-    """What pictures of a target without shadows are sums of (`faces.Faces.parts`).
+    """Parts whose sums are the pictures of a target without shadows (`faces.Faces.parts`).
 
     Attributes
     ----------
     turns, places : ndarray of shape (n, 3, 3) and (n, 3)
-        Rotation and position, pose by pose.
+        Rotation and position at each pose.
     poses : ndarray of shape (parts,), int
-        Which pose each part is of.
+        Index of the pose of each part.
     wanted : ndarray of shape (parts, faces), int
-        Which sides of a face a part is made of: `integral.FRONT`, `integral.BACK`, both, or neither; and with
-        `integral.ON`, whether its light goes on beyond its horizon.
+        Sides of each face that a part consists of: `integral.FRONT`, `integral.BACK`, both, or neither; with
+        `integral.ON` added if its light continues beyond its horizon.
     """
 
     turns: Floats
@@ -86,20 +86,20 @@ class Parts(NamedTuple):
 
 
 class Boxes(NamedTuple):
-    """Panels of pictures, as boxes of the picture.
+    """Panels of pictures, as boxes in picture coordinates.
 
     Attributes
     ----------
     owner : ndarray of shape (n,), int
-        Which part of a picture each belongs to.
+        Index of the part of a picture that each belongs to.
     boxes : ndarray of shape (n, 4)
-        The u and v range of each.
+        Range of u and of v of each.
     places : ndarray of shape (k, 2)
-        A panel's points, on [0, 1], the last four its corners.
+        Points of a panel, on [0, 1]; the last four are its corners.
     to_wall : ndarray of shape (3, 3)
         The projective map from (u, v, 1) to the wall's two axes.
     like : ndarray
-        Of the type, float32 or float64, in which to sum.
+        An array of the type, float32 or float64, that sums are computed in.
     """
 
     owner: Floats
@@ -115,9 +115,9 @@ class Panels(NamedTuple):
     Attributes
     ----------
     owner : ndarray of shape (n,), int
-        Which pose each belongs to.
+        Index of the pose that each belongs to.
     walls : ndarray of shape (n, k, 3)
-        Its points; the last four are its corners.
+        Points of each; the last four are its corners.
     """
 
     owner: Floats

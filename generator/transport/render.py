@@ -21,10 +21,10 @@ Floats = NDArray[Any]
 Picture = NDArray[np.float32]
 
 FINEST, COARSEST = 1e-8, 0.3
-"""What accuracy can be asked for."""
+"""Smallest and largest accuracy that can be requested."""
 
 _BATCH = 128
-"""Pictures drawn together: of more, memory is not used again but fetched anew, page by page."""
+"""Number of pictures drawn together: with more, memory is not reused but fetched anew, page by page."""
 
 
 @dataclass(frozen=True)
@@ -38,17 +38,17 @@ class Rendered:
     added : ndarray
         Light that took its second reflection on the target.
     hidden : ndarray
-        Light of the room that the target keeps from the wall.
+        Light of the room that the target hides from the wall.
     ambient : ndarray
-        What it changes of ambient light: nothing where there is none.
+        Change of ambient light by the target; zero where there is no ambient light.
     derivatives : ndarray of shape (7, height, width, 3), optional
-        Of ``pixels``: with respect to the target's position (3, per metre), its rotation about the world's axes
-        through its origin (3, per radian), and its strength (a factor on all its albedo).
+        Derivatives of ``pixels`` with respect to the target's position (3, per metre), its rotation about the world's
+        axes through its origin (3, per radian), and its strength (a factor on all its albedo).
     report : dict
         What the engine chose: ``panels`` (of the picture), ``depth`` (how often the smallest was cut), ``elements``
         (most points on the target for one panel), ``patch_points`` (most on the lit patch), ``precision`` (float32 or
         float64), ``visibility`` ("free": nothing is in the way; "polygons": shadows are cut out; "rays": they are
-        tested ray by ray), ``shadow_panels`` (of what is hidden).
+        tested ray by ray), ``shadow_panels`` (panels of ``hidden``).
     """
 
     pixels: Array
@@ -66,12 +66,12 @@ class Transport:
     ----------
     world : World
     accuracy : float, default=1e-3
-        Root mean square over the pixels of the error of what the target adds and hides, relative to that of what it
-        adds; of the background, relative to itself.
+        Root mean square error over the pixels: of the light that the target adds and hides, relative to the root mean
+        square of the light that it adds; of the background, relative to the background.
     threads : int, default=0
-        0 takes all cores. The pixels do not depend on it.
+        0 uses all cores. The pixels do not depend on it.
     like : Transport, optional
-        Of the same scene with another target, and as exact: what the empty scene takes is not done again.
+        Engine of the same scene with another target, and as accurate; its results for the empty scene are reused.
 
     Raises
     ------
@@ -111,12 +111,12 @@ class Transport:
         self._ambient = Ambient(self._setting, self._sky) if self._sky else None
 
     def background(self, *, ambient: bool = True) -> Array:
-        """Return the picture without the target, (height, width, 3), W/m^2/sr: room, and patch where in view.
+        """Return the picture without the target, (height, width, 3), W/m^2/sr: room, and lit patch where in view.
 
         Parameters
         ----------
         ambient : bool, default=True
-            With ambient light.
+            Whether to include ambient light.
         """
         if not ambient and self._ambient is not None:
             return self.background() - self._ambient_colour(self._ambient.background())
@@ -135,11 +135,11 @@ class Transport:
         Parameters
         ----------
         position : array-like of shape (3,)
-            Of the target's origin, metres.
+            Position of the target's origin, metres.
         rotation : array-like of shape (3,)
-            About x, then y, then z, degrees.
+            Rotation about x, then y, then z, degrees.
         derivatives : bool, default=False
-            With the picture's derivatives.
+            Whether to compute the picture's derivatives.
 
         Returns
         -------
@@ -157,7 +157,7 @@ class Transport:
         shade = self._colour(hidden[0, :, 0])
         slopes = None
         if derivatives:
-            # Positions are in the frame's unit, and both positions and rotations along its axes.
+            # Positions are in the unit of the wall's frame; positions and rotations are along its axes.
             moves = np.stack([self._colour(added[0, :, 1 + k] - hidden[0, :, 1 + k]) for k in range(6)])
             turned = np.tensordot(self._setting.frame.axes.T, moves.reshape(2, 3, *light.shape), axes=(1, 1))
             slopes = np.concatenate([turned[:, 0] / self._setting.frame.unit, turned[:, 1], light[None]])
@@ -165,7 +165,7 @@ class Transport:
         return Rendered(self.background() + light - shade + ambient, light, shade, ambient, slopes, reports[0])
 
     def difference(self, position: Any, rotation: Any, *, shadows: bool = True) -> Array:
-        """Return what the target at a pose changes, (height, width, 3), W/m^2/sr: the picture less the background.
+        """Return the change due to the target at a pose, (height, width, 3), W/m^2/sr: picture minus background.
 
         Takes less time than `render`, which needs the background.
 
@@ -174,12 +174,12 @@ class Transport:
         position, rotation : array-like of shape (3,)
             As for `render`.
         shadows : bool, default=True
-            Less the light of the room that it keeps from the wall.
+            Whether to subtract the light of the room that the target hides from the wall.
 
         Raises
         ------
         NlosError
-            As `render`.
+            In the same cases as `render`.
         """
         added, hidden, _ = self._render(np.array([position], float), np.array([rotation], float), False, shadows)
         return self._colour(added[0, :, 0] - hidden[0, :, 0]) + self._changed(position, rotation, shadows)
@@ -194,52 +194,54 @@ class Transport:
         rotations : array-like of shape (n, 3)
             Degrees.
         shadows : bool, default=True
-            Less the light of the room that the target keeps from the wall; without, the pictures take a fraction of
-            the time.
+            Whether to subtract the light of the room that the target hides from the wall; without it, the pictures
+            take a fraction of the time.
 
         Raises
         ------
         NlosError
-            As `render`.
+            In the same cases as `render`.
         """
         places, turns = np.asarray(positions, float).reshape(-1, 3), np.asarray(rotations, float).reshape(-1, 3)
         width, height = self.world.watched.resolution
-        made = np.empty((len(places), height, width, 3), dtype=np.float32)
-        self.background()  # before there are threads
+        images = np.empty((len(places), height, width, 3), dtype=np.float32)
+        self.background()  # computed before threads start
         threads, n = compiled.limit_threads(self._threads), len(places)
-        # Many poses are shared out whole, so that threads seldom meet; of a few, what each is made of. So are those
-        # whose rays a library tests, which has threads of its own.
+        # Of many poses, each thread draws whole pictures, so that threads seldom wait for each other. Of few poses,
+        # the work for each is divided; likewise where a library tests the rays, which has threads of its own.
         shared = threads > 1 and n >= 32 * threads and self._fields.few
         size = min(_BATCH, math.ceil(n / (4 * threads))) if shared else _BATCH
         starts = list(range(0, n, size))
 
-        def some(first: int, last: int) -> None:
-            for at in starts[first:last]:
-                self._coloured(made[at : at + size], places[at : at + size], turns[at : at + size], shadows)
+        def draw_batches(first: int, last: int) -> None:
+            for start in starts[first:last]:
+                self._coloured(
+                    images[start : start + size], places[start : start + size], turns[start : start + size], shadows
+                )
 
         if shared:
-            compiled.in_parts(some, len(starts))
+            compiled.in_parts(draw_batches, len(starts))
         else:
-            some(0, len(starts))
-        return made
+            draw_batches(0, len(starts))
+        return images
 
     def _coloured(self, made: Picture, positions: Floats, rotations: Floats, shadows: bool) -> None:
         """Write the pictures of some poses."""
         setting = self._setting
         added, hidden, _ = self._render(positions, rotations, False, shadows)
         channel, light, shade = np.array(setting.channel, dtype=np.int64), added[:, :, 0], hidden[:, :, 0]
-        every = (made, self._background, light, shade, channel, setting.factor)
-        compiled.in_parts(picture.colour, len(made), *every)
+        arguments = (made, self._background, light, shade, channel, setting.factor)
+        compiled.in_parts(picture.colour, len(made), *arguments)
         if self._ambient is not None:
-            for one, position, rotation in zip(made, positions, rotations, strict=True):
-                one += self._changed(position, rotation, shadows)
+            for image, position, rotation in zip(made, positions, rotations, strict=True):
+                image += self._changed(position, rotation, shadows)
 
     def _colour(self, groups: Floats) -> Array:
-        """Radiance (height, width, 3) of relative pictures (groups, height, width)."""
+        """Return the radiance (height, width, 3) of relative pictures (groups, height, width)."""
         return self._times(groups, self._setting.factor)
 
     def _ambient_colour(self, groups: Floats) -> Array:
-        """The same of pictures relative to the sky's light."""
+        """Return the radiance of pictures relative to the sky's light."""
         return self._times(groups, self._setting.sky)
 
     def _times(self, groups: Floats, factors: Array) -> Array:
@@ -249,7 +251,7 @@ class Transport:
         return coloured
 
     def _changed(self, position: Any, rotation: Any, shadows: bool = True) -> Array:
-        """What the target changes of ambient light, (height, width, 3), W/m^2/sr."""
+        """Return the change of ambient light by the target, (height, width, 3), W/m^2/sr."""
         setting = self._setting
         if self._ambient is None:
             return np.zeros((*setting.resolution[::-1], 3))
@@ -260,7 +262,7 @@ class Transport:
     def _render(
         self, positions: Floats, rotations: Floats, moving: bool, shadows: bool = True
     ) -> tuple[Floats, Floats, list[dict[str, Any]]]:
-        """Relative pictures: added and hidden (n, groups, 1 or 7, h, w), and a report each."""
+        """Return relative pictures, added and hidden (n, groups, 1 or 7, h, w), and a report for each pose."""
         setting, fields = self._setting, self._fields
         width, height = setting.resolution
         groups, channels = setting.tint.shape[1], 7 if moving else 1
@@ -280,12 +282,12 @@ class Transport:
         )
         clear, behind = np.flatnonzero(~tested), np.flatnonzero(tested)
         if len(clear):
-            free, kept = fields.plain(turns[clear], places[clear], moving)
+            free, pose_reports = fields.plain(turns[clear], places[clear], moving)
             if len(behind):
                 added[clear] = free
             else:
                 added = free
-            for k, report in zip(clear, kept, strict=True):
+            for k, report in zip(clear, pose_reports, strict=True):
                 reports[k] = report
         if len(behind):
             if moving:
@@ -293,8 +295,8 @@ class Transport:
                     "derivatives: are known only where nothing stands between wall and target, and the target is one "
                     "convex body or one flat sheet"
                 )
-            added[behind, :, 0], kept = fields.behind(turns[behind], places[behind])
-            for k, report in zip(behind, kept, strict=True):
+            added[behind, :, 0], pose_reports = fields.behind(turns[behind], places[behind])
+            for k, report in zip(behind, pose_reports, strict=True):
                 reports[k] = report
         if len(setting.room) and shadows:
             level = (added**2).mean(axis=(3, 4))
@@ -304,7 +306,7 @@ class Transport:
         return added, hidden, reports
 
     def _directly_lit(self) -> Array:
-        """The lit patch itself, where the camera sees it: one reflection."""
+        """Return the picture of the lit patch itself, where the camera sees it: one reflection."""
         setting = self._setting
         relative = direct.draw(setting.to_wall, setting.patch, setting.resolution, self.accuracy)
         lit: Array = relative[..., None] * setting.wall_radiance

@@ -1,7 +1,7 @@
-"""The same integral where something may stand in between, and the light that the target takes from the room.
+"""The three-reflection integral where something may be in the way, and the light of the room that the target hides.
 
-Everything here is a sum over quadrature points with a ray test for each pair; what the edges of shadows cost falls as
-the points get finer, and the callers refine until two sums agree.
+Everything here is a sum over quadrature points with a ray test for each pair; the error at the edges of shadows falls
+as the points get finer, and callers refine until two sums agree.
 """
 
 from __future__ import annotations
@@ -21,17 +21,17 @@ Floats = NDArray[Any]
 Hider = Surfaces | Placed
 
 _AT_ONCE = 400_000
-"""Pairs held in memory at once."""
+"""Most pairs held in memory at once."""
 
 
 class Light:
-    """The lit patch as a few points, for many receivers at a time.
+    """The lit patch as a few points, for many receivers at once.
 
     Parameters
     ----------
     patch : lit.Patch
     whole : ndarray
-        Its rules (`lit.whole_rules`).
+        Quadrature rules of the patch (`lit.whole_rules`).
     digits : float
         Natural logarithm of one over the relative accuracy.
     """
@@ -40,14 +40,14 @@ class Light:
         self._patch, self._whole, self._digits = patch, whole, digits
 
     def order(self, points: Floats, reach: float = 0.0) -> int:
-        """Return which of the patch's rules surfaces within ``reach`` of points (k, 3) need."""
+        """Return the order of the patch's rule that surfaces within ``reach`` of points (k, 3) need."""
         if not len(points):
             return 1
-        beside = np.linalg.norm(points[:, :2] - self._patch.centre, axis=1)
-        beside -= math.hypot(self._patch.major_x, self._patch.major_y)
-        distance = np.hypot(np.maximum(beside, 0.0), points[:, 2]).min() - reach
+        lateral = np.linalg.norm(points[:, :2] - self._patch.centre, axis=1)
+        lateral -= math.hypot(self._patch.major_x, self._patch.major_y)
+        distance = np.hypot(np.maximum(lateral, 0.0), points[:, 2]).min() - reach
         above = np.array([self._patch.x, self._patch.y, max(float(distance), 0.0)])
-        # Shadows' edges are not resolved better by more points than this.
+        # More points than this do not resolve the edges of shadows better.
         return min(12, order_at(above, self._patch, self._digits))
 
     def nodes(self, points: Floats) -> Floats:
@@ -69,10 +69,10 @@ class Light:
             squared = (way * way).sum(axis=1)
             term = nodes[2, q] * np.maximum((normals * way).sum(axis=1), 0.0) * points[:, 2]
             term = term / (squared * squared)
-            some = np.flatnonzero(term > 0.0)
-            if len(some):
-                source = np.broadcast_to(np.array([nodes[0, q], nodes[1, q], 0.0]), (len(some), 3))
-                term[some[any_blocks(hidden_by, source, points[some])]] = 0.0
+            facing = np.flatnonzero(term > 0.0)
+            if len(facing):
+                source = np.broadcast_to(np.array([nodes[0, q], nodes[1, q], 0.0]), (len(facing), 3))
+                term[facing[any_blocks(hidden_by, source, points[facing])]] = 0.0
                 total += term
         return total
 
@@ -80,15 +80,15 @@ class Light:
 def any_blocks(surfaces: Sequence[Hider], start: Floats, end: Floats) -> NDArray[np.bool_]:
     """Return whether any of several sets of surfaces stands between points (n, 3) and points (n, 3)."""
     blocked = np.zeros(len(start), dtype=np.bool_)
-    for each in surfaces:
-        if len(each):
+    for hider in surfaces:
+        if len(hider):
             rest = np.flatnonzero(~blocked)
-            blocked[rest] = each.blocked(start[rest], end[rest])
+            blocked[rest] = hider.blocked(start[rest], end[rest])
     return blocked
 
 
 def reflected(wall: Floats, found: Floats, albedo: Floats, light: Light, hidden_by: Sequence[Hider]) -> Floats:
-    """Return what wall points receive by way of surface elements, behind whatever hides them.
+    """Return the light that wall points receive by way of surface elements, as far as nothing hides it.
 
     Parameters
     ----------
@@ -108,13 +108,13 @@ def reflected(wall: Floats, found: Floats, albedo: Floats, light: Light, hidden_
     lit = light.irradiance(both[:, POINT:NORMAL], both[:, NORMAL:AREA], hidden_by) * both[:, AREA]
     both, lit = both[lit > 0.0], lit[lit > 0.0]
     step = max(1, _AT_ONCE // max(1, len(wall)))
-    for at in range(0, len(both), step):
-        part = both[at : at + step]
+    for start in range(0, len(both), step):
+        part = both[start : start + step]
         term = _exchange(wall, part[:, POINT:NORMAL], part[:, NORMAL:AREA])
         k, j = np.nonzero(term)
         blocked = any_blocks(hidden_by, part[j, POINT:NORMAL], wall[k])
         term[k[blocked], j[blocked]] = 0.0
-        strength = lit[at : at + step, None] * albedo[part[:, CELL].astype(int)]
+        strength = lit[start : start + step, None] * albedo[part[:, CELL].astype(int)]
         total += (term @ strength).T
     return total
 
@@ -126,21 +126,21 @@ def _turned(found: Floats) -> Floats:
 
 
 def _exchange(wall: Floats, points: Floats, normals: Floats, *, two_sided: bool = False) -> Floats:
-    """cos cos / r^2 between wall points (k, 3) and surface points (n, 3), as (k, n)."""
+    """Return cos cos / r^2 between wall points (k, 3) and surface points (n, 3), as (k, n)."""
     u, v, w = (wall[:, r, None] - points[:, r] for r in range(3))
     squared = u * u + v * v + w * w
     facing = normals[:, 0] * u + normals[:, 1] * v + normals[:, 2] * w
     facing = np.abs(facing) if two_sided else np.maximum(facing, 0.0)
-    made: Floats = facing * np.maximum(-w, 0.0) / (squared * squared)
-    return made
+    factors: Floats = facing * np.maximum(-w, 0.0) / (squared * squared)
+    return factors
 
 
 def _between(wall: Floats, found: Floats) -> Floats:
-    """As `_exchange`, with elements (n, 9), which may have two sides."""
+    """As `_exchange`, for elements (n, 9), which may have two sides."""
     points, normals = found[:, POINT:NORMAL], found[:, NORMAL:AREA]
     both = _exchange(wall, points, normals, two_sided=True)
-    made: Floats = np.where(found[:, ONE_SIDED] == 0.0, both, _exchange(wall, points, normals))
-    return made
+    factors: Floats = np.where(found[:, ONE_SIDED] == 0.0, both, _exchange(wall, points, normals))
+    return factors
 
 
 def hidden(
@@ -154,13 +154,13 @@ def hidden(
     *,
     convex: bool,
 ) -> Floats:
-    """Return the room's light that a target keeps from wall points.
+    """Return the light of the room that a target hides from wall points.
 
-    Light goes patch, room, wall, and the target can stand in either leg. What it hides in the second leg it hides as
-    seen from the wall point: every element of the target that faces the point takes away the radiance of the room
-    behind it. What it hides in the first leg it hides as seen from the patch: the light that an element of the target
-    catches would have made a point of the room behind it shine; it is missing wherever that point can be seen. So
-    both are integrals over the target's own surface, with nothing singular in them.
+    The light goes patch, room, wall, and the target can block either leg. On the second leg it hides what is behind
+    it as seen from the wall point: every element of the target that faces the point removes the radiance of the room
+    behind it. On the first leg it hides what is behind it as seen from the patch: the light that falls on an element
+    of the target would have lit a point of the room behind it, and is missing wherever that point can be seen. So
+    both are integrals over the target's own surface, without singularities.
 
     Parameters
     ----------
@@ -169,9 +169,9 @@ def hidden(
         Elements of the target, as `integral.cover` returns them: those that can face the wall points, and those that
         can face the patch.
     room : Surfaces
-        Everything that reflects.
+        All surfaces that reflect.
     blockers : sequence of Surfaces or Placed
-        Those of the room's surfaces that can stand between two points of the scene.
+        The room's surfaces that can stand between two points of the scene.
     target : sequence of Surfaces or Placed
         The target itself.
     light : Light
@@ -188,8 +188,8 @@ def hidden(
         return total
     within: Sequence[Hider] = [] if convex else target
     step = max(1, _AT_ONCE // max(1, len(wall)))
-    for at in range(0, len(seen), step):
-        part = seen[at : at + step]
+    for start in range(0, len(seen), step):
+        part = seen[start : start + step]
         term = _between(wall, part) * part[:, AREA]
         k, j = np.nonzero(term)
         clear = ~any_blocks([*blockers, *within], wall[k], part[j, POINT:NORMAL])
@@ -202,16 +202,16 @@ def hidden(
 
 
 def _room_radiance(start: Floats, way: Floats, room: Surfaces, blockers: Sequence[Hider], light: Light) -> Floats:
-    """Radiance (groups, n), times pi, of what rays meet behind the target."""
+    """Return the radiance (groups, n), times pi, of the points of the room that rays meet behind the target."""
     which, far = room.first_hit(start, way)
     met = np.flatnonzero(which >= 0)
-    made = np.zeros((room.tint.shape[1], len(start)))
+    radiance = np.zeros((room.tint.shape[1], len(start)))
     if len(met):
         point = start[met] + far[met, None] * way[met]
         normal = room.normal[which[met]]
         normal = normal * -np.sign((normal * way[met]).sum(axis=1))[:, None]
-        made[:, met] = light.irradiance(point, normal, blockers) * room.tint[which[met]].T
-    return made
+        radiance[:, met] = light.irradiance(point, normal, blockers) * room.tint[which[met]].T
+    return radiance
 
 
 def _first_leg(
@@ -230,21 +230,21 @@ def _first_leg(
     for q in range(nodes.shape[1]):
         source = np.array([[nodes[0, q], nodes[1, q], 0.0]])
         caught = nodes[2, q] * _between(source, lit)[0] * lit[:, AREA]
-        some = np.flatnonzero(caught)
-        start = lit[some, POINT:NORMAL]
+        rows = np.flatnonzero(caught)
+        start = lit[rows, POINT:NORMAL]
         sources = np.broadcast_to(source, start.shape)
         clear = ~any_blocks([*blockers, *within], sources, start)
-        some, start = some[clear], start[clear]
+        rows, start = rows[clear], start[clear]
         way = start - source
         which, far = room.first_hit(start, way)
         met = which >= 0
-        some, start, way, which, far = some[met], start[met], way[met], which[met], far[met]
+        rows, start, way, which, far = rows[met], start[met], way[met], which[met], far[met]
         point = start + far[:, None] * way
         normal = room.normal[which]
         normal = normal * -np.sign((normal * way).sum(axis=1))[:, None]
         term = _exchange(wall, point, normal)
         k, j = np.nonzero(term)
-        gone = any_blocks([*blockers, *target], point[j], wall[k])
-        term[k[gone], j[gone]] = 0.0
-        total += (term @ (caught[some, None] * room.tint[which])).T
+        blocked = any_blocks([*blockers, *target], point[j], wall[k])
+        term[k[blocked], j[blocked]] = 0.0
+        total += (term @ (caught[rows, None] * room.tint[which])).T
     return total

@@ -1,7 +1,7 @@
-"""Light by way of a round target that is partly in shadow: ray tests in compiled loops, where surfaces are few.
+"""Light by way of a round target that is partly in shadow: ray tests in compiled loops, if surfaces are few.
 
-Every point of the wall has elements of its own: a cell of the target whose corners do not agree on whether a ray gets
-there is cut until it is small; all others keep the few points that smooth light needs. So the cost of a shadow's edge
+Every point of the wall has its own elements: a cell of the target is cut until it is small if rays reach some but not
+all of its corners; all other cells keep the few points that smooth light needs. The cost of a shadow's edge therefore
 grows with its length, not with an area.
 """
 
@@ -28,18 +28,18 @@ _STACK = 512
 
 NORMAL, LEVEL, ORIGIN, DUAL, TRIANGLE, WIDTH = 0, 3, 4, 7, 13, 14
 """Columns of a flat surface's row: unit normal (3), level of its plane, a corner (3), the two dual vectors that give
-a point's place along its sides (3 + 3), whether it is a triangle; and how many columns there are."""
+a point's coordinates along the sides (3 + 3), whether it is a triangle; and the number of columns."""
 
 
 class Obstacles(NamedTuple):
-    """What rays can meet.
+    """Surfaces that rays can meet.
 
     Attributes
     ----------
     room, target : ndarray of shape (n, WIDTH)
-        As `rows` gives them; the target in its own frame.
+        As `rows` returns them; the target in its own frame.
     spheres : ndarray of shape (s, 4)
-        Of the target, in its own frame: centre and radius.
+        Spheres of the target, in its own frame: centre and radius.
     convex : bool
         Whether the target is one convex body or one flat sheet, which a ray enters only once.
     """
@@ -51,7 +51,7 @@ class Obstacles(NamedTuple):
 
 
 class _Scene(NamedTuple):
-    """What rays can meet, with the target at a pose, and how many of the room's surfaces can stand in the way."""
+    """Surfaces that rays can meet, the number of the room's that can stand in the way, and the target's pose."""
 
     obstacles: Obstacles
     hiders: int
@@ -60,17 +60,17 @@ class _Scene(NamedTuple):
 
 
 class Points(NamedTuple):
-    """Points of the wall, and how fine their shadows' edges are.
+    """Points of the wall, and how finely the edges of their shadows are resolved.
 
     Attributes
     ----------
     owner : ndarray of shape (n,), int
-        Which pose each belongs to.
+        Index of the pose that each belongs to.
     walls : ndarray of shape (n, 3)
     finest : ndarray of shape (poses,)
-        Half widths of cells are not cut below this.
+        Cells are not cut to half widths below this.
     widest : float
-        No cell keeps a half width above this: an edge must not slip between its corners.
+        No cell keeps a half width above this: an edge must not pass between its corners.
     """
 
     owner: Floats
@@ -81,10 +81,10 @@ class Points(NamedTuple):
 
 def rows(surfaces: Surfaces) -> Floats:
     """Return flat surfaces as rows (n, WIDTH)."""
-    made = np.zeros((len(surfaces.origin), WIDTH))
-    made[:, NORMAL:LEVEL], made[:, LEVEL], made[:, ORIGIN:DUAL] = surfaces.normal, surfaces.level, surfaces.origin
-    made[:, DUAL:TRIANGLE], made[:, TRIANGLE] = surfaces.dual.reshape(-1, 6), surfaces.triangle
-    return made
+    table = np.zeros((len(surfaces.origin), WIDTH))
+    table[:, NORMAL:LEVEL], table[:, LEVEL], table[:, ORIGIN:DUAL] = surfaces.normal, surfaces.level, surfaces.origin
+    table[:, DUAL:TRIANGLE], table[:, TRIANGLE] = surfaces.dual.reshape(-1, 6), surfaces.triangle
+    return table
 
 
 @jit_in_place
@@ -99,7 +99,7 @@ def _inside(row: Floats, start: Floats, way: Floats, t: float) -> bool:
 
 @jit_in_place
 def _blocked(room: Floats, hiders: int, start: Floats, way: Floats) -> bool:
-    """Whether one of the first ``hiders`` surfaces stands between a point and that point plus a way."""
+    """Whether one of the first ``hiders`` surfaces stands between ``start`` and ``start + way``."""
     for k in range(hiders):
         row = room[k]
         t = (row[LEVEL] - (start[0] * row[NORMAL] + start[1] * row[NORMAL + 1] + start[2] * row[NORMAL + 2])) / (
@@ -112,7 +112,7 @@ def _blocked(room: Floats, hiders: int, start: Floats, way: Floats) -> bool:
 
 @jit_in_place
 def _met_by_target(scene: _Scene, start: Floats, way: Floats, own: Floats) -> bool:
-    """Whether the target stands between a point and that point plus a way; ``own`` (6,) is room to work in."""
+    """Whether the target stands between ``start`` and ``start + way``; ``own`` (6,) is scratch space."""
     target, spheres = scene.obstacles.target, scene.obstacles.spheres
     for c in range(3):
         s, w = 0.0, 0.0
@@ -132,7 +132,7 @@ def _met_by_target(scene: _Scene, start: Floats, way: Floats, own: Floats) -> bo
             continue
         half = math.sqrt(under / length)
         enters, leaves = max(along - half, _NEAR), min(along + half, 1.0 - _NEAR)
-        # As in `rays`: a chord of nothing is the point's own surface.
+        # As in `rays`: a chord of length zero is the point's own surface.
         if leaves - enters > 1e-5 * half:
             return True
     return False
@@ -140,7 +140,7 @@ def _met_by_target(scene: _Scene, start: Floats, way: Floats, own: Floats) -> bo
 
 @jit_in_place
 def _hidden(scene: _Scene, start: Floats, way: Floats, own: Floats) -> bool:
-    """Whether anything stands between a point and that point plus a way; ``own`` (6,) is room to work in."""
+    """Whether anything stands between ``start`` and ``start + way``; ``own`` (6,) is scratch space."""
     if _blocked(scene.obstacles.room, scene.hiders, start, way):
         return True
     return not scene.obstacles.convex and _met_by_target(scene, start, way, own)
@@ -148,18 +148,18 @@ def _hidden(scene: _Scene, start: Floats, way: Floats, own: Floats) -> bool:
 
 @jit_in_place
 def _disagree(cell: Floats, origins: Floats, scene: _Scene, work: Floats) -> bool:
-    """Whether, for one of some origins (n, 3), not all of a cell's corners are hidden, or none is."""
-    point, way, own = work[0:3], work[3:6], work[6:12]
+    """Whether some but not all of a cell's corners are hidden from one of the origins (n, 3)."""
+    point, way, scratch = work[0:3], work[3:6], work[6:12]
     for o in range(origins.shape[0]):
         hidden = False
         for corner in range(3 if cell[elements.KIND] == elements.TRIANGLE else 4):
             elements.corner_of(cell, corner, point)
             for r in range(3):
                 way[r] = point[r] - origins[o, r]
-            here = _hidden(scene, origins[o], way, own)
-            if corner > 0 and here != hidden:
+            blocked = _hidden(scene, origins[o], way, scratch)
+            if corner > 0 and blocked != hidden:
                 return True
-            hidden = here
+            hidden = blocked
     return False
 
 
@@ -212,16 +212,16 @@ def _cover_cell(
 def _cover(
     target: Target, wall: Floats, scene: _Scene, widths: tuple[float, float], rules: Rules
 ) -> tuple[Floats, int]:
-    """As `integral.cover`, for one wall point, finer at shadows' edges; return points and how many they are."""
+    """As `integral.cover`, for one wall point, finer at shadows' edges; return points and their number."""
     flat, balls, rings = target.flat, target.balls, target.rings
     faced = around_patch(rules.patch)
-    stack, found = np.empty((_STACK, elements.WIDTH)), np.empty((512, 9))
+    stack, points = np.empty((_STACK, elements.WIDTH)), np.empty((512, 9))
     origins = np.empty((2, 3))
     origins[0], origins[1] = wall, faced.centre
     count = 0
     for c in range(flat.shape[0]):
         elements.place(flat[c], scene.turn, scene.at, stack[0])
-        found, count = _cover_cell(c, origins, scene, widths, rules, stack, found, count)
+        points, count = _cover_cell(c, origins, scene, widths, rules, stack, points, count)
     ball = np.empty(elements.WIDTH)
     for c in range(balls.shape[0]):
         elements.place(balls[c], scene.turn, scene.at, ball)
@@ -231,13 +231,13 @@ def _cover(
                 elements.copy_row(ball, stack[0])
                 elements.cap_cell(stack[0], rim, ring, step, rings)
                 owner = flat.shape[0] + c
-                found, count = _cover_cell(owner, origins, scene, widths, rules, stack, found, count)
-    return found, count
+                points, count = _cover_cell(owner, origins, scene, widths, rules, stack, points, count)
+    return points, count
 
 
 @jit_in_place
 def _facing(element: Floats, start: Floats, way: Floats) -> float:
-    """Write the way from a wall point to an element; return cos cos / distance^2 times area, 0 if it faces away."""
+    """Write the vector from a wall point to an element; return cos cos / distance^2 * area, 0 if it faces away."""
     for r in range(3):
         way[r] = element[POINT + r] - start[r]
     facing = -_along(element, way)
@@ -277,35 +277,35 @@ def reflected_points(
     obstacles : Obstacles
     rules : Rules
     values : ndarray of shape (n, groups + 1), written
-        The last column holds how many elements each took.
+        The last column is the number of elements that each point took.
     """
     for item in range(start, stop):
         pose, wall = points.owner[item], points.walls[item]
         scene = _Scene(obstacles, poses.hiders[pose], poses.turns[pose], poses.places[pose])
         finest = points.finest[pose]
-        found, count = _cover(target, wall, scene, (finest, max(points.widest, finest)), rules)
+        quadrature, count = _cover(target, wall, scene, (finest, max(points.widest, finest)), rules)
         values[item] = 0.0
-        _reflect(wall, found[:count], target.albedo, scene, rules, values[item, :-1])
+        _reflect(wall, quadrature[:count], target.albedo, scene, rules, values[item, :-1])
         values[item, -1] = count
 
 
 @jit
 def _reflect(wall: Floats, found: Floats, albedo: Floats, scene: _Scene, rules: Rules, total: Floats) -> None:
-    """Add to ``total`` (groups,), what a wall point receives by way of elements."""
-    way, step, start, own = np.empty(3), np.empty(3), np.zeros(3), np.empty(6)
+    """Add to ``total`` (groups,) the light that a wall point receives by way of elements."""
+    way, step, start, scratch = np.empty(3), np.empty(3), np.zeros(3), np.empty(6)
     for j in range(found.shape[0]):
         element = found[j]
-        # Which side of the element the wall point is on: only light on that side counts.
         term = _facing(element, wall, way)
-        if term == 0.0 or _hidden(scene, wall, way, own):
+        if term == 0.0 or _hidden(scene, wall, way, scratch):
             continue
+        # Only light on the side of the element that faces the wall point counts.
         side = _along(element, way)
         order = order_at(element, rules.patch, rules.digits)
         light = 0.0
         for q in range(order * order):
             start[0], start[1] = rules.whole[order, 0, q], rules.whole[order, 1, q]
             share = rules.whole[order, 2, q] * _facing(element, start, step)
-            if share == 0.0 or side * _along(element, step) <= 0.0 or _hidden(scene, start, step, own):
+            if share == 0.0 or side * _along(element, step) <= 0.0 or _hidden(scene, start, step, scratch):
                 continue
             light += share / element[AREA]
         for g in range(total.shape[0]):

@@ -1,4 +1,4 @@
-"""What the three-reflection integral is taken over, as plain arrays: lit patch, watched patch, target, room.
+"""Scenes of the three-reflection integral as plain arrays: lit patch, watched patch, target, room.
 
 Lengths are metres in the world's frame (any right-handed frame: nothing here assumes that the wall is y = 0), colours
 are three channels, albedos 0 to 1. All surfaces are Lambertian and reflect from both sides.
@@ -26,11 +26,11 @@ class LitPatch:
     Attributes
     ----------
     centre : ndarray of shape (3,)
-        Of the ellipse (not w1, which is where the axis meets the wall), metres.
+        Centre of the ellipse (not w1, which is where the axis meets the wall), metres.
     major, minor : ndarray of shape (3,)
         Semi-axes, metres.
     normal : ndarray of shape (3,)
-        Of the wall, towards the lamp; unit length.
+        Wall normal, towards the lamp; unit length.
     lamp, axis : ndarray of shape (3,)
         The lamp's position, metres, and unit direction.
     height : float
@@ -38,7 +38,7 @@ class LitPatch:
     intensity : ndarray of shape (3,)
         Radiant intensity per colour channel, W/sr.
     albedo : ndarray of shape (3,)
-        Of the wall, per colour channel.
+        Albedo of the wall, per colour channel.
     cos_outer, cos_width : float
         The falloff is smoothstep((cos - cos_outer) / cos_width); cos_width = 0 is a hard edge.
     """
@@ -58,7 +58,7 @@ class LitPatch:
 
 @dataclass(frozen=True)
 class Watched:
-    """The part of the relay wall that the camera sees, and how its picture lies on it.
+    """The part of the relay wall that the camera sees, and how the picture maps onto it.
 
     Attributes
     ----------
@@ -67,12 +67,12 @@ class Watched:
         from 0 (left edge) to 1 (right edge) and v from 0 (top edge) to 1 (bottom edge); its last component is
         positive all over the picture.
     eye : ndarray of shape (4,)
-        The camera's centre of projection (x, y, z) and 1; or, if it is orthographic, the way from the wall to the
+        The camera's centre of projection (x, y, z) and 1; or, if it is orthographic, the vector from the wall to the
         camera's plane, metres, and 0.
     normal : ndarray of shape (3,)
-        Of the wall, towards the camera; unit length.
+        Wall normal, towards the camera; unit length.
     albedo : ndarray of shape (3,)
-        Of the wall, per colour channel.
+        Albedo of the wall, per colour channel.
     resolution : (int, int)
         Width and height of the picture, pixels.
     """
@@ -85,8 +85,8 @@ class Watched:
 
     def points(self, uv: Array) -> Array:
         """Return the wall points (..., 3), metres, of picture coordinates (..., 2)."""
-        lifted = np.concatenate([uv, np.ones_like(uv[..., :1])], axis=-1) @ self.to_wall.T
-        wall: Array = lifted[..., :3] / lifted[..., 3:]
+        homogeneous = np.concatenate([uv, np.ones_like(uv[..., :1])], axis=-1) @ self.to_wall.T
+        wall: Array = homogeneous[..., :3] / homogeneous[..., 3:]
         return wall
 
 
@@ -97,9 +97,9 @@ class Sphere:
     Attributes
     ----------
     centre : ndarray of shape (3,)
-        In the target's own frame, metres.
+        Centre in the target's own frame, metres.
     radius : float
-        Metres.
+        Radius, metres.
     albedo : ndarray of shape (3,)
     """
 
@@ -110,7 +110,7 @@ class Sphere:
 
 @dataclass(frozen=True)
 class Mesh:
-    """Triangles: a target's in the target's own frame (scaled, not rotated), a room's in the world's.
+    """Triangles, of a target in the target's own frame (scaled, not rotated), or of a room in the world's frame.
 
     Attributes
     ----------
@@ -137,14 +137,14 @@ Body = Sphere | Mesh
 
 @dataclass(frozen=True)
 class AmbientLight:
-    """Light that shines alike from all directions in which no surface stands.
+    """Light of equal radiance from all directions in which there is no surface.
 
     Attributes
     ----------
     radiance : ndarray of shape (3,)
-        Per colour channel, W/m^2/sr.
+        Radiance per colour channel, W/m^2/sr.
     wall : Mesh
-        The whole relay wall, which reflects it and stands in its way.
+        The whole relay wall, which reflects this light and blocks it.
     """
 
     radiance: Array
@@ -153,7 +153,7 @@ class AmbientLight:
 
 @dataclass(frozen=True)
 class World:
-    """A whole scene, as far as three diffuse reflections need it.
+    """All of a scene that is relevant to three diffuse reflections.
 
     Attributes
     ----------
@@ -162,9 +162,9 @@ class World:
     target : tuple of Sphere or Mesh
         The hidden object; its parts move together.
     room : tuple of Mesh
-        Every other surface but the relay wall: they reflect, and they hide what is behind them.
+        All other surfaces except the relay wall: they reflect, and they hide what is behind them.
     order : int
-        How many reflections a picture holds, 1 to 3.
+        Largest number of reflections that a picture includes, 1 to 3.
     ambient : AmbientLight, optional
     """
 
@@ -176,5 +176,5 @@ class World:
     ambient: AmbientLight | None = None
 
     def seen_by(self, width: int, height: int) -> World:
-        """Return the world with a picture of so many pixels."""
+        """Return the world with a picture of ``width`` by ``height`` pixels."""
         return replace(self, watched=replace(self.watched, resolution=(width, height)))

@@ -1,8 +1,9 @@
-"""A world as a file of plain arrays: what a set was made of, to be made again without Blender."""
+"""A world as a file of plain arrays, from which a data set can be made again without Blender."""
 
 from __future__ import annotations
 
 import hashlib
+import math
 from dataclasses import fields, is_dataclass
 from pathlib import Path
 from typing import Any, get_args, get_origin, get_type_hints
@@ -21,7 +22,7 @@ _KIND = "kind"
 
 
 def save_world(path: Path, world: World) -> None:
-    """Write a world as ``.npz``, by temporary name and rename: an array per figure, and nothing pickled.
+    """Write a world as ``.npz``, under a temporary name and then renamed: one array per value, nothing pickled.
 
     Raises
     ------
@@ -48,34 +49,39 @@ def load_world(path: Path) -> World:
         _check(world)
     except FileNotFoundError:
         raise NlosError(f"{path}: no such file") from None
-    except Exception as error:  # of many kinds: the archive's, of what is in it, and of the text in its headers
+    except Exception as error:  # of many types: from the archive, its arrays, or the text of their headers
         raise NlosError(f"{path}: is not a world of this software ({error})") from None
     return world
 
 
 _SHAPES = {"to_wall": (4, 3), "eye": (4,), "triangles": (-1, 3, 3)}
-"""Of arrays that are no vector or colour; -1 is any."""
+"""Shapes of the arrays that are neither vector nor colour; -1 stands for any length."""
 
 
 def _check(world: World) -> None:
-    """Raise ValueError unless all arrays are what compiled code takes them for: it reads on where they end."""
-    for body in (world.patch, world.watched, *world.target, *world.room):
-        for part in fields(body):
-            value = getattr(body, part.name)
-            if part.name == "resolution" or isinstance(value, float):
+    """Raise ValueError unless all arrays have the shapes that compiled code, which checks no bounds, expects."""
+    lit = (world.ambient, world.ambient.wall) if world.ambient is not None else ()
+    for body in (world.patch, world.watched, *world.target, *world.room, *lit):
+        for field in fields(body):
+            value = getattr(body, field.name)
+            if field.name == "resolution" or isinstance(value, Mesh):
                 continue
-            wanted = (-1, 3) if isinstance(body, Mesh) and part.name == "albedo" else _SHAPES.get(part.name, (3,))
+            if isinstance(value, float):
+                if not math.isfinite(value):
+                    raise ValueError(f"{field.name} must be finite")
+                continue
+            expected = (-1, 3) if isinstance(body, Mesh) and field.name == "albedo" else _SHAPES.get(field.name, (3,))
             shape = value.shape if isinstance(value, np.ndarray) and value.dtype.kind == "f" else ()
-            if len(shape) != len(wanted) or any(w not in (-1, n) for n, w in zip(shape, wanted, strict=True)):
-                raise ValueError(f"{part.name} must be numbers of shape {wanted}")
+            if len(shape) != len(expected) or any(w not in (-1, n) for n, w in zip(shape, expected, strict=True)):
+                raise ValueError(f"{field.name} must be numbers of shape {expected}")
             if not np.isfinite(value).all():
-                raise ValueError(f"{part.name} must be finite")
+                raise ValueError(f"{field.name} must be finite")
     if not 1 <= world.order <= 3 or not all(1 <= n <= 65536 for n in world.watched.resolution):
         raise ValueError("its order or resolution cannot be")
 
 
 def world_hash(world: World) -> str:
-    """Return the SHA-256 of all figures of a world."""
+    """Return the SHA-256 of all values of a world."""
     digest = hashlib.sha256()
     for name, array in sorted(_flatten(world).items()):
         little = np.ascontiguousarray(array, dtype=array.dtype.newbyteorder("<"))
@@ -84,16 +90,16 @@ def world_hash(world: World) -> str:
 
 
 def _flatten(value: Any, name: str = "") -> Arrays:
-    """Every figure inside nested dataclasses and tuples of them, by dotted name."""
+    """Return every value inside nested dataclasses and tuples of them, by dotted name."""
     if value is None:
         return {}
     if is_dataclass(value):
-        inner = {f.name: getattr(value, f.name) for f in fields(value)}
+        values = {f.name: getattr(value, f.name) for f in fields(value)}
         prefix = f"{name}." if name else ""
-        parts = [_flatten(part, f"{prefix}{key}") for key, part in inner.items()]
+        parts = [_flatten(part, f"{prefix}{key}") for key, part in values.items()]
         return {k: a for part in parts for k, a in part.items()}
     if isinstance(value, tuple) and all(map(is_dataclass, value)):
-        # Which kind of body each is, in order; so an empty tuple leaves its trace too.
+        # The kinds of the bodies, in order; the array is written for an empty tuple too.
         parts = [{f"{name}.{_KIND}": np.array([type(part).__name__ for part in value], dtype=np.str_)}]
         parts += [_flatten(part, f"{name}.{i}") for i, part in enumerate(value)]
         return {k: a for part in parts for k, a in part.items()}
@@ -102,15 +108,15 @@ def _flatten(value: Any, name: str = "") -> Arrays:
 
 def _unflatten(hint: Any, arrays: Arrays, name: str) -> Any:
     if type(None) in get_args(hint):
-        there = any(key.startswith(f"{name}.") for key in arrays)
-        return _unflatten(get_args(hint)[0], arrays, name) if there else None
+        present = any(key.startswith(f"{name}.") for key in arrays)
+        return _unflatten(get_args(hint)[0], arrays, name) if present else None
     if is_dataclass(hint) and isinstance(hint, type):
         prefix = f"{name}." if name else ""
         return hint(**{key: _unflatten(part, arrays, f"{prefix}{key}") for key, part in get_type_hints(hint).items()})
     if get_origin(hint) is tuple and get_args(hint)[-1] is Ellipsis:
         kinds = {kind.__name__: kind for kind in get_args(get_args(hint)[0]) or (get_args(hint)[0],)}
-        named = arrays[f"{name}.{_KIND}"].tolist()
-        return tuple(_unflatten(kinds[kind], arrays, f"{name}.{i}") for i, kind in enumerate(named))
+        names = arrays[f"{name}.{_KIND}"].tolist()
+        return tuple(_unflatten(kinds[kind], arrays, f"{name}.{i}") for i, kind in enumerate(names))
     if get_origin(hint) is tuple:
         return tuple(arrays[name].tolist())
     return hint(arrays[name]) if hint in (int, float, bool) else arrays[name]

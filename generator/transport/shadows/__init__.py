@@ -1,1 +1,1 @@
-"""The object's shadows on the room, cut exactly: cones, pieces of polygons, and the light over them."""
+"""The object's shadows on the room, cut exactly: cones, pieces of polygons, and the light on them."""

@@ -1,4 +1,4 @@
-"""What hides points: cones over facets and balls."""
+"""Regions that are hidden from a point: cones behind facets and balls."""
 
 from __future__ import annotations
 
@@ -20,14 +20,14 @@ TOUCH = 1e-9
 
 
 class Cones(NamedTuple):
-    """What each occluder hides from a point, or, with one more axis in front, from each of several.
+    """Regions that each occluder hides from a point, or, with one more leading axis, from each of several points.
 
     Attributes
     ----------
     spaces : ndarray of shape (occluders, k, 4)
         Half-spaces, n . y + c >= 0. The target's flat cells come first, then its spheres, then the room.
     counts : ndarray of shape (occluders,), int
-        How many of them; 0 if it hides nothing.
+        Number of half-spaces of each; 0 if it hides nothing.
     """
 
     spaces: Floats
@@ -35,17 +35,17 @@ class Cones(NamedTuple):
 
 
 class Occluders(NamedTuple):
-    """What can hide something.
+    """Surfaces that can hide something.
 
     Attributes
     ----------
     facets : ndarray of shape (n, FACET)
     flat : int
-        How many of them, from the first, are the target's.
+        Number of facets, counted from the first, that are the target's.
     balls : ndarray of shape (s, 4)
         The target's spheres: centre, radius.
     sides : ndarray
-        The sides of a sphere's outline, as `ring` gives them.
+        The sides of a sphere's outline, as `ring` returns them.
     """
 
     facets: Floats
@@ -68,10 +68,10 @@ def all_parts(occluders: Occluders) -> int:
 
 def facets(surfaces: Surfaces) -> Floats:
     """Return the flat surfaces as rows (n, FACET)."""
-    made = np.zeros((len(surfaces.origin), FACET))
-    for k, row in enumerate(made):
+    rows = np.zeros((len(surfaces.origin), FACET))
+    for k, row in enumerate(rows):
         lay(surfaces.origin[k], surfaces.first[k], surfaces.second[k], bool(surfaces.triangle[k]), row)
-    return made
+    return rows
 
 
 def ring(corners: int) -> Floats:
@@ -80,18 +80,18 @@ def ring(corners: int) -> Floats:
     Returns
     -------
     ndarray of shape (corners + 1, 2)
-        Their directions; and, as the last row's first number, their distance from the middle.
+        Directions of the sides; and, as the last row's first number, their distance from the middle.
     """
-    turn = 2.0 * np.pi * np.arange(corners) / corners
+    angles = 2.0 * np.pi * np.arange(corners) / corners
     step = np.pi / corners
-    return np.vstack([np.column_stack([np.cos(turn), np.sin(turn)]), [math.sqrt(step / math.tan(step)), 0.0]])
+    return np.vstack([np.column_stack([np.cos(angles), np.sin(angles)]), [math.sqrt(step / math.tan(step)), 0.0]])
 
 
 @jit_in_place
 def _behind_facet(facet: Floats, view: Floats, spaces: Floats) -> int:
-    """Write the half-spaces of what a facet hides from a point; return how many, or 0."""
+    """Write the half-spaces of the region that a facet hides from a point; return their number, or 0."""
     level = height_above(facet, view)
-    # Of a solid, the far side hides nothing that the near side does not.
+    # The far side of a solid hides nothing that the near side does not hide.
     if abs(level) < TOUCH or (facet[SIDED] == 1.0 and level < 0.0):
         return 0
     side = 1.0 if level > 0.0 else -1.0
@@ -144,18 +144,18 @@ def _behind_ball(ball: Floats, view: Floats, sides: Floats, spaces: Floats) -> i
 
 @jit_in_place
 def all_hidden(view: Floats, occluders: Occluders, cones: Cones) -> None:
-    """Write what each occluder hides from a point."""
+    """Write the region that each occluder hides from a point."""
     facets, first, balls = occluders.facets, occluders.flat, occluders.balls
     for k in range(facets.shape[0]):
-        at = k if k < first else k + balls.shape[0]
-        cones.counts[at] = _behind_facet(facets[k], view, cones.spaces[at])
+        index = k if k < first else k + balls.shape[0]
+        cones.counts[index] = _behind_facet(facets[k], view, cones.spaces[index])
     for k in range(balls.shape[0]):
         cones.counts[first + k] = _behind_ball(balls[k], view, occluders.sides, cones.spaces[first + k])
 
 
 @jit
 def no_cones(occluders: Occluders) -> Cones:
-    """Return room for what is hidden from a point."""
+    """Return empty arrays for the regions that are hidden from a point."""
     depth = max(6, occluders.sides.shape[0] + 1 if occluders.balls.shape[0] else 0)
     number = all_parts(occluders)
     return Cones(np.empty((number, depth, 4)), np.zeros(number, dtype=np.int64))
@@ -163,9 +163,9 @@ def no_cones(occluders: Occluders) -> Cones:
 
 @jit
 def hidden_from_each(views: Floats, occluders: Occluders) -> Cones:
-    """Return what is hidden from each of some points (n, 3)."""
+    """Return the regions that are hidden from each of some points (n, 3)."""
     spaces, counts = no_cones(occluders)
-    made = Cones(np.empty((views.shape[0], *spaces.shape)), np.empty((views.shape[0], len(counts)), dtype=np.int64))
+    cones = Cones(np.empty((views.shape[0], *spaces.shape)), np.empty((views.shape[0], len(counts)), dtype=np.int64))
     for q in range(views.shape[0]):
-        all_hidden(views[q], occluders, Cones(made.spaces[q], made.counts[q]))
-    return made
+        all_hidden(views[q], occluders, Cones(cones.spaces[q], cones.counts[q]))
+    return cones

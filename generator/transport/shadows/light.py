@@ -1,4 +1,4 @@
-"""Light over pieces: quadrature, and its change where a shadow's edge moves."""
+"""Light on pieces: quadrature, and its change where a shadow's edge moves."""
 
 from __future__ import annotations
 
@@ -31,18 +31,18 @@ from generator.transport.shadows.pieces import ON_LINE, Pieces, Scene, View, Wor
 
 
 class Kept(NamedTuple):
-    """What the shadows of the patch's points cover of the surfaces.
+    """Regions of the surfaces that the shadows of the patch's points cover.
 
     Attributes
     ----------
     polygons : ndarray of shape (n, CORNERS, 2)
         Along the surface's axes.
     corners : ndarray of shape (n,), int
-        How many each has.
+        Number of corners of each.
     of : ndarray of shape (n, 2), int
-        Which surface each is on, and which point's shadow it is.
+        Index of the surface that each is on, and of the point whose shadow it is.
     number : int
-        How many there are; below 0, there were too many.
+        Number of polygons; negative if there were too many.
     """
 
     polygons: Floats
@@ -55,7 +55,7 @@ class Kept(NamedTuple):
 def _facet_rates(facet: Floats, k: int, view: Floats, at: Floats, point: Floats, rates: Floats, work: Floats) -> None:
     """Write how the k-th half-space of what a facet hides changes at a point as the target moves and turns.
 
-    With corners a and b as seen from the view and d the point, it is -(a x b) . d, and a moves by t + w x (a's arm).
+    With corners a and b and the point d relative to the view, it is -(a x b) . d, and a moves by t + w x (a's arm).
     """
     side = 1.0 if height_above(facet, view) > 0.0 else -1.0
     n = int(facet[COUNT])
@@ -87,7 +87,7 @@ def _facet_rates(facet: Floats, k: int, view: Floats, at: Floats, point: Floats,
 def _ball_rates(
     ball: Floats, space: Floats, apothem: float, view: Floats, at: Floats, point: Floats, rates: Floats
 ) -> None:
-    """As `_facet_rates`, for one side of a sphere's outline, carried along without turning about its axis."""
+    """As `_facet_rates`, for one side of a sphere's outline, which moves along without turning about its axis."""
     far, along, sine = 0.0, 0.0, 0.0
     for r in range(3):
         far += (ball[r] - view[r]) ** 2
@@ -108,8 +108,8 @@ def _ball_rates(
 
 
 class _Edge(NamedTuple):
-    """An edge of a polygon, which the border of what a part of the target hides moves along: half-space ``side``,
-    ``steep`` of whose distances along the plane are one of its own; ``sign`` says on which side the polygon is.
+    """An edge of a polygon on the border of the region that a part of the target hides: that of half-space ``side``,
+    whose value changes by ``steep`` per length in the plane; ``sign`` tells on which side of it the polygon is.
     """
 
     part: int
@@ -122,34 +122,34 @@ class _Edge(NamedTuple):
 
 @jit_in_place
 def _add_edge(light: Floats, edge: _Edge, path: Path, view: View, scene: Scene, work: Floats) -> None:
-    """Add to ``light[1:]`` the light along an edge, times how fast it moves; ``work`` (4, 6) is room to work in."""
+    """Add to ``light[1:]`` the light along an edge, times how fast it moves; ``work`` (4, 6) is scratch space."""
     if not is_lit(path):
         return
     occluders, rules = scene.occluders, scene.rules
     gauss = rules.gauss
-    found, rates, point = work[:1], work[1], work[2, :3]
+    sample, rates, point = work[:1], work[1], work[2, :3]
     u0, v0, u1, v1 = edge.start[0], edge.start[1], edge.end[0], edge.end[1]
     length = math.hypot(u1 - u0, v1 - v0)
     on_facet(path.facet, (u0 + u1) / 2.0, (v0 + v1) / 2.0, point)
     distance = min(elements.distance_to_disc(point, path.wall[0], path.wall[1], 0.0), distance_to(point, rules.patch))
-    cuts = min(1000, 1 + int(length / distance))
-    wanted = min(elements.MAX_POINTS, elements.points_wanted(length / cuts / 2.0, distance, rules.digits))
-    found[0, AREA], found[0, ORDER] = 1.0, order_at(point, rules.patch, rules.digits)
+    cuts = 1 + int(length / distance) if length < 999.0 * distance else 1000
+    number = min(elements.MAX_POINTS, elements.points_wanted(length / cuts / 2.0, distance, rules.digits))
+    sample[0, AREA], sample[0, ORDER] = 1.0, order_at(point, rules.patch, rules.digits)
     level = abs(height_of(path.facet, path.wall[0], path.wall[1]))
     for piece in range(cuts):
-        for g in range(wanted):
-            share = (piece + gauss[0, wanted, g]) / cuts
+        for g in range(number):
+            share = (piece + gauss[0, number, g]) / cuts
             on_facet(path.facet, u0 + share * (u1 - u0), v0 + share * (v1 - v0), point)
             for r in range(3):
-                found[0, r] = point[r]
+                sample[0, r] = point[r]
             if edge.part < occluders.flat:
                 _facet_rates(occluders.facets[edge.part], edge.side, view.point, scene.at, point, rates, work[3])
             else:
                 ball, sides = occluders.balls[edge.part - occluders.flat], occluders.sides
                 space = view.cones.spaces[edge.part, edge.side]
                 _ball_rates(ball, space, sides[sides.shape[0] - 1, 0], view.point, scene.at, point, rates)
-            weight = edge.sign * gauss[1, wanted, g] * length / cuts / edge.steep
-            weight *= add_by_way_of(0.0, found, ONE[0], path, rules.whole) * level
+            weight = edge.sign * gauss[1, number, g] * length / cuts / edge.steep
+            weight *= add_by_way_of(0.0, sample, ONE[0], path, rules.whole) * level
             for r in range(6):
                 light[1 + r] += weight * rates[r]
 
@@ -160,7 +160,7 @@ def _add_rates(
 ) -> None:
     """Add to ``light[1:]`` how light by way of a polygon changes as the target's shadows, seen from a point, move.
 
-    By Reynolds' theorem that is an integral of the light along the edges that move, times how fast they do.
+    By Reynolds' theorem it is an integral of the light along the edges that move, times how fast they do.
     """
     lines, flat = work.cutting.lines, scene.occluders.flat
     middle0, middle1 = polygon[:n, 0].mean(), polygon[:n, 1].mean()
@@ -184,12 +184,12 @@ def _add_rates(
 
 @jit_in_place
 def add_seen(light: Floats, s: int, eye: View, pieces: Pieces, count: int, scene: Scene, work: Work) -> None:
-    """Add what a wall point receives by way of pieces of a surface that it sees, if occluders let the light in."""
-    facet, own, rules = scene.surfaces[s], scene.first + s, scene.rules
+    """Add what a wall point receives by way of pieces of a surface that it sees, where occluders let the light in."""
+    facet, occluder, rules = scene.surfaces[s], scene.first + s, scene.rules
     spaces, counts = scene.from_lamps
     last = all_parts(scene.occluders)
     cutting = work.cutting
-    lines, spare, some = cutting.lines, cutting.spare, cutting.some
+    lines, spare, lit = cutting.lines, cutting.spare, cutting.some
     moving = light.shape[0] > 1
     for p in range(count):
         polygon, corners = pieces.polygons[p], pieces.corners[p]
@@ -197,30 +197,32 @@ def add_seen(light: Floats, s: int, eye: View, pieces: Pieces, count: int, scene
         for q in range(counts.shape[0]):
             for part in range(scene.first, last):
                 k = counts[q, part]
-                if blocked or part == own or k == 0:
+                if blocked or part == occluder or k == 0:
                     continue
                 on_plane(facet, spaces[q, part], k, lines)
                 blocked = within(polygon, corners, lines, k, spare[0], spare[1]) > 0
         for q in range(counts.shape[0] if blocked else 1):
-            copy(polygon, corners, some.polygons[0])
-            some.corners[0] = corners
-            made, node = ONE[0], work.zeros
+            copy(polygon, corners, lit.polygons[0])
+            lit.corners[0] = corners
+            number, node = ONE[0], work.zeros
             if blocked:
                 node = scene.nodes[q]
-                made = cleared(facet, own, some, ONE[0], Cones(spaces[q], counts[q]), scene.first, last, cutting)
-            if made < 0:
+                number = cleared(
+                    facet, occluder, lit, ONE[0], Cones(spaces[q], counts[q]), scene.first, last, cutting
+                )
+            if number < 0:
                 light[:] = np.nan
             path = Path(facet, eye.point, node)
-            for i in range(made):
-                light[0] += light_of(some.polygons[i], some.corners[i], path, rules, work.summing)
+            for i in range(number):
+                light[0] += light_of(lit.polygons[i], lit.corners[i], path, rules, work.summing)
                 if moving:
-                    _add_rates(light, 1.0, some.polygons[i], some.corners[i], path, eye, scene, work)
+                    _add_rates(light, 1.0, lit.polygons[i], lit.corners[i], path, eye, scene, work)
 
 
 @jit_in_place
 def add_kept(light: Floats, whole: bool, kept: Kept, p: int, eye: View, scene: Scene, work: Work) -> None:
-    """Add the light that a lamp point's shadow keeps from a wall point, or (not ``whole``) take away what is hidden
-    anyway.
+    """Add the light that a wall point loses to a lamp point's shadow; if not ``whole``, only subtract what is hidden
+    from it anyway.
     """
     s, q = kept.of[p, 0], kept.of[p, 1]
     facet, rules = scene.surfaces[s], scene.rules
@@ -234,17 +236,19 @@ def add_kept(light: Floats, whole: bool, kept: Kept, p: int, eye: View, scene: S
     if whole:
         last = all_parts(scene.occluders)
         count = cleared(facet, scene.first + s, held, ONE[0], eye.cones, scene.first, last, cutting)
-    made = NONE[0]
+    overlaps = NONE[0]
     for k in range(count):
-        made = covered(facet, held.polygons[k], held.corners[k], eye.cones, scene.target, pieces, made, cutting)
-    if count < 0 or made < 0:
+        overlaps = covered(
+            facet, held.polygons[k], held.corners[k], eye.cones, scene.target, pieces, overlaps, cutting
+        )
+    if count < 0 or overlaps < 0:
         light[:] = np.nan
         return
     for k in range(count if whole else 0):
         light[0] += light_of(held.polygons[k], held.corners[k], path, rules, work.summing)
         if moving:
             _add_rates(light, 1.0, held.polygons[k], held.corners[k], path, lamp, scene, work)
-    for k in range(made):
+    for k in range(overlaps):
         light[0] -= light_of(pieces.polygons[k], pieces.corners[k], path, rules, work.summing)
         if moving:
             _add_rates(light, -1.0, pieces.polygons[k], pieces.corners[k], path, lamp, scene, work)

@@ -1,4 +1,4 @@
-"""Pieces of polygons that are left when shadows are cut out."""
+"""Pieces of polygons that remain when shadows are cut out."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ class Pieces(NamedTuple):
     polygons : ndarray of shape (PIECES, CORNERS, 2)
         Along the facet's axes.
     corners : ndarray of shape (PIECES,), int
-        How many each has.
+        Number of corners of each.
     """
 
     polygons: Floats
@@ -42,7 +42,7 @@ class Pieces(NamedTuple):
 
 
 class Cutting(NamedTuple):
-    """Room to cut in: pieces, spare polygons, lines."""
+    """Scratch space for cutting: pieces, spare polygons, lines."""
 
     some: Pieces
     left: Pieces
@@ -51,7 +51,7 @@ class Cutting(NamedTuple):
 
 
 class Work(NamedTuple):
-    """Room to work in: pieces twice, what cutting and summing take, rows for an edge that moves; and three zeros."""
+    """Scratch space: pieces twice, that of cutting and of summing, rows for an edge that moves; and three zeros."""
 
     pieces: Pieces
     held: Pieces
@@ -62,8 +62,8 @@ class Work(NamedTuple):
 
 
 class TargetShadows(NamedTuple):
-    """How many occluders, from the first, are the target's; and whether shadows of its flat cells do not overlap, but
-    for those of a solid's far side.
+    """Number of occluders, counted from the first, that are the target's; and whether shadows of its flat cells do
+    not overlap, except those of a solid's far side.
     """
 
     parts: int
@@ -71,31 +71,31 @@ class TargetShadows(NamedTuple):
 
 
 class View(NamedTuple):
-    """A point, and what is hidden from it."""
+    """A point, and the regions that are hidden from it."""
 
     point: Floats
     cones: Cones
 
 
 class Scene(NamedTuple):
-    """What light comes by way of, and what is in its way.
+    """Surfaces that light comes by way of, and what is in its way.
 
     Attributes
     ----------
     occluders : Occluders
     surfaces : ndarray of shape (n, FACET)
-        What the light comes by way of.
+        Surfaces that the light comes by way of.
     first : int
-        The occluders from this one on can hide the surfaces, of which each, s, is the occluder ``first + s`` itself.
+        Occluders from this one on can hide the surfaces; surface ``s`` is itself the occluder ``first + s``.
     target : TargetShadows
     at : ndarray of shape (3,)
-        What the target turns about.
+        Point that the target turns about.
     nodes : ndarray of shape (n, 3)
-        Points of the patch that throw shadows: place on the wall, radiance times area.
+        Points of the patch that throw shadows: position on the wall, radiance times area.
     lamps : ndarray of shape (n, 3)
         The same as points.
     from_lamps : Cones
-        What is hidden from each.
+        Regions that are hidden from each.
     rules : Rules
     """
 
@@ -112,7 +112,7 @@ class Scene(NamedTuple):
 
 @jit_in_place
 def on_plane(facet: Floats, spaces: Floats, k: int, lines: Floats) -> None:
-    """Write the lines (k, 3) in which half-spaces' borders cut a facet's plane."""
+    """Write the lines (k, 3) in which the borders of half-spaces cut a facet's plane."""
     for i in range(k):
         for r in range(2):
             lines[i, r] = 0.0
@@ -125,7 +125,7 @@ def on_plane(facet: Floats, spaces: Floats, k: int, lines: Floats) -> None:
 
 @jit_in_place
 def above(facet: Floats, polygon: Floats, lines: Floats, spare: Floats) -> int:
-    """Write the corners of the part of a facet that is above the relay wall; return how many."""
+    """Write the corners of the part of a facet that is above the relay wall; return their number."""
     n = outline(facet, polygon)
     lines[0, 0], lines[0, 1], lines[0, 2] = facet[FIRST + 2], facet[SECOND + 2], facet[ORIGIN + 2]
     return within(polygon, n, lines, ONE[0], polygon, spare)
@@ -135,15 +135,15 @@ def above(facet: Floats, polygon: Floats, lines: Floats, spare: Floats) -> int:
 def cleared(
     facet: Floats, own: int, pieces: Pieces, count: int, cones: Cones, first: int, last: int, work: Cutting
 ) -> int:
-    """Take the shadows of occluders ``first`` to ``last`` but the facet's own from pieces on it.
+    """Cut the shadows of occluders ``first`` to ``last``, except the facet itself (``own``), out of pieces on it.
 
     Returns
     -------
     int
-        How many pieces there are then; below 0, there were too many.
+        New number of pieces; negative if there were too many.
     """
     polygons, corners = pieces
-    others, other_corners = work.left
+    rest, rest_corners = work.left
     lines, spare = work.lines, work.spare
     for part in range(first, last):
         k = cones.counts[part]
@@ -157,15 +157,15 @@ def cleared(
                 break
         if not touched:
             continue
-        made = NONE[0]
+        remaining = NONE[0]
         for p in range(count):
-            made = without(polygons[p], corners[p], lines, k, others, other_corners, made, spare)
-        if made < 0:
+            remaining = without(polygons[p], corners[p], lines, k, rest, rest_corners, remaining, spare)
+        if remaining < 0:
             return -1
-        for p in range(made):
-            copy(others[p], other_corners[p], polygons[p])
-            corners[p] = other_corners[p]
-        count = made
+        for p in range(remaining):
+            copy(rest[p], rest_corners[p], polygons[p])
+            corners[p] = rest_corners[p]
+        count = remaining
     return count
 
 
@@ -180,32 +180,32 @@ def covered(
     count: int,
     work: Cutting,
 ) -> int:
-    """Append what the target hides of a polygon on a facet, in pieces that do not overlap.
+    """Append the part of a polygon on a facet that the target hides, in pieces that do not overlap.
 
     Returns
     -------
     int
-        How many pieces there are then; below 0, there were too many.
+        New number of pieces; negative if there were too many.
     """
     polygons, corners = pieces
-    others, other_corners = work.some
+    shadow, shadow_corners = work.some
     lines = work.lines
     for part in range(target.parts):
         k = cones.counts[part]
         if k == 0 or count < 0:
             continue
         on_plane(facet, cones.spaces[part], k, lines)
-        other_corners[0] = within(polygon, n, lines, k, others[0], work.spare[0])
-        if other_corners[0] == 0:
+        shadow_corners[0] = within(polygon, n, lines, k, shadow[0], work.spare[0])
+        if shadow_corners[0] == 0:
             continue
-        made = ONE[0]
+        added = ONE[0]
         if not target.disjoint and part > 0:
-            made = cleared(facet, -ONE[0], work.some, ONE[0], cones, NONE[0], part, work)
-        if made < 0 or count + made > PIECES:
+            added = cleared(facet, -ONE[0], work.some, ONE[0], cones, NONE[0], part, work)
+        if added < 0 or count + added > PIECES:
             return -1
-        for p in range(made):
-            copy(others[p], other_corners[p], polygons[count])
-            corners[count] = other_corners[p]
+        for p in range(added):
+            copy(shadow[p], shadow_corners[p], polygons[count])
+            corners[count] = shadow_corners[p]
             count += 1
     return count
 
@@ -228,10 +228,10 @@ def may_meet(facet: Floats, polygon: Floats, n: int, ends: Cones, part: int, lin
             for j in range(n):
                 if lines[i, 0] * polygon[j, 0] + lines[i, 1] * polygon[j, 1] + lines[i, 2] > 0.0:
                     outside[i] = False
-    parted = False
+    separated = False
     for i in range(k):
-        parted = parted or outside[i]
-    return not parted
+        separated = separated or outside[i]
+    return not separated
 
 
 @jit
@@ -242,7 +242,7 @@ def no_pieces() -> Pieces:
 
 @jit
 def room_to_work(cones: Cones) -> Work:
-    """Return the arrays that cutting works in, for as many cones as one can meet."""
+    """Return scratch space for cones of as many half-spaces as ``cones`` have."""
     lines = np.empty((cones.spaces.shape[1], 3))
     cutting = Cutting(no_pieces(), no_pieces(), np.empty((3, CORNERS, 2)), lines)
     return Work(no_pieces(), no_pieces(), cutting, room_to_sum(), np.empty((4, 6)), np.zeros(3))

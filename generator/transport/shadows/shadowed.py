@@ -1,8 +1,8 @@
-"""Light that comes and goes past a few convex surfaces, with their shadows cut exactly.
+"""Light that passes a few convex surfaces, with their shadows cut exactly.
 
 Seen from a point, a convex surface hides an intersection of half-spaces, and on a plane behind it a convex polygon.
-So what is left of a facet after all shadows on both legs - towards the wall point, and towards a point of the lit
-patch - is a handful of polygons, and light is smooth on each. No ray is tested; the result is as smooth in pose and
+So the part of a facet that is left after all shadows on both legs - towards the wall point, and towards a point of
+the lit patch - is a few polygons, and light is smooth on each. No ray is tested; the result is as smooth in pose and
 wall point as the scene allows, and its derivatives are integrals along the polygons' moving edges.
 """
 
@@ -64,9 +64,9 @@ class Room(NamedTuple):
     tint : ndarray of shape (m, groups)
         Albedo.
     sides : ndarray
-        As `cones.ring` gives them.
+        As `cones.ring` returns them.
     disjoint : bool
-        Whether shadows of the target's flat cells do not overlap, but for those of a solid's far side.
+        Whether shadows of the target's flat cells do not overlap, except those of a solid's far side.
     """
 
     facets: Floats
@@ -95,7 +95,7 @@ def _placed(target: Target, turn: Floats, at: Floats) -> tuple[Floats, Floats]:
 
 @jit
 def _lamps(rules: Rules, order: int) -> tuple[Floats, Floats]:
-    """Return the points of the patch that throw shadows (n, 3): with radiance times area, and as points."""
+    """Return the points of the patch that throw shadows (n, 3): with radiance times area, and as points in space."""
     nodes = np.ascontiguousarray(rules.whole[order, :, : order**2].T)
     lamps = nodes.copy()
     lamps[:, 2] = 0.0
@@ -122,9 +122,9 @@ def hidden_panels(
 ) -> None:
     """Evaluate `shaded.hidden` on panels ``start`` to ``stop``, and its derivatives.
 
-    The target hides y from w, or from a point q of the patch, where y is in the one or the other's shadow. So the sum
-    is over what w's shadow covers, with all of the light that y would have; and over what q's shadow covers, but for
-    what w's covers too.
+    The target hides a point y of the room from a wall point w, or a point q of the patch, if y lies in its shadow
+    as seen from w, or from q. The sum is therefore over the region of w's shadow, with all of the light that y would
+    have; and over the region of q's shadow, except where it overlaps w's.
 
     Parameters
     ----------
@@ -141,12 +141,12 @@ def hidden_panels(
     for item in range(start, stop):
         pose = panels.owner[item]
         parts, spheres = _placed(target, poses.turns[pose], poses.places[pose])
-        every = np.concatenate((parts, room.facets[: poses.hiders[pose]]))
-        occluders = Occluders(every, parts.shape[0], spheres, room.sides)
+        facets = np.concatenate((parts, room.facets[: poses.hiders[pose]]))
+        occluders = Occluders(facets, parts.shape[0], spheres, room.sides)
         nodes, lamps = _lamps(rules, poses.orders[pose])
         hidden = hidden_from_each(lamps, occluders)
-        own = TargetShadows(target_parts(occluders), room.disjoint)
-        scene = Scene(occluders, room.facets, own.parts, own, poses.places[pose], nodes, lamps, hidden, rules)
+        shadows = TargetShadows(target_parts(occluders), room.disjoint)
+        scene = Scene(occluders, room.facets, shadows.parts, shadows, poses.places[pose], nodes, lamps, hidden, rules)
         values[item] = 0.0
         _hidden_panel(panels.walls[item], scene, room.tint, values[item])
 
@@ -190,9 +190,9 @@ def _hidden_panel(walls: Floats, scene: Scene, tint: Floats, total: Floats) -> N
 
 @jit
 def _kept_by_nodes(scene: Scene, polygon: Floats, work: Work) -> Kept:
-    """Return what the nodes' shadows cover, node by node; ``polygon`` is room to work in."""
-    most = PIECES + scene.nodes.shape[0] * scene.surfaces.shape[0]
-    kept, corners, of = np.empty((most, CORNERS, 2)), np.empty(most, np.int64), np.empty((most, 2), np.int64)
+    """Return the regions that the nodes' shadows cover, node by node; ``polygon`` is scratch space."""
+    size = PIECES + scene.nodes.shape[0] * scene.surfaces.shape[0]
+    kept, corners, of = np.empty((size, CORNERS, 2)), np.empty(size, np.int64), np.empty((size, 2), np.int64)
     first, last = scene.first, all_parts(scene.occluders)
     pieces, cutting, number = work.pieces, work.cutting, NONE[0]
     for s in range(scene.surfaces.shape[0]):
@@ -205,10 +205,10 @@ def _kept_by_nodes(scene: Scene, polygon: Floats, work: Work) -> Kept:
             if count < 0:
                 return Kept(kept, corners, of, -ONE[0])
             if number + count > len(kept):
-                most = 2 * (number + count)
-                more = np.empty((most, CORNERS, 2)), np.empty(most, np.int64), np.empty((most, 2), np.int64)
-                more[0][:number], more[1][:number], more[2][:number] = kept[:number], corners[:number], of[:number]
-                kept, corners, of = more
+                size = 2 * (number + count)
+                grown = np.empty((size, CORNERS, 2)), np.empty(size, np.int64), np.empty((size, 2), np.int64)
+                grown[0][:number], grown[1][:number], grown[2][:number] = kept[:number], corners[:number], of[:number]
+                kept, corners, of = grown
             for p in range(count):
                 corners[number], of[number, 0], of[number, 1] = pieces.corners[p], s, q
                 copy(pieces.polygons[p], corners[number], kept[number])
@@ -218,7 +218,7 @@ def _kept_by_nodes(scene: Scene, polygon: Floats, work: Work) -> Kept:
 
 @jit
 def _sorted(walls: Floats, kept: Kept, scene: Scene, lines: Floats) -> tuple[Floats, Floats]:
-    """Say of which nodes' shadows all of a panel sees everything, and which w's own shadow may overlap somewhere."""
+    """Return which nodes' shadows the room hides nowhere from a panel, and which a point's own shadow may overlap."""
     occluders, target, last = scene.occluders, scene.first, all_parts(scene.occluders)
     flat = occluders.flat
     ends = hidden_from_each(walls[walls.shape[0] - 4 :], occluders)
@@ -258,7 +258,7 @@ def _send(found: Floats, count: int, facet: Floats, node: Floats, tint: Floats, 
 def _add_together(
     walls: Floats, kept: Kept, together: Floats, scene: Scene, tint: Floats, work: Work, total: Floats
 ) -> None:
-    """Add the light of nodes' shadows that nothing keeps from any point of a panel: one sum for all of its points."""
+    """Add the light of nodes' shadows that nothing hides from any point of a panel: one sum for all of its points."""
     disc, summing = _around(walls), work.summing
     sent, filled = np.empty((tint.shape[1], 6, 256)), 0
     for p in range(kept.number):
@@ -289,13 +289,13 @@ def received_panels(
 ) -> None:
     """Evaluate `shaded.reflected` on panels, for flat cells that may hide each other and be hidden by the room.
 
-    Parameters are those of `hidden_panels`, but that the light comes by way of ``cells``.
+    Parameters are those of `hidden_panels`, except that the light comes by way of ``cells``.
     """
     for item in range(start, stop):
         pose = panels.owner[item]
         parts, spheres = _placed(cells, poses.turns[pose], poses.places[pose])
-        every = np.concatenate((parts, room.facets[: poses.hiders[pose]]))
-        occluders = Occluders(every, every.shape[0], spheres, np.empty((1, 2)))
+        facets = np.concatenate((parts, room.facets[: poses.hiders[pose]]))
+        occluders = Occluders(facets, facets.shape[0], spheres, np.empty((1, 2)))
         nodes, lamps = _lamps(rules, poses.orders[pose])
         hidden = hidden_from_each(lamps, occluders)
         scene = Scene(
