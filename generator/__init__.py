@@ -1,7 +1,7 @@
 """Build NLOS scenes in Blender, sweep a hidden object through its voxels and render what the wall shows.
 
-The public face: arrays in, arrays out, nothing printed. What needs Blender loads its module `bpy` when it is first
-asked for; reading data sets needs none.
+Public interface: arrays in, arrays out, nothing printed. Functions that need Blender load its module `bpy` at first
+use; reading data sets does not need it.
 
 Examples
 --------
@@ -69,8 +69,8 @@ __all__ = [
 
 
 def __getattr__(name: str) -> Any:
-    # Blender takes seconds to load, and is not there for all.
+    # Blender takes seconds to load, and not every installation has it.
     if name in _EXPORTS:
-        module, _, own = _EXPORTS[name].partition(":")
-        return getattr(importlib.import_module(module), own)
+        module, _, attribute = _EXPORTS[name].partition(":")
+        return getattr(importlib.import_module(module), attribute)
     raise AttributeError(f"module {__name__!r} has no attribute {name!r}")

@@ -1,7 +1,8 @@
 """Render a data set inside Blender: ``blender -b scene.blend -P generator/batch.py -- -o DATASET [options]``.
 
-Takes the options of ``nlos-generate sweep`` but for ``--workers``: one Blender renders one shard, here and now. Start
-several with ``--shard 0/4``, ``--shard 1/4`` ... on as many machines as there are. Needs nothing installed.
+Takes the options of ``nlos-generate sweep`` except ``--workers``: one Blender renders one shard in its own process.
+Start several with ``--shard 0/4``, ``--shard 1/4`` ... on as many machines as there are. Nothing needs to be
+installed besides Blender.
 """
 
 from __future__ import annotations
@@ -11,7 +12,7 @@ import sys
 from collections.abc import Callable, Sequence
 from pathlib import Path
 
-if __name__ == "__main__":  # a script given to Blender finds its package only by its own place
+if __name__ == "__main__":  # Blender does not put the package of a script on the path
     sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
 import bpy
@@ -39,12 +40,12 @@ class Here:
         """Render batches of poses, with the data set's own scene."""
         sweep_worker.check_blender(dataset)
         scene = sweep_worker.open_scene(dataset)
-        asked = (dict.fromkeys(batch, 0) for batch in batches)
-        sweep_worker.render(scene, dataset, asked, report=lambda poses: done(len(poses)))
+        batches_with_samples = (dict.fromkeys(batch, 0) for batch in batches)
+        sweep_worker.render(scene, dataset, batches_with_samples, report=lambda poses: done(len(poses)))
 
 
 def run(arguments: list[str]) -> int:
-    """Render the open scene's shard; return the exit code."""
+    """Render one shard of the open scene; return the exit code."""
     options = batch_parser().parse_args(arguments)
     if not bpy.data.filepath:
         raise NlosError("no scene is open; start with: blender -b scene.blend -P generator/batch.py -- ...")
@@ -62,7 +63,7 @@ def run(arguments: list[str]) -> int:
 
 
 def main() -> None:
-    """Run as Blender's ``-P`` script, and leave Blender with an exit code that says how it went."""
+    """Run as Blender's ``-P`` script, and end Blender with an exit code that tells success or failure."""
     sys.exit(guarded(lambda: run(sys.argv[sys.argv.index("--") + 1 :] if "--" in sys.argv else [])))
 
 

@@ -1,1 +1,1 @@
-"""How things lie on disk: pictures, TOML, meshes, and what a file may claim before it is believed."""
+"""File formats: pictures, TOML, meshes, and limits on what a file may claim to hold."""

@@ -1,9 +1,9 @@
 """Float EXR pictures in plain Python, so that they can be written and read inside Blender.
 
-The OpenEXR module cannot be relied on there: its wheel binds to the OpenEXR library that Blender has already loaded,
-of another version, and crashes (seen with 3.5.3 in Debian's Blender 4.3.2). This module knows single-part scanline
-files, uncompressed or ZIP, as Blender and this software write them; for any other it asks the OpenEXR module, which
-is there wherever pictures from elsewhere are read. A test holds the two equal.
+The OpenEXR module is not reliable there: its wheel binds to the OpenEXR library that Blender has already loaded, of
+another version, and crashes (seen with 3.5.3 in Debian's Blender 4.3.2). This module reads single-part scanline
+files, uncompressed or ZIP, as Blender and this software write them; all others are read by the OpenEXR module, which
+is installed wherever pictures from elsewhere are read. A test checks that the two agree.
 
 Layout: "Technical Introduction to OpenEXR" and "OpenEXR File Layout", Academy Software Foundation.
 """
@@ -30,7 +30,7 @@ _PRIMARIES = {
     "lin_rec2020_scene": (0.708, 0.292, 0.170, 0.797, 0.131, 0.046, 0.3127, 0.3290),
     "lin_ap1_scene": (0.713, 0.293, 0.165, 0.830, 0.128, 0.044, 0.32168, 0.33767),
 }
-"""The same as the attribute ``chromaticities`` says it: x and y of red, green, blue and white."""
+"""The same spaces as the attribute ``chromaticities`` describes them: x and y of red, green, blue and white."""
 _SAME = 2e-3
 
 MAX_PIXELS = 2**28
@@ -39,7 +39,7 @@ _LONG_NAMES = 0x400
 _TILED, _DEEP, _MULTIPART = 0x200, 0x800, 0x1000
 _LINES = {0: 1, 2: 1, 3: 16}
 _ZIP = 3
-_LEVEL = 3  # of zlib: more takes half as long again, and radiance gets smaller by less than 1 %
+_LEVEL = 3  # of zlib: more takes 1.5 times as long, and makes radiance less than 1 % smaller
 _TYPES = {0: np.dtype("<u4"), 1: np.dtype("<f2"), 2: np.dtype("<f4")}
 
 
@@ -48,7 +48,7 @@ class ExrError(Exception):
 
 
 class _ForeignError(Exception):
-    """The file may be a sound EXR, but of a kind that this module does not know."""
+    """The file may be a valid EXR, but of a kind that this module cannot read."""
 
 
 def write(path: Path, planes: Planes, attributes: Mapping[str, str]) -> None:
@@ -131,9 +131,9 @@ def _read(data: bytes) -> tuple[Planes, dict[str, str]]:
     _refuse_cropped(header)
     if flags & _MULTIPART:
         while data[position]:
-            other, position = _read_header(data, position)
-            _claim(other, len(data))
-            _refuse_cropped(other)
+            part_header, position = _read_header(data, position)
+            _claim(part_header, len(data))
+            _refuse_cropped(part_header)
         raise _ForeignError("multi-part")
     if flags & _TILED:
         raise _ForeignError("tiled")
@@ -142,14 +142,14 @@ def _read(data: bytes) -> tuple[Planes, dict[str, str]]:
         raise _ForeignError(f"compression {compression}")
     lines = _LINES[compression]
     kinds = _read_channels(header["channels"][1])
-    if counts := [name for name, kind in kinds if kind.kind == "u"]:
-        raise ExrError(f"its channel {counts[0]} holds whole numbers, which are no radiance")
+    if integer_channels := [name for name, kind in kinds if kind.kind == "u"]:
+        raise ExrError(f"its channel {integer_channels[0]} holds whole numbers, which are no radiance")
     layout = np.dtype([(name, kind, (width,)) for name, kind in kinds])
     n_chunks = -(-height // lines)
     offsets = struct.unpack_from(f"<{n_chunks}Q", data, position)
     blocks: list[bytes] = [b""] * n_chunks
     for offset in offsets:
-        if offset > len(data):  # more than struct can even look for
+        if offset > len(data):  # more than struct accepts as an offset
             raise ValueError(f"a block claims to start at byte {offset}")
         y, size = struct.unpack_from("<ii", data, offset)
         index = (y - y0) // lines
@@ -174,7 +174,7 @@ def _read(data: bytes) -> tuple[Planes, dict[str, str]]:
 
 
 def _space(primaries: Sequence[float]) -> str:
-    """Return the name of a linear space by its primaries and white; or those, where it has none here."""
+    """Return the name of the linear space with these primaries and white; the numbers if its name is not known."""
     for name, known in _PRIMARIES.items():
         if max(abs(a - b) for a, b in zip(primaries, known, strict=True)) < _SAME:
             return name
@@ -182,20 +182,20 @@ def _space(primaries: Sequence[float]) -> str:
 
 
 def _refuse_cropped(header: Mapping[str, tuple[str, bytes]]) -> None:
-    """Raise ExrError where the pixels that are there are not all of the picture, or more."""
+    """Raise ExrError unless the pixels in the file are exactly those of the picture."""
     data, display = (struct.unpack("<4i", header[name][1]) for name in ("dataWindow", "displayWindow"))
     if data != display:
-        told = ("x {0} to {2}, y {1} to {3}".format(*window) for window in (data, display))
-        raise ExrError("it is cropped: its pixels are those of {}, and the picture is {}".format(*told))
+        ranges = ("x {0} to {2}, y {1} to {3}".format(*window) for window in (data, display))
+        raise ExrError("it is cropped: its pixels are those of {}, and the picture is {}".format(*ranges))
 
 
 def _claim(header: Mapping[str, tuple[str, bytes]], size: int) -> tuple[int, int, int]:
-    """Return width, height and first line that a header claims; refuse what its file cannot hold."""
+    """Return width, height and first line that a header claims; raise ExrError if its file cannot hold them."""
     x0, y0, x1, y1 = struct.unpack("<4i", header["dataWindow"][1])
     width, height = x1 - x0 + 1, y1 - y0 + 1
     if width < 1 or height < 1 or width * height > MAX_PIXELS:
         raise ExrError(f"it claims {width} x {height} pixels")
-    # A channel takes a name and 16 bytes of the header, and 2 bytes a pixel at least.
+    # A channel takes a name and 16 bytes of the header, and at least 2 bytes per pixel.
     raw = width * height * 2 * max(1, len(header["channels"][1]) // 18)
     if exceeds_limit(raw, size):
         raise ExrError(f"it claims {width} x {height} pixels in {size} bytes")
@@ -246,8 +246,8 @@ def _read_foreign(path: Path, kind: str) -> tuple[Planes, dict[str, str]]:
                 header.setdefault(SPACE, _space(np.ravel(primaries).tolist()))
     except (RuntimeError, ValueError, TypeError) as error:
         raise ExrError(str(error).splitlines()[0] if str(error) else "it is unreadable") from None
-    if counts := [name for name, plane in planes.items() if plane.dtype.kind not in "f"]:
-        raise ExrError(f"its channel {counts[0]} holds whole numbers, which are no radiance")
+    if integer_channels := [name for name, plane in planes.items() if plane.dtype.kind not in "f"]:
+        raise ExrError(f"its channel {integer_channels[0]} holds whole numbers, which are no radiance")
     return {name: plane.astype(np.float32) for name, plane in planes.items()}, header
 
 
@@ -256,7 +256,7 @@ def _attribute(name: str, kind: str, value: bytes) -> bytes:
 
 
 def _shuffle(raw: bytes) -> bytes:
-    """Even bytes first, then odd ones, each as its difference to the one before: what ZIP packs well."""
+    """Return the even bytes, then the odd ones, each as its difference from the byte before: this compresses well."""
     a = np.frombuffer(raw, dtype=np.uint8)
     b = np.concatenate([a[::2], a[1::2]])
     b[1:] = b[1:] - b[:-1] + np.uint8(128)

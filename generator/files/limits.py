@@ -1,4 +1,4 @@
-"""What a file may claim to hold, for its size: a few bytes that unpack to gigabytes are refused before they do."""
+"""Limits on what a file may claim to hold: a few bytes that unpack to gigabytes are refused beforehand."""
 
 from __future__ import annotations
 
@@ -11,21 +11,21 @@ from collections.abc import Iterator
 from pathlib import Path
 
 MUCH = 2**27
-"""Bytes that any file may hold."""
+"""Bytes that a file of any size may hold."""
 MOST = 100
-"""Times its own size that a larger one may unpack to."""
+"""Multiple of its own size that a file may hold where that is more than `MUCH`."""
 
 
 def exceeds_limit(claimed: int, size: int) -> bool:
-    """Whether a file of a size claims to hold more bytes than one may."""
+    """Whether a file claims to hold more bytes than a file of its size may."""
     return claimed > MUCH and claimed > MOST * size
 
 
 @contextlib.contextmanager
 def limited(spare: int) -> Iterator[None]:
-    """Let what is done here take so many bytes of memory more and no others, where the system can see to that.
+    """Limit the bytes of memory that the code in this context may take in addition, where the system supports that.
 
-    HDF5 took gigabytes for spoilt files of a few kilobytes.
+    HDF5 took gigabytes for damaged files of a few kilobytes.
     """
     try:
         import resource
@@ -44,14 +44,14 @@ def limited(spare: int) -> Iterator[None]:
 
 
 _HEAP = b"GCOL\x01\0\0\0"
-"""Where HDF5 keeps texts: a collection of objects, each a head of 16 bytes, its size last, and what it holds."""
+"""Start of a heap, where HDF5 keeps texts: objects, each with a header of 16 bytes, its size last, and contents."""
 _SIGNATURE = b"\x89HDF\r\n\x1a\n"
 _SIZES = {0: 13, 1: 13, 2: 9, 3: 9}
-"""Where a file says how many bytes its addresses and lengths take, by the version of its head."""
+"""Offset at which a file says how many bytes its addresses and lengths take, by the version of its header."""
 
 
 def check_heaps(path: Path) -> None:
-    """Raise ValueError unless the texts of an HDF5 file lie one behind the other.
+    """Raise ValueError unless the texts of an HDF5 file follow one another within its heaps.
 
     HDF5 hung at a file where they did not.
     """
@@ -59,15 +59,15 @@ def check_heaps(path: Path) -> None:
         raise ValueError("it is empty")
     with path.open("rb") as file, mmap.mmap(file.fileno(), 0, access=mmap.ACCESS_READ) as data:
         head = data[:16]
-        where = _SIZES.get(head[8] if len(head) == 16 else -1)
-        if head[:8] != _SIGNATURE or where is None or head[where : where + 2] != b"\x08\x08":
+        offset = _SIZES.get(head[8] if len(head) == 16 else -1)
+        if head[:8] != _SIGNATURE or offset is None or head[offset : offset + 2] != b"\x08\x08":
             raise ValueError("it does not start like an HDF5 file of this software")
-        at = data.find(_HEAP)
-        while at >= 0:
-            if len(data) >= at + 16:
-                end = min(len(data), at + struct.unpack_from("<Q", data, at + 8)[0])
-                _check_heap(data, at + 16, end)
-            at = data.find(_HEAP, at + 1)
+        start = data.find(_HEAP)
+        while start >= 0:
+            if len(data) >= start + 16:
+                end = min(len(data), start + struct.unpack_from("<Q", data, start + 8)[0])
+                _check_heap(data, start + 16, end)
+            start = data.find(_HEAP, start + 1)
 
 
 def _check_heap(data: mmap.mmap, at: int, end: int) -> None:
@@ -80,9 +80,9 @@ def _check_heap(data: mmap.mmap, at: int, end: int) -> None:
 
 
 def check_archive(path: Path) -> None:
-    """Raise ValueError if what is inside a zip archive unpacks to more than it may."""
+    """Raise ValueError if the contents of a zip archive unpack to more than they may."""
     size = path.stat().st_size
     with zipfile.ZipFile(path) as archive:
-        claimed = sum(inside.file_size for inside in archive.infolist())
+        claimed = sum(member.file_size for member in archive.infolist())
     if exceeds_limit(claimed, size):
         raise ValueError(f"it claims {claimed} bytes in {size}")

@@ -1,4 +1,4 @@
-"""Mesh files from elsewhere, before Blender's importers see them."""
+"""Checks of mesh files from elsewhere, before Blender's importers read them."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ _PER_BYTE = 1.0
 
 @contextlib.contextmanager
 def importable(path: Path) -> Iterator[Path]:
-    """Give a file that Blender may import for a mesh file: itself, or a copy without its links.
+    """Yield a file that Blender may import in place of a mesh file: the file itself, or a copy without its links.
 
     Raises
     ------
@@ -33,8 +33,8 @@ def importable(path: Path) -> Iterator[Path]:
     # A target has a material of its own, so an OBJ's material libraries, which may lie anywhere, are not read.
     with tempfile.TemporaryDirectory(prefix="nlos-") as folder:
         copy = Path(folder) / path.name
-        with path.open("rb") as lines, copy.open("wb") as kept:
-            kept.writelines(line for line in lines if not line.lstrip().startswith(b"mtllib"))
+        with path.open("rb") as lines, copy.open("wb") as output:
+            output.writelines(line for line in lines if not line.lstrip().startswith(b"mtllib"))
         yield copy
 
 

@@ -14,7 +14,7 @@ from generator.files.writing import atomic
 from generator.model.errors import NlosError
 
 COLOUR_SPACE = "Rec.709"
-"""What the three channels mean where nothing else is said: linear, with these primaries."""
+"""Default space of the three channels: linear, with these primaries."""
 
 
 _INTEROP = {"Rec.709": "lin_rec709_scene", "Rec.2020": "lin_rec2020_scene", "ACEScg": "lin_ap1_scene"}
@@ -51,7 +51,7 @@ def write_picture(path: Path, pixels: Picture, header: Mapping[str, str]) -> str
     Returns
     -------
     str
-        The pixels' hash, stored in the header too.
+        Hash of the pixels, which is stored in the header too.
 
     Raises
     ------
@@ -90,7 +90,7 @@ def read_picture(path: Path) -> tuple[Picture, dict[str, str]]:
     Raises
     ------
     NlosError
-        The file is missing, truncated or no such picture, cropped, or holds other things than radiance.
+        The file is missing, truncated, cropped or no such picture, or does not hold radiance.
     """
     path = Path(path)
     if not path.is_file():
@@ -103,11 +103,11 @@ def read_picture(path: Path) -> tuple[Picture, dict[str, str]]:
         raise NlosError(f"{path}: cannot be read ({error.strerror})") from None
     header = {name.removeprefix(_OURS): value for name, value in attributes.items() if name.startswith(_OURS)}
     names = {interop: name for name, interop in _INTEROP.items()}
-    if (other := names.get(attributes.get(exr.SPACE, ""), attributes.get(exr.SPACE, COLOUR_SPACE))) != COLOUR_SPACE:
-        header.setdefault("colour_space", other)
+    if (space := names.get(attributes.get(exr.SPACE, ""), attributes.get(exr.SPACE, COLOUR_SPACE))) != COLOUR_SPACE:
+        header.setdefault("colour_space", space)
     missing = [name for name in "RGB" if name not in channels]
     grey = [name for name in _GREY if name in channels]
-    if len(missing) == 3 and len(grey) == 1 and not {"RY", "BY"} & set(channels):  # those make a colour of Y
+    if len(missing) == 3 and len(grey) == 1 and not {"RY", "BY"} & set(channels):  # with these, Y is in colour
         return np.repeat(channels[grey[0]][..., None], 3, axis=2), header
     if missing:
         raise NlosError(

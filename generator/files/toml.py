@@ -1,4 +1,4 @@
-"""Dataclasses to and from TOML: read with a sentence for what is wrong, written the same on every machine."""
+"""Dataclasses to and from TOML: errors are described in a sentence, and the text is the same on every machine."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from generator.model.errors import NlosError, require
 
 
 def from_dict(cls: type, data: Mapping[str, Any], where: str = "") -> Any:
-    """Build a dataclass of this module from plain TOML values.
+    """Build a dataclass from plain TOML values.
 
     Raises
     ------
@@ -67,7 +67,7 @@ def _convert(hint: Any, value: Any, where: str) -> Any:
 
 
 def to_dict(value: Any) -> dict[str, Any]:
-    """Return a dataclass of this module as plain values, leaving out what is None (TOML has no null)."""
+    """Return a dataclass as plain values, leaving out those that are None (TOML has no null)."""
     plain: dict[str, Any] = _without_none(asdict(value))
     return plain
 
@@ -79,12 +79,12 @@ def _without_none(value: Any) -> Any:
 
 
 def set_field(data: dict[str, Any], assignment: str) -> None:
-    """Set one figure of a plain scene from ``dotted.name=value``, where value is TOML.
+    """Set one value of a plain scene from ``dotted.name=value``, where value is TOML, or else a text.
 
     Raises
     ------
     NlosError
-        It is not an assignment, or the value is not TOML.
+        It is not an assignment, or a part of the name is not that of a table.
     """
     name, equals, text = assignment.partition("=")
     keys = name.strip().split(".")
@@ -109,7 +109,7 @@ def merge(base: dict[str, Any], over: Mapping[str, Any]) -> dict[str, Any]:
 
 
 _DEEP = re.compile(r"""(?<![\w-])(?:(?:[\w-]++|"[^"\n]*+"|'[^'\n]*+')[ \t]*+\.[ \t]*+){50}""")
-"""A key of more parts than any of ours: tomllib of Python 3.11 took gigabytes for some."""
+"""A key with more parts than any that this software writes: tomllib of Python 3.11 took gigabytes for some."""
 
 
 def read_toml(path: Path) -> dict[str, Any]:
@@ -154,5 +154,5 @@ def _value(value: Any) -> str:
 
 
 def _json(value: Any) -> str:
-    # JSON's strings, numbers and booleans are TOML's too, but for DEL, which TOML wants escaped.
+    # JSON's strings, numbers and booleans are valid TOML, except DEL, which TOML requires to be escaped.
     return json.dumps(value, ensure_ascii=False).replace("\x7f", "\\u007f")

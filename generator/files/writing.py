@@ -1,4 +1,4 @@
-"""Files that are there whole or not at all, and their hashes."""
+"""Files that are written whole or not at all, and their hashes."""
 
 from __future__ import annotations
 
@@ -17,12 +17,12 @@ from typing import Any
 from generator.model.errors import NlosError
 
 HOST = re.sub(r"\W", "_", socket.gethostname())
-"""In names of temporary files: process numbers are one machine's, and folders may be shared."""
+"""Part of names of temporary files, since folders may be shared and process numbers are unique per machine only."""
 
 
 def is_alive(pid: int) -> bool:
-    """Whether a process of that number runs on this machine; where that cannot be told, it is said to."""
-    if os.name == "nt":  # where the question would end it
+    """Whether a process of that number runs on this machine; True where that cannot be found out."""
+    if os.name == "nt":  # where os.kill would end it
         return True
     try:
         os.kill(pid, 0)
@@ -34,7 +34,7 @@ def is_alive(pid: int) -> bool:
 
 
 def fingerprint(settings: Mapping[str, Any]) -> str:
-    """Return a short hash of settings: what two sweeps that render the same picture have in common."""
+    """Return a short hash of settings, which two sweeps that render the same picture have in common."""
     return hashlib.sha256(json.dumps(settings, sort_keys=True).encode()).hexdigest()[:16]
 
 
@@ -46,7 +46,7 @@ def file_hash(path: Path) -> str:
 
 @contextlib.contextmanager
 def atomic(path: Path) -> Iterator[Path]:
-    """Give a temporary name beside ``path``; on success flush it to disk and rename it into place.
+    """Yield a temporary name in the folder of ``path``; on success flush the file to disk and rename it to ``path``.
 
     Raises
     ------
@@ -63,7 +63,7 @@ def atomic(path: Path) -> Iterator[Path]:
     except OSError as error:
         raise NlosError(f"{path}: cannot be written ({error.strerror or error})") from None
     finally:
-        with contextlib.suppress(OSError):  # gone with its folder, or on a disk that takes no changes any more
+        with contextlib.suppress(OSError):  # gone with its folder, or on a disk that has become read-only
             temporary.unlink(missing_ok=True)
 
 
@@ -71,8 +71,8 @@ def write_text(path: Path, text: str) -> None:
     """Write a text file by temporary name and rename."""
     with atomic(path) as temporary:
         temporary.write_text(text, encoding="utf-8", newline="")
-    # A picture whose rename is lost with the power is rendered again; a manifest is what says that there is a set.
-    with contextlib.suppress(OSError):  # not every system opens a folder
+    # The rename itself is flushed too: a lost picture is rendered again, but without its manifest there is no set.
+    with contextlib.suppress(OSError):  # not every system can open a folder
         folder = os.open(path.parent, os.O_RDONLY)
         try:
             os.fsync(folder)

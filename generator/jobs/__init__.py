@@ -1,1 +1,1 @@
-"""Many processes and none of them Blender's own: sweeps, bulk sets, their journal, budget and cluster."""
+"""Sweeps and bulk sets by many processes, their journal, budget and cluster jobs; without Blender itself."""

@@ -1,4 +1,4 @@
-"""Settings of a sweep from what it may take or how exact it must be: measured on this scene and this machine."""
+"""Settings of a sweep that follow from a time budget or an accuracy, measured on this scene and this machine."""
 
 from __future__ import annotations
 
@@ -23,36 +23,36 @@ from generator.sets import links
 from generator.transport import caching
 
 FINE = 1e-4
-"""Of `surfel`: finer than this, float32 pictures do not hold what an object changes by a thousandth."""
+"""Finest accuracy of `surfel`: float32 pictures hold no finer one of an object that changes them by a thousandth."""
 
 _COARSE = 0.3
 _FILL = 0.95
-"""Share of what is left of the budget that a sweep is planned to take; the last pictures end when they end."""
+"""Share of the remaining budget that a sweep is planned to take; the rest is for pictures that end late."""
 _SWING = 4.0
-"""By what factor the samples of a picture may leave the plan to keep it, where a machine turns slow or quick."""
+"""Factor by which the samples of a picture may differ from the plan when a machine becomes slower or faster."""
 _LATEST = 0.1
-"""Weight of the latest picture in what is believed of the machine's speed."""
+"""Weight of the latest picture in the estimate of the machine's speed."""
 _MOST_SAMPLES = 2**20
 REHEARSED = 9
-"""Voxels of which one pose is rendered to learn of all, evenly spread."""
+"""Number of voxels, evenly spread, of which one pose each is rendered to estimate all."""
 
 _WRITING = 2e-3
-"""Seconds to write a picture and its line."""
+"""Seconds to write a picture and its line of the table."""
 
 
 @dataclass(frozen=True)
 class TrialResult:
-    """What two rounds of a few pictures took and showed: a worker's answer (`generator.blender.trial_render`).
+    """Times and noise of two rounds of a few pictures: a worker's answer (`generator.blender.trial_render`).
 
     Attributes
     ----------
     engine : str
     voxels : int
-        Of the scene's grid.
+        Number of voxels of the scene's grid.
     work : two of float
         Samples, or the inverse of the accuracy, of each round.
     seconds : two of float
-        A picture took in each, with the one it is paired with.
+        Time per picture of each round, its paired background included.
     noise : list of float
         Of Cycles, pose by pose: variance of a difference picture of one sample over the difference's mean square.
     """
@@ -66,7 +66,7 @@ class TrialResult:
 
 @dataclass(frozen=True)
 class Measured:
-    """What a rehearsal of a scene tells of all sweeps of it with one engine.
+    """Cost and noise of all sweeps of a scene with one engine, estimated from a trial.
 
     Attributes
     ----------
@@ -80,7 +80,7 @@ class Measured:
     noise : float
         Of Cycles: relative error of a difference picture of one sample, in the median pose.
     workers : float
-        Pictures rendered at a time.
+        Number of pictures rendered at a time.
     """
 
     engine: str
@@ -103,7 +103,7 @@ class Measured:
         return self.start + background + pictures * self.picture(work) / self.workers
 
     def most(self, limit: float, pictures: int, low: float, high: float) -> float:
-        """Return the most work, between two bounds, that a sweep does in a time; the lower one if none fits."""
+        """Return the most work, between two bounds, with which a sweep keeps a limit; the lower if none does."""
         for _ in range(60):
             middle = math.sqrt(low * high)
             low, high = (middle, high) if self.total(middle, pictures) <= limit else (low, middle)
@@ -111,22 +111,22 @@ class Measured:
 
 
 class Pace:
-    """Says how many samples the next picture of a sweep may take, so that all of them end in time.
+    """Decides how many samples the next picture of a sweep may take, so that all pictures are done in time.
 
-    On shared cores the same work may take twice as long a minute later, so what was measured before is not enough.
+    On shared cores the same work may take twice as long a minute later, so earlier measurements are not enough.
 
     Parameters
     ----------
     measured : Measured
-        Of Cycles.
+        Cost of a sweep by Cycles.
     samples : int
-        As planned.
+        Planned samples of a picture.
     pictures : int
-        To be begun.
+        Number of pictures that are to be begun.
     late : float
-        When all is to be done, on the clock.
+        Time on the clock when all is to be done.
     clock : callable
-        Tells the time in seconds.
+        Returns the time in seconds.
     """
 
     def __init__(
@@ -151,7 +151,7 @@ class Pace:
         """Return the samples of the picture that this thread's worker is about to begin, having ended its last."""
         with self._lock:
             now, thread = self._clock(), threading.get_ident()
-            if thread in self._begun:  # its first may have waited for Blender to start, and tells nothing
+            if thread in self._begun:  # the first may have waited for Blender to start, so its time is not used
                 start, samples = self._begun[thread]
                 if start >= 0.0:
                     self._learn((now - start) / self._measured.picture(samples))
@@ -159,10 +159,10 @@ class Pace:
             else:
                 start = -1.0
             workers = self._measured.workers
-            # Those under way take half a picture more each, at the mean.
+            # Pictures under way take half a picture's time more each, on average.
             busy = max(0, len(self._begun) - 1) * self._measured.picture(self._samples) * self._slowness / 2.0
-            each = max(0.0, (self._late - now) * workers - busy) / max(1, self._left) / self._slowness
-            wanted = (each - self._measured.fixed) / self._measured.slope
+            seconds_each = max(0.0, (self._late - now) * workers - busy) / max(1, self._left) / self._slowness
+            wanted = (seconds_each - self._measured.fixed) / self._measured.slope
             low, high = max(1.0, self._samples / _SWING), self._samples * _SWING
             samples = int(min(max(wanted, low), high))
             self._begun[thread] = (start, samples)
@@ -177,14 +177,14 @@ class Pace:
 
 @dataclass(frozen=True)
 class Choice:
-    """What a rehearsal led to.
+    """Settings that were chosen from a trial.
 
     Attributes
     ----------
     settings : dict
         Fields of `Sweep`.
     pace : Pace or None
-        Keeps the budget, where it is what decides.
+        Keeps the budget, if the budget determines the samples.
     """
 
     settings: dict[str, Any]
@@ -202,10 +202,10 @@ def choose(
     launch: Launch = python,
     force: bool = False,
 ) -> Choice:
-    """Return the settings of a sweep that ends in a time, or is as exact as asked for, whichever takes less.
+    """Return the settings of a sweep that keeps a budget, or is as exact as asked for, whichever takes less time.
 
-    A pose in each of some voxels is rendered twice and thrown away (`generator.blender.trial_render`); noise falls
-    with the root of the samples.
+    One pose in each of a few voxels is rendered twice and discarded (`generator.blender.trial_render`); noise falls
+    with the square root of the samples.
 
     Parameters
     ----------
@@ -215,20 +215,20 @@ def choose(
     budget : float
         Seconds, from now on, the rehearsal included.
     accuracy : float
-        Relative root mean square error of a difference picture, in the median pose; 0 is as exact as can be.
+        Relative root mean square error of a difference picture, in the median pose; 0 is as exact as possible.
     workers : int
-        As of `generator.jobs.local.run`.
+        As for `generator.jobs.local.run`.
     tell : callable
-        Is told what was measured and chosen.
+        Called with what was measured and chosen.
     launch : callable
-        How workers are started.
+        Returns the command line that starts a worker.
     force : bool
-        As of `generator.jobs.local.run`.
+        As for `generator.jobs.local.run`.
 
     Raises
     ------
     NlosError
-        Not even the least work ends in time, samples were chosen too, or the scene cannot be swept.
+        Even the least work does not end in time, samples were chosen too, or the scene cannot be swept.
     """
     if "samples" in chosen:
         raise NlosError("samples: follow from --budget and --accuracy; leave them out, or leave these out")
@@ -236,37 +236,37 @@ def choose(
     settings = {"engine": "auto", **{k: v for k, v in chosen.items() if k != "accuracy"}}
     if words := caching.compiling_words(str(settings["engine"])):
         tell(words)
-    known = measured_by_trial(scene, settings, workers, launch, force=force)
-    pictures = int(settings.get("poses", Sweep.poses)) * known.voxels
-    exact = not traits_of(known.engine).noisy
+    measured = measured_by_trial(scene, settings, workers, launch, force=force)
+    pictures = int(settings.get("poses", Sweep.poses)) * measured.voxels
+    exact = not traits_of(measured.engine).noisy
     left = budget - (time.monotonic() - begun)
     low, high = (1.0 / _COARSE, 1.0 / FINE) if exact else (1.0, float(_MOST_SAMPLES))
     if accuracy:
-        wanted = 1.0 / max(accuracy, FINE) if exact else (known.noise / accuracy) ** 2
+        wanted = 1.0 / max(accuracy, FINE) if exact else (measured.noise / accuracy) ** 2
         high = min(max(low, wanted), high)
-    work = high if known.total(high, pictures) <= left else known.most(_FILL * left, pictures, low, high)
-    least = known.total(low, pictures)
+    work = high if measured.total(high, pictures) <= left else measured.most(_FILL * left, pictures, low, high)
+    least = measured.total(low, pictures)
     if least > left:
         raise NlosError(
             f"--budget: {pictures} pictures take {clock(least)} at the very least, and "
             f"{clock(max(left, 0.0))} are left of it; ask for fewer poses, a lower resolution, or more time"
         )
-    settings["engine"] = known.engine
+    settings["engine"] = measured.engine
     pace = None
     reason = "as exact as asked for" if accuracy and work >= high else "what the budget allows"
-    took = clock(known.total(work, pictures))
+    duration = clock(measured.total(work, pictures))
     if exact:
         settings["accuracy"] = float(f"{1.0 / work:.2g}")
         error, words = settings["accuracy"], f"accuracy {settings['accuracy']:g}"
     else:
         settings["samples"] = max(1, math.floor(work))
-        error, words = known.noise / math.sqrt(settings["samples"]), f"{settings['samples']} samples"
+        error, words = measured.noise / math.sqrt(settings["samples"]), f"{settings['samples']} samples"
         if work < high:
             words = f"about {words}"
-            pace = Pace(known, settings["samples"], pictures, begun + _FILL * budget)
+            pace = Pace(measured, settings["samples"], pictures, begun + _FILL * budget)
     if exact and work >= 1.0 / FINE:
         reason = "as exact as float32 pictures can hold"
-    tell(f"{known.engine}, {words}: {reason}; about {took}, error of a difference picture {percent(error)}")
+    tell(f"{measured.engine}, {words}: {reason}; about {duration}, error of a difference picture {percent(error)}")
     return Choice(settings, pace)
 
 
@@ -278,7 +278,7 @@ def measured_by_trial(
     *,
     force: bool = False,
 ) -> Measured:
-    """Rehearse a sweep, on as many workers as it will have, side by side; 0 is one per core."""
+    """Measure a sweep by a trial, on as many parallel workers as it will have; 0 is one per core."""
     cores = available_cores()
     crew = max(1, min(workers or cores, REHEARSED))
     begun = time.monotonic()
@@ -292,25 +292,25 @@ def measured_by_trial(
         trust_links=links.trusted(),
     )
     with contextlib.ExitStack() as stack:
-        started = [stack.enter_context(Worker(replace(trial, share=i), launch)) for i in range(crew)]
-        told = [worker.answer() for worker in started]
-        for worker, answer in zip(started, told, strict=True):
+        trial_workers = [stack.enter_context(Worker(replace(trial, share=i), launch)) for i in range(crew)]
+        answers = [worker.answer() for worker in trial_workers]
+        for worker, answer in zip(trial_workers, answers, strict=True):
             if answer is None:
                 raise NlosError(f"{scene}: could not be rehearsed: {worker.last_words()}")
-    wall = time.monotonic() - begun
-    found = [TrialResult(**answer) for answer in told if answer]
-    found = [one for one in found if one.seconds[0] > 0.0]  # of few voxels some workers had none
-    engine, work, each = found[0].engine, found[0].work, np.mean([f.seconds for f in found], axis=0)
-    shortest = 1e-4  # of what a clock may be trusted with
+    elapsed = time.monotonic() - begun
+    results = [TrialResult(**answer) for answer in answers if answer]
+    results = [result for result in results if result.seconds[0] > 0.0]  # with few voxels some workers had none
+    engine, work, times = results[0].engine, results[0].work, np.mean([r.seconds for r in results], axis=0)
+    shortest = 1e-4  # seconds; a clock is not exact below that
     exact = not traits_of(engine).noisy
-    if exact:  # all of it grows with the accuracy, slowly
-        power = max(0.0, math.log(max(each[1], shortest) / max(each[0], shortest)) / math.log(work[1] / work[0]))
-        fixed, slope, noise = _WRITING, max(float(each[1]), shortest) / work[1] ** power, 0.0
+    if exact:  # the whole time grows slowly with the accuracy
+        power = max(0.0, math.log(max(times[1], shortest) / max(times[0], shortest)) / math.log(work[1] / work[0]))
+        fixed, slope, noise = _WRITING, max(float(times[1]), shortest) / work[1] ** power, 0.0
     else:
-        power, slope = 1.0, max(float(each[1] - each[0]), shortest) / (work[1] - work[0])
-        fixed = max(0.0, float(each[0]) - slope * work[0]) + _WRITING
-        noise = math.sqrt(float(np.median([n for f in found for n in f.noise])))
-    # What was no picture is Blender's start, which a sweep waits for twice or thrice: plan, background, crew.
-    idle = max(0.0, wall - sum(found[0].seconds) * math.ceil(REHEARSED / crew))
+        power, slope = 1.0, max(float(times[1] - times[0]), shortest) / (work[1] - work[0])
+        fixed = max(0.0, float(times[0]) - slope * work[0]) + _WRITING
+        noise = math.sqrt(float(np.median([n for r in results for n in r.noise])))
+    # Time spent on no picture is Blender's start, awaited two or three times by a sweep: plan, background, workers.
+    idle = max(0.0, elapsed - sum(results[0].seconds) * math.ceil(REHEARSED / crew))
     starts = 2.0 if exact else 3.0
-    return Measured(engine, found[0].voxels, starts * idle, fixed, slope, power, noise, float(workers or cores))
+    return Measured(engine, results[0].voxels, starts * idle, fixed, slope, power, noise, float(workers or cores))

@@ -1,4 +1,4 @@
-"""Bulk sets by several processes, and the engine that renders their pictures again."""
+"""Rendering of bulk sets by several processes, and the engine that renders their pictures."""
 
 from __future__ import annotations
 
@@ -51,17 +51,17 @@ def run(
     progress: Progress = lambda done, total: None,
     tell: Callable[[str], None] = lambda words: None,
 ) -> Outcome:
-    """Make a bulk set, or what is missing of it.
+    """Render a bulk set, or the parts that are missing.
 
     Parameters
     ----------
     request : BulkRequest
-        What is asked for.
+        Set to render.
     progress : callable
         Called with (done, total) pictures of this run.
     tell : callable
-        Called with what is to be said: that the engine is being compiled, what the check says of a new set's scene,
-        and what the check at its start found.
+        Called with messages: that the engine is being compiled, what the check of a new set's scene found, and what
+        the check of its engine at the start found.
 
     Returns
     -------
@@ -95,7 +95,7 @@ def _run(request: BulkRequest, progress: Progress, tell: Callable[[str], None]) 
     pending = [number for number in bulk.missing() if number % count == index]
     outcome = Outcome(bulk)
     if pending:
-        trust = links.trusted()  # asked here: the workers are started by other threads
+        trust = links.trusted()  # read here, since other threads start the workers
         crew = WorkerPool(
             lambda threads: RenderBulk(path=path, threads=threads, trust_links=trust),
             lambda number: bulk.part_path(number).name,
@@ -131,17 +131,17 @@ def _plan(request: BulkRequest) -> list[str]:
 
 
 class Engine:
-    """The engine that a set's pictures are of.
+    """The engine that renders the pictures of a set.
 
     Parameters
     ----------
     bulk : Bulk
     threads : int
-        0 takes all cores.
+        Threads of the engine; 0 takes all cores.
     """
 
     def __init__(self, bulk: Bulk, *, threads: int = 0) -> None:
-        from generator.transport import Transport  # readers of sets need no compiler
+        from generator.transport import Transport  # imported here: readers of sets need no compiler
 
         plan = bulk.plan
         self._bulk = bulk
@@ -158,19 +158,19 @@ class Engine:
         Parameters
         ----------
         numbers : ndarray of shape (n,), int
-            Of the pictures, in order.
+            Numbers of the pictures, in order.
         positions, rotations : ndarray of shape (n, 3)
             Metres, degrees.
         shadows : bool
-            As of `generator.transport.Transport.pictures`.
+            As for `generator.transport.Transport.pictures`.
         """
         if self._known is not None:
             return self._known.pictures(positions, rotations, shadows=shadows)
         bulk = self._bulk
         index = numbers // bulk.grid.n_voxels
-        made = []
-        for some in np.split(np.arange(len(numbers)), np.flatnonzero(np.diff(index)) + 1):
-            one = replace(self._world, target=(unknown_object(bulk.grid, bulk.plan.sweep, int(index[some[0]])),))
-            self._last = self._make(one, like=self._last)
-            made.append(self._last.pictures(positions[some], rotations[some], shadows=shadows))
-        return np.concatenate(made)
+        batches = []
+        for rows in np.split(np.arange(len(numbers)), np.flatnonzero(np.diff(index)) + 1):
+            world = replace(self._world, target=(unknown_object(bulk.grid, bulk.plan.sweep, int(index[rows[0]])),))
+            self._last = self._make(world, like=self._last)
+            batches.append(self._last.pictures(positions[rows], rotations[rows], shadows=shadows))
+        return np.concatenate(batches)

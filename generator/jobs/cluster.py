@@ -17,23 +17,24 @@ from generator.sets import links
 from generator.sets.manifest import SCENE
 
 LOGS = ".jobs"
-"""Folder of what jobs print, in the data set."""
+"""Folder of the jobs' output, in the data set."""
 _EVERY = 5.0
 
 
 @dataclass
 class Share:
-    """Renders one of n shares of a data set; called anew after a job was preempted, it goes on.
+    """Renders one of n shares of a data set; called again after a preemption, it goes on where it stopped.
 
     Attributes
     ----------
     path : str
-        Of the data set, which is planned already.
+        Folder of the data set, which is planned already.
     index, count : int
+        Number of the share, from 0, and number of shares.
     workers : int
-        Processes; 0 is one per core that the job has.
+        Processes; 0 is one per core of the job.
     trust_links : bool
-        As who sent the job has asked.
+        As in the request that the jobs were started for.
     """
 
     path: str
@@ -50,7 +51,7 @@ class Share:
             return local.run(request).failed
 
     def checkpoint(self) -> Any:
-        """Return the job that goes on after this one: what is rendered lies on disk."""
+        """Return the job that goes on after this one; finished pictures are on disk already."""
         from submitit.helpers import DelayedSubmission
 
         return DelayedSubmission(self)
@@ -62,14 +63,14 @@ def run(
     progress: Progress = lambda done, total: None,
     tell: Callable[[str], None] = lambda words: None,
 ) -> local.Outcome:
-    """Plan a data set here, let jobs render it, and wait for them.
+    """Plan a data set in this process, let jobs render it, and wait for them.
 
     Parameters
     ----------
     request : SweepRequest
-        Its folder must be one that the jobs' machines share; its workers are each job's.
+        Its folder must be shared by the jobs' machines; its number of workers holds for each job.
     progress, tell : callable
-        As of `generator.jobs.sweep.run`.
+        As for `generator.jobs.sweep.run`.
 
     Returns
     -------
@@ -92,23 +93,23 @@ def run(
     if not todo:
         return outcome
     try:
-        made = submitit.AutoExecutor(folder=path / LOGS / "%j", cluster=executor)
-        made.update_parameters(name="nlos", **request.cluster.options)
-        with made.batch():
+        submitter = submitit.AutoExecutor(folder=path / LOGS / "%j", cluster=executor)
+        submitter.update_parameters(name="nlos", **request.cluster.options)
+        with submitter.batch():
             share = Share(str(path.absolute()), 0, shares, request.workers, links.trusted())
-            jobs = [made.submit(replace(share, index=i)) for i in range(shares)]
+            jobs = [submitter.submit(replace(share, index=i)) for i in range(shares)]
     except (RuntimeError, ValueError, TypeError, NameError, submitit.core.utils.FailedJobError) as error:
         raise NlosError(f"--jobs {executor}: {' '.join(str(error).split())}") from None
     tell(
         f"jobs {jobs[0].job_id} to {jobs[-1].job_id}; Ctrl-C leaves them running; what they print is in {path / LOGS}"
     )
-    before = outcome.dataset.planned - todo
+    done_before = outcome.dataset.planned - todo
     missing: set[str] = set()
     while waiting := {job.job_id for job in jobs if not _ended(job, executor)}:
-        progress(journal.read(path)["done"] - before, todo)
-        before_that, missing = missing, waiting - _queued() if executor == "slurm" else set()
-        if waiting <= missing & before_that:
-            break  # twice not in the queue, and no result: nothing more will come
+        progress(journal.read(path)["done"] - done_before, todo)
+        missing_before, missing = missing, waiting - _queued() if executor == "slurm" else set()
+        if waiting <= missing & missing_before:
+            break  # twice not in the queue, and no result: there will be none
         time.sleep(0.2 if executor == "debug" else _EVERY)
     words = "left the queue without a result; it was killed, or ran out of time"
     for job in jobs:
@@ -122,12 +123,12 @@ def run(
 
 
 def _ended(job: Any, executor: str) -> bool:
-    """Whether a job has come to an end; submitit itself asks Slurm's accounting, which not every cluster has."""
+    """Whether a job has ended; submitit itself would ask Slurm's accounting, which not every cluster has."""
     return bool(job.paths.result_pickle.exists() if executor == "slurm" else job.done())
 
 
 def _queued() -> set[str]:
-    """The jobs, and tasks of arrays, that Slurm still has to run or runs."""
+    """Return the jobs, and the tasks of job arrays, that are waiting or running in Slurm."""
     answer = subprocess.run(["squeue", "-h", "-r", "-o", "%F_%K %i"], capture_output=True, text=True, check=False)
     if answer.returncode:
         raise NlosError(f"--jobs slurm: squeue does not answer ({answer.stderr.strip()}); the jobs may go on")
@@ -135,7 +136,7 @@ def _queued() -> set[str]:
 
 
 def _failures(job: Any, executor: str) -> Sequence[str]:
-    """What a job could not render, or how it ended itself."""
+    """Return what a job could not render, or the error that ended it."""
     if executor == "slurm":
         from submitit.core import utils
 

@@ -1,6 +1,6 @@
-"""What runs of a sweep are doing, kept in their data set: a log for people, and a state that another shell can read.
+"""Log and state of the runs of a sweep, kept in their data set: the log for people, the state for other processes.
 
-Every run writes files of its own, so runs on several machines need no lock.
+Every run writes a state file of its own, so runs on several machines need no lock.
 """
 
 from __future__ import annotations
@@ -26,27 +26,27 @@ from generator.sets.manifest import LOG
 RUNS = ".runs"
 RUNNING, ENDED = "running", "ended"
 EVERY = 2.0
-"""Seconds between two states."""
+"""Seconds between two writes of a state."""
 _KEPT = 100
-"""Runs that are remembered."""
+"""Number of runs whose states are kept."""
 _FORGOTTEN = 24 * 3600.0
-"""Seconds of silence after which a run that never said it ended is forgotten like one that did."""
+"""Seconds without an update after which a run whose state says that it runs is treated as one that has ended."""
 _LOST = 60.0
-"""Seconds after which a run that another machine has not been heard of is called lost."""
+"""Seconds without an update after which a run on another machine is called lost."""
 
 
 _BROKEN = (ValueError, TypeError, KeyError, RecursionError)
-"""What reading a state raises that is none."""
+"""Exceptions that are raised when a file that holds no state is read."""
 
 
 @dataclass
 class State:
-    """What a run is doing.
+    """State of a run.
 
     Attributes
     ----------
     host, pid : str, int
-        Where it runs.
+        Machine and process that it runs in.
     shard : str
         ``i/n``.
     state : str
@@ -54,9 +54,9 @@ class State:
     done, total : int
         Pictures of this run.
     seconds : float
-        Since it began.
+        Time since it began.
     first, first_seconds : int, float
-        Pictures that were done when any were, and when that was.
+        Number of pictures when any were done for the first time, and the time of that.
     failed : list of str
         Poses that could not be rendered, each with its reason.
     workers : list of dict
@@ -78,7 +78,7 @@ class State:
 
     @classmethod
     def read(cls, text: str) -> State:
-        """Return the state that a run has written; ValueError, TypeError or KeyError if it is none."""
+        """Return the state that a run has written; ValueError, TypeError or KeyError if the text is no state."""
         state = cls(**json.loads(text))
         texts = [state.host, state.shard, state.state, *state.failed, *(worker["doing"] for worker in state.workers)]
         counts = [state.pid, state.done, state.total, state.seconds, state.first, state.first_seconds]
@@ -89,7 +89,7 @@ class State:
 
     @property
     def rate(self) -> float:
-        """Pictures a second; 0 while that cannot be told."""
+        """Pictures per second; 0 while there is no estimate."""
         if self.state != RUNNING:
             return self.done / self.seconds if self.seconds > 0.0 else 0.0
         return remaining.rate(self.done, self.seconds, self.first, self.first_seconds)
@@ -101,7 +101,7 @@ class Journal:
     Parameters
     ----------
     path : Path
-        Of the data set.
+        Folder of the data set.
     shard : (int, int)
     look : callable
         Returns the failures and the workers, as `State` has them.
@@ -127,18 +127,18 @@ class Journal:
         self._over.set()
         self._thread.join()
         self.state.state = ENDED
-        with contextlib.suppress(NlosError):  # there is worse to tell then
+        with contextlib.suppress(NlosError):  # it must not hide the error that ended the run
             self._write()
 
     def told(self, done: int, total: int) -> None:
-        """Take note of how far the run is."""
+        """Record the progress of the run."""
         self.state.done, self.state.total = done, total
         if done and not self.state.first:
             self.state.first, self.state.first_seconds = done, round(time.monotonic() - self._begun, 3)
 
     def _keep(self) -> None:
         while not self._over.wait(EVERY):
-            with contextlib.suppress(NlosError):  # a full disk is for those who write pictures to complain of
+            with contextlib.suppress(NlosError):  # those who write pictures report a full disk
                 self._write()
 
     def _write(self) -> None:
@@ -149,26 +149,26 @@ class Journal:
 
 
 def _forget(folder: Path) -> None:
-    """Remove the states of old runs but for the last; of one that goes on the file would come back in seconds.
+    """Remove the states of all but the latest runs; a run that goes on would write its file again within seconds.
 
-    Machines' clocks differ, so ages are differences between files, which one server dates.
+    Machines' clocks differ, so ages are differences between modification times, which one file server sets.
     """
-    found = []
+    dated_files = []
     for file in folder.glob("*.json"):
-        with contextlib.suppress(OSError):  # another machine forgets too
-            found.append((file.stat().st_mtime, file))
-    found.sort()
-    for heard, file in found[:-_KEPT]:
+        with contextlib.suppress(OSError):  # another machine removes states too
+            dated_files.append((file.stat().st_mtime, file))
+    dated_files.sort()
+    for modified, file in dated_files[:-_KEPT]:
         with contextlib.suppress(OSError, *_BROKEN):
             running = State.read(file.read_text(encoding="utf-8")).state == RUNNING
-            if running and found[-1][0] - heard < _FORGOTTEN:
+            if running and dated_files[-1][0] - modified < _FORGOTTEN:
                 continue
         with contextlib.suppress(OSError):
             file.unlink(missing_ok=True)
 
 
 def memory(pid: int) -> int:
-    """Return the bytes that a process has in memory; 0 where that cannot be told."""
+    """Return the bytes that a process has in memory; 0 if that is unknown."""
     try:
         pages = int(Path(f"/proc/{pid}/statm").read_text().split()[1])
     except (OSError, IndexError, ValueError):
@@ -177,7 +177,7 @@ def memory(pid: int) -> int:
 
 
 class _Appender(logging.Handler):
-    """Opens the file for every line: several machines may append to it, and none holds it, or its disk, open."""
+    """Opens the file for every line: several machines may append to it, and none keeps the file or its disk busy."""
 
     def __init__(self, file: Path) -> None:
         super().__init__()
@@ -185,20 +185,20 @@ class _Appender(logging.Handler):
 
     def emit(self, record: logging.LogRecord) -> None:
         """Append a line."""
-        # A full disk is for those who write pictures to complain of.
+        # Those who write pictures report a full disk.
         with contextlib.suppress(OSError), open(self._file, "a", encoding="utf-8") as file:
             file.write(self.format(record) + "\n")
 
 
 @contextlib.contextmanager
 def logged(path: Path) -> Iterator[logging.Logger]:
-    """Give a logger whose words go to the data set's log."""
+    """Yield a logger that writes to the data set's log."""
     log = logging.getLogger(f"nlos.{path}")
     log.setLevel(logging.INFO)
     log.propagate = False
     handler = _Appender(path / LOG)
-    words = f"%(asctime)s {socket.gethostname()} {os.getpid()} %(levelname)s %(message)s"
-    handler.setFormatter(logging.Formatter(words))
+    line_format = f"%(asctime)s {socket.gethostname()} {os.getpid()} %(levelname)s %(message)s"
+    handler.setFormatter(logging.Formatter(line_format))
     log.addHandler(handler)
     try:
         yield log
@@ -212,16 +212,16 @@ def read(path: Path) -> dict[str, Any]:
     Returns
     -------
     dict
-        ``planned``, ``done`` and ``failed`` of the set (pictures that are there, by name; `Dataset.verify` looks into
-        them), ``rate`` in pictures a second of all runs that go on, ``seconds_left`` (None where none goes on), and
-        ``runs``, a list of `State` as dicts, with ``heard``, how many seconds ago each was heard of.
+        ``planned``, ``done`` and ``failed`` of the set (a picture is done if its file exists; `Dataset.verify` reads
+        the files), ``rate`` in pictures per second of all active runs, ``seconds_left`` (None if none is active), and
+        ``runs``, a list of `State` as dicts, with ``heard``, the seconds since each wrote its state.
 
     Raises
     ------
     NlosError
         There is no data set.
     """
-    dataset = Dataset.open(path, check=False)  # is asked again and again of a set that is being made
+    dataset = Dataset.open(path, check=False)  # called again and again while a set is being made
     done = sum((path / pose.file).is_file() for pose in dataset.poses)
     runs = []
     for file in sorted((path / RUNS).glob("*.json")):
@@ -247,26 +247,26 @@ def read(path: Path) -> dict[str, Any]:
 
 
 def words(found: Mapping[str, Any]) -> list[str]:
-    """Return what `read` found, for a person."""
-    from generator.model.quantities import clock  # which keeps a journal itself
+    """Return the result of `read` as lines of text for a person."""
+    from generator.model.quantities import clock
 
-    made = [f"{found['path']}: {found['done']} of {found['planned']} pictures"]
+    lines = [f"{found['path']}: {found['done']} of {found['planned']} pictures"]
     if found["seconds_left"] is not None:
-        made[0] += f", {found['rate']:.3g} a second, about {clock(found['seconds_left'])} left"
+        lines[0] += f", {found['rate']:.3g} a second, about {clock(found['seconds_left'])} left"
     for run in found["runs"]:
         heard = f", last heard of {clock(run['heard'])} ago" if run["state"] == "lost" else ""
         shard = "" if run["shard"] == "0/1" else f", shard {run['shard']}"
-        made.append(
+        lines.append(
             f"run {run['pid']} on {run['host']}{shard}: {run['state']}{heard}, {run['done']} of {run['total']} in "
             f"{clock(run['seconds'])}"
         )
         if run["state"] == RUNNING:
-            made += [
+            lines += [
                 f"  worker {worker['pid']}: {worker['doing'] or 'idle'}, {worker['seconds']:.0f} s; {worker['done']} "
                 f"done, {worker['memory'] / 2**20:.0f} MiB"
                 for worker in run["workers"]
             ]
-    return [*made, *(f"failed: {name}" for name in found["failed"])]
+    return [*lines, *(f"failed: {name}" for name in found["failed"])]
 
 
 def _alive(state: State, heard: float) -> bool:

@@ -1,6 +1,6 @@
-"""A sweep on this machine: planned, rendered by workers, resumed. The coordinator never imports bpy.
+"""A sweep on this machine: planning, rendering by workers, resuming. The coordinator never imports bpy.
 
-A worker's word is not taken for its work: what is done is what lies on disk, whole and with the right hash.
+Workers' answers are not trusted: a pose is done if its picture is on disk, whole and with the right hash.
 """
 
 from __future__ import annotations
@@ -26,10 +26,10 @@ from generator.sets.resume import HasSettings, check_same
 from generator.transport.caching import compiling_words
 
 _ON_GPU = 4
-"""Workers that share a GPU, if none are asked for: more gain little, and each takes memory there."""
+"""Default number of workers that share a GPU: more workers gain little, and each takes memory of the GPU."""
 
 _BATCH_PIXELS = 2**17
-"""Most pixels that are rendered at once: more gain nothing, but memory and an uneven end."""
+"""Most pixels that are rendered at once: more save no time, but take memory and let workers end far apart."""
 
 
 @dataclass
@@ -54,11 +54,11 @@ class Outcome:
 
 
 Pace = Callable[[], int]
-"""Is asked, whenever a worker is about to begin a picture, with how many samples."""
+"""Called whenever a worker is about to begin a picture; returns the samples to render it with."""
 
 
 class Here(Protocol):
-    """Plans and renders in this process, in place of workers."""
+    """Plans and renders in this process, instead of workers."""
 
     def plan(self, request: SweepRequest, tell: Callable[[str], None]) -> None:
         """Make the data set that a request asks for, and check it at its start."""
@@ -77,17 +77,17 @@ def run(
     pace: Pace | None = None,
     here: Here | None = None,
 ) -> Outcome:
-    """Render a data set, or what is missing of it, by processes of this machine, or in this one.
+    """Render a data set, or what is missing of it, by worker processes on this machine or in this process.
 
     Parameters
     ----------
     request : SweepRequest
-        Its budget, accuracy, plan and cluster are `generator.jobs.sweep.run`'s to follow.
+        Its budget, accuracy, plan and cluster are ignored here: `generator.jobs.sweep.run` handles them.
     progress, tell, launch, stop, here
-        As of `generator.jobs.sweep.run`.
+        As for `generator.jobs.sweep.run`.
     pace : callable, optional
-        Says with how many samples each picture is rendered; without it all take the data set's. Voxels then take
-        turns, lest the noise tell them apart.
+        Returns with how many samples each picture is rendered; without it all take the data set's. With it, voxels
+        take turns, so that their noise does not tell them apart.
 
     Returns
     -------
@@ -109,9 +109,9 @@ def run(
         _render_here(dataset, shard, pending, here, progress)
     elif pending:
         say = (lambda position: f"{position}:{pace()}") if pace else str
-        shared = _ON_GPU if dataset.sweep.device == "gpu" else 0
+        default_workers = _ON_GPU if dataset.sweep.device == "gpu" else 0
         with _crew(dataset, shard, progress, say=say, launch=launch, stop=stop) as crew:
-            crew.work(pending, request.workers or shared, batch=batch_size(dataset))
+            crew.work(pending, request.workers or default_workers, batch=batch_size(dataset))
         outcome.failed = crew.failed
     outcome.rendered = sum(dataset.poses[position].done for position in pending)  # as gathered from disk
     outcome.remaining = sum(not pose.done for pose in dataset.poses)
@@ -128,10 +128,10 @@ def begin(
     stop: threading.Event | None = None,
     here: Here | None = None,
 ) -> Outcome:
-    """Plan a data set and render its background, as far as that is not done; parameters as of `run`."""
+    """Plan a data set and render its background, as far as that is not done; parameters as for `run`."""
     path, chosen, new = request.path, request.chosen, not Dataset.exists(request.path)
-    known = chosen.get("engine", AUTO) if new else Dataset.open(path).settings["engine"]
-    if words := compiling_words(known):
+    engine = chosen.get("engine", AUTO) if new else Dataset.open(path).settings["engine"]
+    if words := compiling_words(engine):
         tell(words)
     dataset = prepare(request, tell=tell, launch=launch, here=here)
     if chosen.get("engine", AUTO) == AUTO:
@@ -163,29 +163,29 @@ def _render_here(
 
 @contextlib.contextmanager
 def _crew(dataset: Dataset, shard: tuple[int, int], progress: Progress, **options: Any) -> Iterator[WorkerPool]:
-    """Give a crew that renders a data set and tells of it; on leaving, gather what it has made."""
+    """Yield a pool of workers that render a data set and keep its journal; on leaving, gather their pictures."""
 
-    def told(done: int, total: int) -> None:
+    def report(done: int, total: int) -> None:
         journal.told(done, total)
         progress(done, total)
 
-    trust = links.trusted()  # asked here: the workers are started by other threads
+    trust = links.trusted()  # read here, since other threads start the workers
 
     def request(threads: int) -> RenderSweep:
         return RenderSweep(path=dataset.path, threads=threads, trust_links=trust)
 
     with journals.logged(dataset.path) as log:
-        crew = WorkerPool(request, lambda position: dataset.poses[position].file, told, log=log, **options)
+        crew = WorkerPool(request, lambda position: dataset.poses[position].file, report, log=log, **options)
         try:
             with journals.Journal(dataset.path, shard, crew.look) as journal:
                 yield crew
         finally:
-            mine = range(shard[0], dataset.planned, shard[1])
-            gather(dataset, shard, [position for position in mine if not dataset.poses[position].done])
+            positions = range(shard[0], dataset.planned, shard[1])
+            gather(dataset, shard, [position for position in positions if not dataset.poses[position].done])
 
 
 def engine_words(dataset: Dataset, chosen: Mapping[str, Any]) -> str:
-    """Return which engine renders a data set, what in its scene asked for one so dear, and what is nothing to it."""
+    """Return which engine renders a data set, why no cheaper one does, and which chosen settings it does not use."""
     engine, reasons = dataset.settings["engine"], dataset.meta.get("engine_reasons", [])
     words = f"engine: {engine}" + (f", because {'; '.join(reasons)}" if reasons else "")
     idle = [f"--{name}" for name in Sweep.idle(engine) if name in chosen]
@@ -204,7 +204,7 @@ def prepare(
     launch: Launch = python,
     here: Here | None = None,
 ) -> Dataset:
-    """Return the data set at a path, planned now if there is none, after comparing the settings if there is one."""
+    """Return the data set at a path: a new one is planned; the settings of an existing one are compared first."""
     scene, path = request.scene, request.path
     if Dataset.exists(path):
         dataset = Dataset.open(path)
@@ -216,7 +216,7 @@ def prepare(
     if here:
         here.plan(request, tell)
         return Dataset.open(path)
-    asked = PlanSweep(
+    plan_request = PlanSweep(
         scene=scene,
         path=path,
         chosen=dict(request.chosen),
@@ -224,7 +224,7 @@ def prepare(
         probe=request.probe,
         trust_links=links.trusted(),
     )
-    for words in planned_notes(asked, launch):
+    for words in planned_notes(plan_request, launch):
         tell(words)
     return Dataset.open(path)
 
@@ -238,15 +238,15 @@ def pending_positions(dataset: Dataset, shard: tuple[int, int] = (0, 1)) -> list
 
 
 def gather(dataset: Dataset, shard: tuple[int, int], own: Sequence[int]) -> list[int]:
-    """Bring a manifest up to date, and return which of the share's own poses are still to be rendered.
+    """Update a manifest, and return which of a shard's own poses are still to be rendered.
 
-    A share looks at its own pictures: were each to look at all, a thousand shares would read each a thousand times.
+    A shard reads only its own pictures: if each read all, a thousand shards would read each picture a thousand times.
     """
     dataset.gather(own if shard[1] > 1 else None)
     return [position for position in own if not dataset.poses[position].done]
 
 
 def batch_size(dataset: Dataset) -> int:
-    """Return how many poses a worker is given at once at most: `surfel` renders many in less time than one by one."""
+    """Return the most poses that a worker is given at once: `surfel` renders many in less time than one by one."""
     width, height = dataset.sweep.resolution
     return max(1, min(traits_of(dataset.sweep.engine).largest_batch, _BATCH_PIXELS // (width * height)))

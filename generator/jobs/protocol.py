@@ -1,8 +1,8 @@
-"""What coordinator and worker say to one another.
+"""Messages between the coordinator and its workers.
 
-A worker is started with one request, as JSON, on its command line. One that renders says when it is ready and takes
-batches of work as lines on standard input. Answers leave as lines of JSON that start with ``nlos``, because Blender
-writes to standard output as well.
+A worker is started with one request, as JSON, on its command line. A worker that renders reports when it is ready and
+takes batches of work as lines on standard input. Answers are lines of JSON on standard output that start with
+``nlos``, because Blender writes there as well.
 """
 
 from __future__ import annotations
@@ -15,26 +15,26 @@ from pathlib import Path
 from typing import Any, ClassVar, get_type_hints
 
 ANSWER = "nlos "
-"""What lines of a worker that are meant for the coordinator begin with."""
+"""Start of the lines of a worker's output that are meant for the coordinator."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class Request:
-    """What a worker is asked for.
+    """Request to a worker.
 
     Attributes
     ----------
     trust_links : bool
-        Whether what a scene refers to may lie anywhere (`generator.sets.links`).
+        Whether files that a scene refers to may lie anywhere (`generator.sets.links`).
     """
 
     module: ClassVar[str] = "generator.blender.worker"
-    """The module that is run; the package's own name stands before it in the extension."""
+    """Module that is run; in the Blender extension, the name of the extension's package precedes it."""
     trust_links: bool
 
     @property
     def arguments(self) -> list[str]:
-        """The module, and what follows on its command line."""
+        """The module, and the arguments on its command line."""
         values = {f.name: getattr(self, f.name) for f in fields(self)}
         return [self.module, json.dumps({"request": type(self).__name__, **values}, default=str)]
 
@@ -50,7 +50,7 @@ class PlanSweep(Request):
     chosen : mapping
         Fields of `Sweep` that the user chose.
     force, probe : bool
-        Plan in spite of errors that the check finds; hold the engine against plain Cycles first.
+        Plan in spite of errors that the check finds; compare the engine with plain Cycles first.
     """
 
     scene: Path
@@ -62,14 +62,14 @@ class PlanSweep(Request):
 
 @dataclass(frozen=True, kw_only=True)
 class RenderSweep(Request):
-    """Render poses of a data set; takes their positions, and answers each batch with its ``files``.
+    """Render poses of a data set; takes their positions in its table, and answers each batch with its ``files``.
 
     Attributes
     ----------
     path : Path
         Folder of the set.
     threads : int
-        0 takes all cores.
+        Threads of the worker; 0 takes all cores.
     """
 
     path: Path
@@ -78,7 +78,7 @@ class RenderSweep(Request):
 
 @dataclass(frozen=True, kw_only=True)
 class CheckScene(Request):
-    """Say what would spoil a sweep of a scene; answers ``findings``."""
+    """Look for faults that would spoil a sweep of a scene; answers ``findings``."""
 
     scene: Path
     chosen: Mapping[str, Any]
@@ -86,7 +86,7 @@ class CheckScene(Request):
 
 @dataclass(frozen=True, kw_only=True)
 class TrialRender(Request):
-    """Render a few poses of a sweep and throw them away; answers what they took.
+    """Render a few poses of a sweep and discard them; answers the fields of `generator.jobs.budget.TrialResult`.
 
     Attributes
     ----------
@@ -94,9 +94,9 @@ class TrialRender(Request):
     chosen : mapping
         Fields of `Sweep` that the user chose.
     threads : int
-        0 takes all cores.
+        Threads of the worker; 0 takes all cores.
     share, shares : int
-        Which of how many workers side by side this one is, from 0.
+        Number of this worker, from 0, and how many workers run at the same time.
     force : bool
         Render in spite of errors that the check finds.
     """
@@ -111,7 +111,7 @@ class TrialRender(Request):
 
 @dataclass(frozen=True, kw_only=True)
 class RenderWall(Request):
-    """Leave ``wall.exr`` and ``background.exr`` in a folder; answers ``rendered``."""
+    """Write ``wall.exr`` and ``background.exr`` into a folder; answers ``rendered``."""
 
     scene: Path
     folder: Path
@@ -121,7 +121,7 @@ class RenderWall(Request):
 
 @dataclass(frozen=True, kw_only=True)
 class DrawExperiment(Request):
-    """Leave the pictures of one of the paper's experiments in a file; answers ``drawn``."""
+    """Write the pictures of one of the paper's experiments to a file; answers ``drawn``."""
 
     scene: Path
     file: Path
@@ -137,7 +137,7 @@ class PlanBulk(PlanSweep):
 
 @dataclass(frozen=True, kw_only=True)
 class RenderBulk(RenderSweep):
-    """Make parts of a bulk set; takes their numbers, and answers each with ``part``."""
+    """Render parts of a bulk set; takes their numbers, and answers each with ``part``."""
 
     module: ClassVar[str] = "generator.blender.bulk_worker"
 
@@ -164,12 +164,12 @@ def read_request(text: str) -> Request:
 
 
 def answer(**fields: Any) -> None:
-    """Tell the coordinator something."""
+    """Send an answer to the coordinator."""
     print(ANSWER + json.dumps(fields), flush=True)
 
 
 def batches() -> Iterable[dict[int, int]]:
-    """Say that this process is ready, and return the batches that are sent to it: numbers, each with its samples."""
+    """Report that this process is ready, and yield the batches sent to it: unit numbers, each with its samples."""
     answer(ready=True)
     for line in sys.stdin:
         pairs = (word.partition(":") for word in line.split())

@@ -1,4 +1,4 @@
-"""How long a run still takes: nothing is said before it can be known."""
+"""How long a run still takes; there is no estimate before enough pictures are done."""
 
 from __future__ import annotations
 
@@ -6,37 +6,37 @@ import time
 from collections.abc import Callable
 
 _ENOUGH = 3
-"""Pictures after the first that a rate is made of."""
+"""Least number of pictures after the first that a rate is computed from."""
 
 
 def rate(done: int, seconds: float, first: int, first_seconds: float) -> float:
-    """Return pictures a second, or 0 while that cannot be told.
+    """Return the pictures per second, or 0 while there is no estimate.
 
-    The first picture holds the start of Blender, and with many workers all of theirs come at once. So a rate is made
-    of what comes after it, and not before as much time has gone by as it took itself.
+    The time of the first picture includes the start of Blender, and with many workers the first pictures of all come
+    at once. So the rate is computed from the pictures after it, once as much time has passed as it took itself.
 
     Parameters
     ----------
     done : int
         Pictures so far.
     seconds : float
-        Since the run began.
+        Time since the run began.
     first : int
-        Pictures that were done when any were, for the first time.
+        Number of pictures when any were done for the first time.
     first_seconds : float
-        When that was, since the run began.
+        Time of that, since the run began.
     """
-    since, made = seconds - first_seconds, done - first
-    return made / since if first and made >= _ENOUGH and since >= max(first_seconds, 1e-3) else 0.0
+    since, count = seconds - first_seconds, done - first
+    return count / since if first and count >= _ENOUGH and since >= max(first_seconds, 1e-3) else 0.0
 
 
 class Remaining:
-    """Tells the time that a run still takes.
+    """Estimates the time that a run still takes.
 
     Parameters
     ----------
     clock : callable
-        Returns seconds.
+        Returns the time in seconds.
     """
 
     def __init__(self, clock: Callable[[], float] = time.monotonic) -> None:
@@ -45,7 +45,7 @@ class Remaining:
         self.first, self.first_seconds = 0, 0.0
 
     def told(self, done: int, total: int) -> float | None:
-        """Take note of how far the run is, and return the seconds that are left; None while that cannot be told."""
+        """Record the progress of the run, and return the seconds that are left; None while there is no estimate."""
         now = self._clock() - self._begun
         if done and not self.first:
             self.first, self.first_seconds = done, now

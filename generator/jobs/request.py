@@ -1,4 +1,4 @@
-"""What a sweep or a bulk set is asked for, whoever asks: command line, batch script, extension, a Python program."""
+"""Requests for sweeps and bulk sets, from the command line, batch script, extension or a Python program."""
 
 from __future__ import annotations
 
@@ -15,11 +15,11 @@ class ClusterJobs:
     Attributes
     ----------
     shares : int
-        Jobs of the array.
+        Number of jobs of the array.
     executor : {"slurm", "local", "debug"}
-        Slurm; processes of this machine; or, one after the other, this process.
+        Where the jobs run: on Slurm; as processes of this machine; or in this process, one after the other.
     options : mapping
-        Of submitit's executor: ``slurm_partition``, ``timeout_min``, ``cpus_per_task``, ...
+        Options of submitit's executor: ``slurm_partition``, ``timeout_min``, ``cpus_per_task``, ...
     """
 
     shares: int
@@ -29,12 +29,12 @@ class ClusterJobs:
 
 @dataclass(frozen=True, kw_only=True)
 class SetRequest:
-    """What a sweep and a bulk set are both asked for.
+    """The part of a request that sweeps and bulk sets have in common.
 
     Attributes
     ----------
     scene : Path
-        The ``.blend``.
+        The ``.blend`` file.
     path : Path
         Folder of the set: new, empty, or holding the same set.
     chosen : mapping
@@ -50,7 +50,7 @@ class SetRequest:
     probe : bool
         Whether a new set begins with the check of its engine against plain Cycles (`generator.blender.start_check`).
     trust_links : bool
-        Whether what the scene refers to may lie outside its own folder.
+        Whether files that the scene refers to may lie outside its own folder.
     """
 
     scene: Path
@@ -65,19 +65,19 @@ class SetRequest:
 
 @dataclass(frozen=True, kw_only=True)
 class SweepRequest(SetRequest):
-    """A data set to be rendered, or gone on with; further attributes as of `SetRequest`.
+    """Request to render a data set, or to continue one; further attributes as of `SetRequest`.
 
     Attributes
     ----------
     accuracy : float
-        Relative error of a difference picture for which samples or the engine's accuracy are measured out; 0 if none
-        is asked for.
+        Relative error of a difference picture that the samples or the engine's accuracy are chosen for; 0 if none is
+        asked for.
     budget : float
-        Seconds, in which a new set is to end; 0 for no limit.
+        Seconds within which a new set is to be done; 0 for no limit.
     plan : Path, optional
         Plan that the sweep follows (`generator.sets.plan_file`).
     cluster : ClusterJobs, optional
-        Render as jobs of a cluster, in place of processes of this machine.
+        Render as jobs of a cluster, instead of processes of this machine.
     """
 
     accuracy: float = 0.0
@@ -88,4 +88,4 @@ class SweepRequest(SetRequest):
 
 @dataclass(frozen=True, kw_only=True)
 class BulkRequest(SetRequest):
-    """A bulk set to be made, or gone on with; attributes as of `SetRequest`."""
+    """Request to render a bulk set, or to continue one; attributes as of `SetRequest`."""

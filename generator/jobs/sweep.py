@@ -1,4 +1,4 @@
-"""Renders a data set as a request says: what decides on its settings comes first, then whoever renders it."""
+"""Renders a data set as requested: decides on its settings, then renders by workers, cluster jobs or this process."""
 
 from __future__ import annotations
 
@@ -31,18 +31,18 @@ def run(
     Parameters
     ----------
     request : SweepRequest
-        What is asked for.
+        Data set to render.
     progress : callable
         Called with (done, total) pictures of this run.
     tell : callable
-        Called with what is to be said: the settings that a budget came to; which engine ``auto`` took, and why; that
+        Called with messages: the settings that follow from a budget; which engine ``auto`` took, and why; that
         an engine is being compiled; what the check at the start of a new set found, and how long it took.
     launch : callable
-        How workers are started.
+        Returns the command line that starts a worker.
     stop : threading.Event, optional
-        Set by another thread, it ends the run early; what is done stays.
+        Ends the run early when another thread sets it; finished pictures stay.
     here : Here, optional
-        Renders in this process, in place of workers.
+        Renders in this process, instead of workers.
 
     Returns
     -------
@@ -65,8 +65,8 @@ def run(
                 raise NlosError("--jobs: shares the poses out itself, at one setting; leave out --shard and --budget")
             outcome = cluster.run(decided, progress=progress, tell=tell)
         else:
-            how = {"progress": progress, "tell": tell, "launch": launch, "stop": stop}
-            outcome = local.run(decided, **how, pace=pace, here=here)  # type: ignore[arg-type]
+            options = {"progress": progress, "tell": tell, "launch": launch, "stop": stop}
+            outcome = local.run(decided, **options, pace=pace, here=here)  # type: ignore[arg-type]
         if request.plan:
             plan_file.keep(request.plan, request.path)
     return outcome

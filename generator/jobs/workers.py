@@ -1,4 +1,4 @@
-"""Worker processes: started, fed, watched, ended and tried again."""
+"""Worker processes: how they are started, fed, watched, ended and started again."""
 
 from __future__ import annotations
 
@@ -32,19 +32,19 @@ TRIES = 3
 
 
 _PATIENCE = (6 * 3600.0, 600.0)
-"""Seconds that a worker may say nothing: before anything is known of how long it takes, and from then on."""
+"""Seconds that a worker may be silent: before any unit of work is done, and from then on at least."""
 
 
 _SLOWER = 20.0
-"""Times the longest that a unit has taken, likewise."""
+"""Multiple of the longest time of a unit so far that a worker may be silent."""
 
 
 _HOPELESS = 50
-"""Workers in a row that end before any has done anything: the fault is not in what they were to do."""
+"""Workers in a row that end before a unit is done: then the fault is not in the units."""
 
 
 Launch = Callable[[Sequence[str]], list[str]]
-"""Turns a worker's module and arguments into the command line of a process of its own."""
+"""Turns a worker's module and arguments into the command line of its process."""
 
 
 def python(arguments: Sequence[str]) -> list[str]:
@@ -53,7 +53,7 @@ def python(arguments: Sequence[str]) -> list[str]:
     Raises
     ------
     NlosError
-        It has no bpy.
+        This Python has no bpy.
     """
     if importlib.util.find_spec("bpy") is None:  # does not import it
         raise NlosError(NO_BLENDER)
@@ -66,12 +66,12 @@ def available_cores() -> int:
 
 
 def in_batches(units: Sequence[int], size: int) -> list[Sequence[int]]:
-    """Return units of work as runs of that size; the last may be shorter."""
-    return [units[at : at + size] for at in range(0, len(units), size)]
+    """Return units of work in batches of that size; the last may be smaller."""
+    return [units[start : start + size] for start in range(0, len(units), size)]
 
 
 def planned_notes(request: PlanSweep, launch: Launch = python) -> list[str]:
-    """Let a worker plan a set, and return what it has to say of the scene."""
+    """Let a worker plan a set, and return its notes on the scene."""
     with Worker(request, launch) as worker:
         if (answer := worker.answer()) is None:
             raise NlosError(f"{request.scene}: Blender could not plan the set: {worker.last_words()}")
@@ -79,20 +79,20 @@ def planned_notes(request: PlanSweep, launch: Launch = python) -> list[str]:
 
 
 class Worker:
-    """A worker process and the talk with it.
+    """A worker process and the communication with it.
 
     Parameters
     ----------
     request : Request
-        What it is asked for.
+        Request to the worker.
     launch : callable
-        How it is started.
+        Returns the command line that starts it.
     """
 
     def __init__(self, request: Request, launch: Launch = python) -> None:
         command = launch(request.arguments)
         self._log = tempfile.TemporaryFile("w+", encoding="utf-8", errors="replace")  # noqa: SIM115 (closed in stop)
-        # Blender and renders leave folders there that a process which is killed cannot take away.
+        # Blender and renders leave temporary folders, which a killed process cannot remove.
         self._scratch = tempfile.TemporaryDirectory(prefix="nlos-worker-", ignore_cleanup_errors=True)
         home = os.pathsep.join(filter(None, [_HOME, os.environ.get("PYTHONPATH")]))
         scratch = dict.fromkeys(("TMPDIR", "TEMP", "TMP"), self._scratch.name)
@@ -104,7 +104,7 @@ class Worker:
             text=True,
             encoding="utf-8",
             errors="replace",
-            start_new_session=True,  # Ctrl-C is the coordinator's to handle
+            start_new_session=True,  # the coordinator handles Ctrl-C
             env={**os.environ, **scratch, "PYTHONPATH": home},
         )
         self.pid = self._process.pid
@@ -118,12 +118,12 @@ class Worker:
         self.stop()
 
     def kill(self) -> None:
-        """End the process at once: a picture that is not in place by then was never begun."""
+        """End the process at once; a picture that is not in place by then counts as not begun."""
         if self._process.poll() is None:
             self._process.kill()
 
     def stop(self) -> None:
-        """End the process, and the talk with it."""
+        """End the process, and close the streams to it."""
         self.kill()
         self._process.wait()
         for stream in (self._process.stdin, self._process.stdout, self._log):
@@ -133,16 +133,16 @@ class Worker:
         self._scratch.cleanup()
 
     def begin(self, what: str) -> None:
-        """Take note of what the worker does from now on; nothing is waiting."""
+        """Record what the worker does from now on; an empty text means that it is waiting."""
         self._since, self._doing = time.monotonic(), what
 
     def look(self) -> dict[str, Any]:
-        """Return what it is doing, and for how long."""
+        """Return what the worker is doing, and for how long."""
         seconds = round(time.monotonic() - self._since, 1)
         return {"pid": self.pid, "doing": self._doing, "seconds": seconds, "done": self.done}
 
     def answer(self) -> dict[str, Any] | None:
-        """Return the next answer, or None if the worker is gone; NlosError if that is its answer."""
+        """Return the next answer, or None if the worker has ended; raise NlosError if the answer is an error."""
         assert self._process.stdout is not None
         for line in self._process.stdout:
             if line.startswith(ANSWER):
@@ -153,7 +153,7 @@ class Worker:
         return None
 
     def send(self, words: str) -> None:
-        """Tell the worker which units of work are its next."""
+        """Send the worker its next units of work."""
         assert self._process.stdin is not None
         self._process.stdin.write(words + "\n")
         self._process.stdin.flush()
@@ -167,30 +167,30 @@ class Worker:
 
 
 class WorkerPool:
-    """Workers side by side, each fed a batch of units of work at a time by a thread of its own.
+    """Workers that run in parallel; a thread per worker hands it one batch of units of work at a time.
 
     Parameters
     ----------
     request : callable
-        Returns what a worker is asked for, given how many threads it may use. The worker says when it is ready,
-        takes batches as lines, numbers of units with blanks between, and answers each batch when it is done.
+        Returns the request to a worker, given how many threads it may use. The worker reports when it is ready, takes
+        batches as lines of unit numbers separated by blanks, and answers each batch when it is done.
     name : callable
-        What a unit is called in a list of failures.
+        Returns the name of a unit in a list of failures.
     progress : callable
-        Is told how much is done, and of how much.
+        Called with (done, total).
     size : callable
-        How much a unit adds to that.
+        Returns how much a unit adds to done and total.
     say : callable
-        What a worker is told of a unit: a word.
+        Returns the word that is sent to a worker for a unit.
     launch : callable
-        How workers are started.
+        Returns the command line that starts a worker.
     stop : threading.Event, optional
-        Set by another thread, it ends the work early.
+        Ends the work early when another thread sets it.
     log : logging.Logger, optional
-        Is told what happens to workers.
+        Receives a record of what happens to workers.
     patience : (float, float)
-        Seconds after which a worker that says nothing is ended: before any unit is done, and from then on at least,
-        where it is `_SLOWER` times the longest that one took.
+        Seconds after which a silent worker is ended: before any unit is done, and the least from then on; the limit
+        grows to `_SLOWER` times the longest time that a unit took.
 
     Attributes
     ----------
@@ -232,7 +232,7 @@ class WorkerPool:
         self._total = 0
 
     def work(self, units: Sequence[int], workers: int = 0, *, first: str = "", batch: int = 1) -> None:
-        """Do all units.
+        """Do all units of work.
 
         Parameters
         ----------
@@ -240,23 +240,23 @@ class WorkerPool:
         workers : int
             Processes; 0 is one per core.
         first : str
-            What the first worker makes, on all cores, before there is a crew that needs it; empty if there is
-            no such thing.
+            What the first worker makes, on all cores, before the other workers start, which need it; empty if there
+            is nothing to make first.
         batch : int
-            Most units that a worker is given at once.
+            Largest number of units that a worker is given at once.
 
         Raises
         ------
         NlosError
-            A worker answered with one, which ends the work.
+            A worker answered with an error, which ends the work.
         """
         cores = available_cores()
         crew = max(1, min(workers or cores, len(units)))
         self._total = sum(map(self._size, units))
         self._progress(0, self._total)
-        batch = max(1, min(batch, len(units) // (4 * crew)))  # a few for each worker, lest they end far apart
-        for some in in_batches(units, batch):
-            self._todo.put((some, 1))
+        batch = max(1, min(batch, len(units) // (4 * crew)))  # several per worker, so that all end about together
+        for units_of_batch in in_batches(units, batch):
+            self._todo.put((units_of_batch, 1))
         threading.Thread(target=self._watch, daemon=True).start()
         self._log.info("%d units to do by %d workers", len(units), crew)
         try:
@@ -274,8 +274,8 @@ class WorkerPool:
         finally:
             self._stopped.set()
             with self._lock:
-                for each in self._workers:
-                    each.stop()
+                for running_worker in self._workers:
+                    running_worker.stop()
             self._log.info("%d of %d done, %d failed", self._done, self._total, len(self.failed))
         if self._error:
             raise self._error
@@ -286,13 +286,13 @@ class WorkerPool:
             return list(self.failed), [worker.look() for worker in self._workers]
 
     def _watch(self) -> None:
-        """End the workers at once when all is to stop, and any that has been silent for too long."""
+        """End all workers when the work is to stop, and end any worker that has been silent for too long."""
         while not self._stopped.wait(0.2):
             if self._stop.is_set():
                 self._stopped.set()
                 break
-            first, later = self._patience
-            limit = max(later, _SLOWER * self._longest) if self._longest else first
+            first_limit, later_limit = self._patience
+            limit = max(later_limit, _SLOWER * self._longest) if self._longest else first_limit
             with self._lock:
                 for worker in self._workers:
                     state = worker.look()
@@ -306,7 +306,7 @@ class WorkerPool:
                 worker.kill()
 
     def _start(self, threads: int) -> Worker | None:
-        """Start a worker, unless all are stopped: nobody would stop one that comes after."""
+        """Start a worker, unless the work has been stopped: nothing would end a worker that starts after that."""
         with self._lock:
             if self._stopped.is_set():
                 return None
@@ -346,18 +346,18 @@ class WorkerPool:
                     worker = None
                     if self._fallen >= _HOPELESS:
                         raise NlosError(f"{_HOPELESS} workers in a row ended before one picture was done: {words}")
-                    for unit in batch:  # one by one from now on: the others shall not fail with the one that did
+                    for unit in batch:  # one by one from now on, so that the others do not fail with the faulty unit
                         if attempt < TRIES:
                             self._todo.put(([unit], attempt + 1))
                         else:
                             self.failed.append(f"{self._name(unit)}: {words}")
                             self._log.error("given up after %d tries: %s", TRIES, self.failed[-1])
-        except Exception as error:  # bad input, or that nobody reads on; the thread that waits for this one raises it
+        except Exception as error:  # bad input, or a closed output; the thread that waits for this one raises it
             self._error = error
             self._stopped.set()
 
     def _do(self, worker: Worker, batch: Sequence[int]) -> bool:
-        """Whether the worker says that it has done the batch; False if it is gone."""
+        """Return whether the worker has answered that the batch is done; False if the worker has ended."""
         try:
             worker.send(" ".join(map(self._say, batch)))
             while answer := worker.answer():
@@ -365,6 +365,6 @@ class WorkerPool:
                     return True
         except NlosError:
             raise
-        except (BrokenPipeError, ValueError):  # its end of the pipe is closed, or ours was by `stop`
+        except (BrokenPipeError, ValueError):  # the worker's end of the pipe is closed, or `stop` closed ours
             pass
         return False

@@ -1,1 +1,1 @@
-"""What things are: scenes, voxels, settings, poses, on plain values. Knows no file format and no Blender."""
+"""Scenes, voxels, settings and poses as plain values, independent of file formats and of Blender."""

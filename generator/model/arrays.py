@@ -17,7 +17,7 @@ Array = NDArray[np.float64]
 
 
 def rotation_rows(angles: Array) -> list[list[Any]]:
-    """Return the rows of `rotation_matrix` for three angles, radians, each a number or an array of them."""
+    """Return the rows of `rotation_matrix` for three angles in radians, each a number or an array."""
     (cx, cy, cz), (sx, sy, sz) = np.cos(angles), np.sin(angles)
     return [
         [cz * cy, cz * sy * sx - sz * cx, cz * sy * cx + sz * sx],

@@ -1,4 +1,4 @@
-"""Figures that are described once: default, help and range, for the command line, Blender's panels and docstrings."""
+"""Settings whose default, help and range are written once for command line, Blender's panels and docstrings."""
 
 from __future__ import annotations
 
@@ -16,23 +16,23 @@ def described(words: str, default: Any = MISSING, *, lo: Any = None, hi: Any = N
     Parameters
     ----------
     words : str
-        What it is, with its unit; without a capital or a full stop, as help texts are.
+        What the field is, with its unit; without a capital or a full stop, as help texts are written.
     default
-        Of the field, if it has one.
+        Default of the field, if it has one.
     lo, hi : optional
-        The least and the largest value, as `check_ranges` demands of it, or of each of its components.
+        Least and largest value of the field, or of each of its components; `check_ranges` enforces them.
     """
     return field(default=default, metadata={"words": words, "lo": lo, "hi": hi})
 
 
 def borrowed(kind: type, name: str) -> Any:
-    """Return a field like that of another dataclass."""
-    one = _of(kind, name)
-    return field(default=one.default, metadata=one.metadata)
+    """Return a field with the default and the description of another dataclass's field."""
+    source = _of(kind, name)
+    return field(default=source.default, metadata=source.metadata)
 
 
 def documented(kind: Kind) -> Kind:
-    """Add to a dataclass's docstring what its fields' descriptions say. To be applied after `dataclass`."""
+    """Add the descriptions of a dataclass's fields to its docstring. To be applied after `dataclass`."""
     rows = [f"{f.name} : {f.type}\n    {_sentence(f.metadata['words'])}" for f in fields(kind) if f.metadata]
     kind.__doc__ = "\n".join([(kind.__doc__ or "").rstrip(), "", "Attributes", "----------", *rows, ""])
     return kind
@@ -44,7 +44,7 @@ def words_for(kind: type, name: str) -> str:
 
 
 def sentence_for(kind: type, name: str) -> str:
-    """Return it with a capital, as Blender shows it."""
+    """Return the description of a dataclass's field with a capital, as Blender shows it."""
     words = words_for(kind, name)
     return words[0].upper() + words[1:]
 
@@ -56,20 +56,20 @@ def default_of(kind: type, name: str) -> Any:
 
 def range_of(kind: type, name: str) -> tuple[Any, Any]:
     """Return the least and the largest value of a dataclass's field."""
-    found = _of(kind, name).metadata
-    return found["lo"], found["hi"]
+    metadata = _of(kind, name).metadata
+    return metadata["lo"], metadata["hi"]
 
 
 def check_ranges(settings: Any) -> None:
     """Raise NlosError if a field of a dataclass is outside its range."""
-    for one in fields(settings):
-        lo, hi = one.metadata.get("lo"), one.metadata.get("hi")
+    for f in fields(settings):
+        lo, hi = f.metadata.get("lo"), f.metadata.get("hi")
         if lo is None:
             continue
-        value = getattr(settings, one.name)
+        value = getattr(settings, f.name)
         inside = all(lo <= part <= hi for part in (value if isinstance(value, tuple) else (value,)))
         shown = f"{value:g}" if isinstance(value, float) else value
-        require(inside, f"{one.name}: {shown} must be from {_shown(lo)} to {_shown(hi)}")
+        require(inside, f"{f.name}: {shown} must be from {_shown(lo)} to {_shown(hi)}")
 
 
 def _of(kind: type, name: str) -> Any:

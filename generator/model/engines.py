@@ -1,29 +1,29 @@
-"""The engines and what tells them apart, in one table."""
+"""The engines and their properties, in one table."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
 
 AUTO = "auto"
-"""The cheapest engine that a scene allows: what a sweep takes where its user names none."""
+"""The cheapest engine that a scene allows; a sweep takes it if its user names none."""
 
 
 @dataclass(frozen=True)
 class Traits:
-    """What is true of an engine, whatever the scene.
+    """Properties of an engine that do not depend on the scene.
 
     Attributes
     ----------
     name, title, help : str
-        As settings name it, as people do, and what it is in a phrase.
+        Name in settings, name for people, and a phrase that describes it.
     noisy : bool
-        Whether its pictures depend on samples and a seed: Cycles' do.
+        Whether its pictures depend on samples and a seed, as those of Cycles do.
     from_patch : bool
-        Whether light starts at the lit patch of the wall, whose first reflection must be known then.
+        Whether light starts at the lit patch of the wall; the first reflection must then be known.
     settings : tuple of str
-        Fields of `Sweep` that mean something to it alone.
+        Fields of `Sweep` that it uses and that not all engines use.
     largest_batch : int
-        Most poses that it renders at once.
+        Largest number of poses that it renders at once.
     """
 
     name: str
@@ -54,10 +54,10 @@ ENGINES = {
         ),
     )
 }  # fmt: skip
-"""The dearest first, which any scene allows."""
+"""In order of cost: the most expensive engine, which any scene allows, comes first."""
 AUTO_HELP = "the cheapest that the scene allows, and says why"
 
 
 def traits_of(engine: str) -> Traits:
-    """Return what is true of an engine; KeyError if there is none of that name."""
+    """Return the properties of an engine; KeyError if there is none of that name."""
     return ENGINES[engine]

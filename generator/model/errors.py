@@ -4,10 +4,10 @@ from __future__ import annotations
 
 
 class NlosError(ValueError):
-    """Bad input, told in one sentence: what is wrong, where, and what would be right."""
+    """Bad input, described in one sentence: what is wrong, where, and what would be right."""
 
 
 def require(ok: bool, message: str) -> None:
-    """Raise NlosError unless something holds."""
+    """Raise NlosError unless a condition holds."""
     if not ok:
         raise NlosError(message)

@@ -17,7 +17,7 @@ from generator.model.errors import require
 @documented
 @dataclass(frozen=True, kw_only=True)
 class VoxelGrid:
-    """The hidden volume, cut into equal boxes; x runs fastest, then y, then z."""
+    """The hidden volume, cut into equal boxes, which are numbered along x first, then y, then z."""
 
     lo: Vector = described("corner of the hidden volume with the smallest coordinates, metres")
     hi: Vector = described("corner of the hidden volume with the largest coordinates, metres")
@@ -37,7 +37,7 @@ class VoxelGrid:
 
     @property
     def n_voxels(self) -> int:
-        """How many voxels there are."""
+        """Number of voxels."""
         return math.prod(self.shape)
 
     @property
@@ -48,7 +48,7 @@ class VoxelGrid:
 
     @cached_property
     def labels(self) -> list[str]:
-        """A, B, ... Z, AA, AB, ... in voxel order, like the columns of a spreadsheet."""
+        """Names of the voxels in order: A, B, ... Z, AA, AB, ..., like the columns of a spreadsheet."""
         return [voxel_label(i) for i in range(self.n_voxels)]
 
     def cell(self, voxel: int) -> tuple[int, int, int]:
@@ -62,15 +62,15 @@ class VoxelGrid:
         return lo, lo + np.asarray(self.size)
 
     def voxel(self, place: Array) -> int:
-        """Return which voxel a place (3,), metres, is in, or which of those at the rim is next to it."""
+        """Return the voxel that a place (3,), metres, lies in, or the nearest voxel if it lies outside the grid."""
         return int(self.voxels(np.asarray(place)[None])[0])
 
     def voxels(self, places: Array) -> NDArray[np.int64]:
-        """Return which voxel each of places (n, 3) is in, as `voxel` does."""
+        """Return the voxel of each of the places (n, 3), as `voxel` does."""
         steps = np.floor((places - self.lo) / np.asarray(self.size)).astype(np.int64)
         i, j, k = np.clip(steps, 0, np.array(self.shape) - 1).T
-        number: NDArray[np.int64] = i + self.shape[0] * (j + self.shape[1] * k)
-        return number
+        numbers: NDArray[np.int64] = i + self.shape[0] * (j + self.shape[1] * k)
+        return numbers
 
 
 def voxel_label(index: int) -> str:

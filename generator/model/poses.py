@@ -1,7 +1,7 @@
-"""Where the hidden object stands: poses drawn inside voxels, each from its own seed.
+"""Poses of the hidden object, drawn inside voxels, each from its own seed.
 
-A pose depends on (sweep seed, voxel, index) alone, so neither shards, nor their order, nor resuming, nor asking for
-more poses later changes it.
+A pose depends on (sweep seed, voxel, index) alone, so shards, their order, resuming, and asking for more poses later
+do not change it.
 """
 
 from __future__ import annotations
@@ -26,12 +26,12 @@ _TRIES = 256
 _TRIES_TURNING = 102_400
 _FIRST_BLOCK = 128
 _NUMBERS = 7
-"""Of the generator that one try takes: three for the rotation, one for keeping it, three for the place."""
+"""Random numbers that one try takes: three for the rotation, one for keeping it, three for the place."""
 
 _PROBES = 32
 
 _MARGIN = 1e-5
-"""By which the screen errs towards trying, in voxels: above all rounding, and hardly a try more."""
+"""Tolerance of the screening, in voxels: larger than any rounding error, and so small that few more tries pass."""
 
 _SEED_BITS = 31
 
@@ -39,8 +39,8 @@ _SEED_BITS = 31
 def noise_seed(sweep_seed: int, position: int) -> int:
     """Return the renderer's seed at one position of a sweep.
 
-    Distinct for every position, by construction: an offset that follows from the sweep's seed plus the position,
-    modulo 2^31. (Hashes alone would make two of 900 poses share their noise once in 5,000 sweeps.)
+    It is distinct for every position by construction: the position plus an offset that follows from the sweep's seed,
+    modulo 2^31. (With hashes alone, two of 900 poses would share their noise once in 5,000 sweeps.)
     """
     offset = int(np.random.SeedSequence([sweep_seed]).generate_state(1, np.uint64)[0])
     return int((offset + position) % 2**_SEED_BITS)
@@ -58,12 +58,12 @@ def plan(
     hull : ndarray of shape (n, 3)
         Points of the target relative to its origin, unrotated, metres; their convex hull holds the target.
     is_free : callable
-        Whether the target, at a position and rotation, is clear of every surface of the scene.
+        Returns whether the target, at a position and rotation, is clear of every surface of the scene.
 
     Returns
     -------
     list of PoseRecord
-        Pose by pose, each through all voxels, so that a sweep cut short has seen every voxel.
+        Sorted by index, then by voxel, so that a sweep that is cut short has seen every voxel.
 
     Raises
     ------
@@ -76,7 +76,7 @@ def plan(
     for index in range(sweep.poses):
         for voxel, label in enumerate(labels):
             position, rotation = sampler.draw(voxel, index)
-            # Position 0 is the background's.
+            # Position 0 belongs to the background.
             seed = noise_seed(sweep.seed, 1 + index * grid.n_voxels + voxel)
             records.append(PoseRecord(index, voxel, label, position, rotation, seed, file=f"{label}/{index:04d}.exr"))
     return records
@@ -95,9 +95,9 @@ def draw(
     Returns
     -------
     position : (float, float, float)
-        Of the target's origin, metres.
+        Position of the target's origin, metres.
     rotation : (float, float, float)
-        About x, y, z, degrees.
+        Angles about x, y, z, degrees.
 
     Raises
     ------
@@ -108,11 +108,12 @@ def draw(
 
 
 class Sampler:
-    """Draws poses as `draw` does, with what all of them have in common made once.
+    """Draws poses as `draw` does, but computes only once what all poses have in common.
 
-    Where a large target turns in a small voxel hundreds of tries fail for each that holds, so tries are screened by
-    the block: a few points of the hull reach no further than all of it, so what they rule out is out. What is left is
-    drawn once more, one by one, in the arithmetic that decides; so no pose depends on the screen.
+    Where a large target turns in a small voxel, hundreds of tries fail for each that succeeds, so tries are screened
+    in blocks with a few points of the hull: these reach no farther than the whole hull, so a try that they rule out
+    would fail. The remaining tries are drawn again, one by one, with the exact arithmetic, so no pose depends on the
+    screening.
 
     Parameters
     ----------
@@ -136,7 +137,7 @@ class Sampler:
         whole = sweep.inside == "whole"
         self._hull = hull if whole else np.zeros((1, 3))
         self._screened = self._turns and whole
-        # Where nothing turns, or a point does, the box around it is the same for every try.
+        # Without rotation, or for a single point, the bounding box is the same for every try.
         self._box = None if self._screened else _box(self._hull)
         self._probes = _spread(self._hull) if self._screened else self._hull
         self._bounds: dict[int, tuple[Array, Array]] = {}
@@ -166,31 +167,31 @@ class Sampler:
 
     def _draw_screened(self, rng: np.random.Generator, lo: Array, hi: Array) -> Pose | None:
         bits: Any = rng.bit_generator
-        begun, block = 0, _FIRST_BLOCK
-        while begun < _TRIES_TURNING:
-            block = min(block, _TRIES_TURNING - begun)
-            left = self._screen(rng.random((block, _NUMBERS)), lo, hi)
-            at = block
-            for number in left.tolist():
-                bits.advance((number - at) * _NUMBERS)
+        tried, block = 0, _FIRST_BLOCK
+        while tried < _TRIES_TURNING:
+            block = min(block, _TRIES_TURNING - tried)
+            candidates = self._screen(rng.random((block, _NUMBERS)), lo, hi)
+            current = block
+            for candidate in candidates.tolist():
+                bits.advance((candidate - current) * _NUMBERS)
                 if pose := self._try(rng, lo, hi):
                     return pose
-                at = number + 1
-            bits.advance((block - at) * _NUMBERS)
-            begun += block
+                current = candidate + 1
+            bits.advance((block - current) * _NUMBERS)
+            tried += block
             block *= 2
         return None
 
     def _screen(self, numbers: Array, lo: Array, hi: Array) -> NDArray[np.int64]:
-        """Return which tries may hold: all that do, and few that don't."""
+        """Return the numbers of the tries that may succeed: all that do, and a few that do not."""
         size = hi - lo
         angles = np.radians(self._limits[:, None] * (2.0 * numbers[:, :3].T - 1.0))
         room = np.ones(len(numbers))
         for axis, row in enumerate(rotation_rows(angles)):
             reach = self._probes @ np.stack(row)
             room *= np.maximum(1.0 - (reach.max(axis=0) - reach.min(axis=0)) / size[axis] + _MARGIN, 0.0)
-        kept: NDArray[np.int64] = np.flatnonzero((room > 0.0) & (numbers[:, 3] <= room + _MARGIN))
-        return kept
+        candidates: NDArray[np.int64] = np.flatnonzero((room > 0.0) & (numbers[:, 3] <= room + _MARGIN))
+        return candidates
 
     def _try(self, rng: np.random.Generator, lo: Array, hi: Array) -> Pose | None:
         """Draw rotation and place, and return them if the target fits there."""
@@ -200,32 +201,32 @@ class Sampler:
         low, high = lo - reach[0], hi - reach[1]
         # A sheet as wide as its voxel fits exactly; float32 vertices must not make it too wide.
         room = high - low + 1e-6 * (hi - lo)
-        keep, where = rng.uniform(), rng.uniform(size=3)
+        u_accept, u_place = rng.uniform(), rng.uniform(size=3)
         if (room < 0).any():
             return None
         # Rotations that leave more room to stand must come up more often, or the poses would not be uniform.
-        if self._turns and keep > math.prod(room / (hi - lo)) / (1 + 1e-6) ** 3:
+        if self._turns and u_accept > math.prod(room / (hi - lo)) / (1 + 1e-6) ** 3:
             return None
-        x, y, z = (float(v) for v in low + where * np.maximum(high - low, 0.0))
+        x, y, z = (float(v) for v in low + u_place * np.maximum(high - low, 0.0))
         pose: Pose = ((x, y, z), (float(rotation[0]), float(rotation[1]), float(rotation[2])))
         return pose if self._is_free(*pose) else None
 
 
 def experiment(number: int, centre: Vector, *, step: float, turn: float = 15.0, steps: int = 2) -> list[list[Pose]]:
-    """Return the poses of one of the paper's experiments (section 5.1): a row for each axis, the middle one at rest.
+    """Return the poses of one of the paper's experiments (section 5.1): a row per axis, the rest pose in its middle.
 
     Parameters
     ----------
     number : {1, 2, 3}
         1 and 2 move the object (a sphere, a sheet) along x, y and z; 3 turns it about them.
     centre : (float, float, float)
-        Where it rests, metres.
+        Rest position of the object, metres.
     step : float
-        Metres from one place to the next.
+        Distance from one place to the next, metres.
     turn : float
-        Degrees from one rotation to the next.
+        Angle from one rotation to the next, degrees.
     steps : int
-        To each side.
+        Number of steps to each side of the rest pose.
 
     Raises
     ------
@@ -251,50 +252,50 @@ def experiment(number: int, centre: Vector, *, step: float, turn: float = 15.0, 
 def trajectory(
     grid: VoxelGrid, sweep: Sweep, hull: Array, is_free: Callable[[Vector, Vector], bool] = lambda *_: True
 ) -> list[PoseRecord]:
-    """Draw a walk through the voxels: straight from one random pose to the next, at an even pace.
+    """Draw a path through the voxels: straight from one random pose to the next, at constant speed.
 
     Parameters
     ----------
     grid, sweep, hull, is_free
-        As for `plan`; each leg goes where the target is clear of every surface all the way.
+        As for `plan`; the target is clear of every surface all along each leg.
 
     Returns
     -------
     list of PoseRecord
-        Frame by frame; voxel and label are those that the target's origin stands in.
+        One per frame; voxel and label are those of the voxel that holds the target's origin.
 
     Raises
     ------
     NlosError
-        The target fits nowhere, or can go nowhere from where it is.
+        The target fits nowhere, or no free leg leads on from where it is.
     """
     labels, centred = grid.labels, replace(sweep, inside="centre")
     sampler = Sampler(grid, centred, hull, is_free)
     rng = np.random.default_rng([sweep.seed, grid.n_voxels])
     drawn = 0
 
-    def somewhere() -> tuple[Array, Array]:
+    def random_pose() -> tuple[Array, Array]:
         nonlocal drawn
         drawn += 1
         place, turn = sampler.draw(int(rng.integers(grid.n_voxels)), drawn)
         return np.array(place), np.array(turn)
 
-    place, turn = somewhere()
-    walk = [(place, turn)]
-    while len(walk) < sweep.frames:
+    place, turn = random_pose()
+    path = [(place, turn)]
+    while len(path) < sweep.frames:
         for _ in range(_TRIES):
-            goal, turned = somewhere()
+            goal, goal_turn = random_pose()
             steps = math.ceil(float(np.linalg.norm(goal - place)) / sweep.pace)
-            shares = np.minimum(np.arange(1, steps + 1) * sweep.pace / np.linalg.norm(goal - place), 1.0)[:, None]
-            leg = list(zip(place + shares * (goal - place), turn + shares * (turned - turn), strict=True))
+            fractions = np.minimum(np.arange(1, steps + 1) * sweep.pace / np.linalg.norm(goal - place), 1.0)[:, None]
+            leg = list(zip(place + fractions * (goal - place), turn + fractions * (goal_turn - turn), strict=True))
             if all(is_free(_vector(p), _vector(r)) for p, r in leg):
                 break
         else:
             raise NlosError("trajectory: found no way on for the target, clear of all surfaces and hidden all along")
-        walk += leg
+        path += leg
         place, turn = leg[-1]
     records = []
-    for index, (place, turn) in enumerate(walk[: sweep.frames]):
+    for index, (place, turn) in enumerate(path[: sweep.frames]):
         voxel = grid.voxel(place)
         file = f"frames/{index:05d}.exr"
         seed = noise_seed(sweep.seed, 1 + index)
@@ -308,23 +309,23 @@ def _vector(values: Array) -> Vector:
 
 
 def _box(points: Array) -> tuple[Array, Array]:
-    """Lowest and highest corner of the box around points (n, 3)."""
+    """Return the lowest and the highest corner of the box around points (n, 3)."""
     axes = np.ascontiguousarray(points.T)
     return axes.min(axis=1), axes.max(axis=1)
 
 
 def _spread(points: Array) -> Array:
-    """Return a few points that lie farthest out, each in another direction."""
+    """Return the points that lie farthest out in each of a few directions."""
     if len(points) <= _PROBES:
         return points
-    # A Fibonacci lattice: directions that share the sphere evenly.
+    # A Fibonacci lattice: directions that are spread evenly over the sphere.
     steps = np.arange(_PROBES)
     z = 1.0 - (2.0 * steps + 1.0) / _PROBES
     turn = steps * math.pi * (3.0 - math.sqrt(5.0))
     ring = np.sqrt(1.0 - z * z)
     directions = np.stack([ring * np.cos(turn), ring * np.sin(turn), z])
-    chosen: Array = points[np.unique((points @ directions).argmax(axis=0))]
-    return chosen
+    farthest: Array = points[np.unique((points @ directions).argmax(axis=0))]
+    return farthest
 
 
 PLANNED_COLUMNS = ["index", "voxel", "label", "x", "y", "z", "rx", "ry", "rz", "seed", "file"]
@@ -340,21 +341,21 @@ class PoseRecord:
     Attributes
     ----------
     index : int
-        Of the pose within its voxel.
+        Index of the pose within its voxel.
     voxel, label : int, str
-        Which voxel the target stands in.
+        Number and name of the voxel that the target stands in.
     position : (float, float, float)
-        Of the target's origin, metres.
+        Position of the target's origin, metres.
     rotation : (float, float, float)
         Euler angles about x, then y, then z, degrees.
     seed : int
-        Of the renderer's noise, 31 bits.
+        Seed of the renderer's noise, 31 bits.
     file : str
-        Picture, relative to the data set.
+        Path of the picture, relative to the data set's folder.
     pixel_hash : str
-        Empty until the picture is rendered.
+        Hash of the pixels; empty until the picture is rendered.
     seconds : float
-        Spent on rendering it.
+        Time spent on rendering the picture.
     samples : int
         Camera rays per pixel.
     """
@@ -372,7 +373,7 @@ class PoseRecord:
 
     @property
     def plan(self) -> tuple[Any, ...]:
-        """What was planned, without what rendering added."""
+        """The planned values, without those that rendering added."""
         return self.index, self.voxel, self.label, self.position, self.rotation, self.seed, self.file
 
     @property
@@ -388,7 +389,7 @@ class PoseRecord:
 
     @classmethod
     def from_row(cls, row: Mapping[str, str]) -> PoseRecord:
-        """Return the record of a manifest's row; ValueError or KeyError if it is none."""
+        """Return the record of a manifest's row; ValueError or KeyError if the row is not valid."""
         if set(row) - set(POSE_COLUMNS):
             raise ValueError("it has more columns than this software writes")
         file = row["file"]

@@ -1,4 +1,4 @@
-"""Times, sizes and shares, from words and into words."""
+"""Times, sizes and shares, parsed from text and formatted as text."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ def parse_resolution(text: str, aspect: float = 1.0) -> tuple[int, int]:
     Raises
     ------
     NlosError
-        It is neither.
+        The text is neither.
     """
     width, cross, height = text.lower().partition("x")
     try:
@@ -25,18 +25,18 @@ def parse_resolution(text: str, aspect: float = 1.0) -> tuple[int, int]:
 
 
 Progress = Callable[[int, int], None]
-"""Is told how many pictures of this run are done, and how many there are to do."""
+"""Called with (done, total): how many pictures of this run are done, and how many there are to do."""
 
 
 def clock(seconds: float) -> str:
-    """Return a time that is left, as people read it: 1:05 or 2:00:07."""
+    """Return a remaining time in minutes and seconds, with hours if there are any: 1:05 or 2:00:07."""
     minutes, seconds = divmod(round(seconds), 60)
     hours, minutes = divmod(minutes, 60)
     return f"{hours}:{minutes:02d}:{seconds:02d}" if hours else f"{minutes}:{seconds:02d}"
 
 
 def rough_time(seconds: float) -> str:
-    """Return a time as people estimate it: 40 s, 5 min, 2.5 h."""
+    """Return a time in a rough form: 40 s, 5 min, 2.5 h."""
     if seconds < 90.0:
         return f"{seconds:.0f} s"
     return f"{seconds / 60.0:.0f} min" if seconds < 5400.0 else f"{seconds / 3600.0:.1f} h"
@@ -56,7 +56,7 @@ def seconds(text: str) -> float:
     Raises
     ------
     NlosError
-        It is none.
+        The text is not a positive time.
     """
     match = re.fullmatch(r"\s*(\d+\.?\d*|\.\d+)\s*([a-z]*)\s*", text)
     if not match or match[2] not in _UNITS or float(match[1]) <= 0.0:
@@ -70,7 +70,7 @@ def fraction(text: str) -> float:
     Raises
     ------
     NlosError
-        It is none.
+        The text is not a number between 0 and 1.
     """
     number, percent, rest = text.strip().partition("%")
     try:
@@ -83,7 +83,7 @@ def fraction(text: str) -> float:
 
 
 def percent(share: float) -> str:
-    """Return a share in per cent, two digits."""
+    """Return a share in per cent, with two digits."""
     return f"{100.0 * share:.2g} %"
 
 

@@ -1,4 +1,4 @@
-"""What a scene, a voxel grid and a target are: validated values, to and from TOML.
+"""Scene, wall, lamp, camera and target as validated values.
 
 Lengths are metres, angles degrees, power watts, radiance W/m^2/sr. The frame is Blender's: right-handed, z up.
 The relay wall is the plane y = 0 and faces +y; x runs along it.
@@ -20,7 +20,7 @@ from generator.model.grid import VoxelGrid
 
 ROOM_SURFACES = ("floor", "ceiling", "back", "left", "right")
 FACES = {"floor": ("z", 0), "ceiling": ("z", 1), "back": ("y", 1), "left": ("x", 0), "right": ("x", 1)}
-"""Across which axis a surface of the room lies, and at which of its ends."""
+"""Axis that a surface of the room is normal to, and the end of the room's extent that it lies at (0 low, 1 high)."""
 TARGET_KINDS = ("sheet", "sphere", "mesh")
 
 
@@ -181,7 +181,7 @@ class Scene:
             for axis in "xyz":
                 extent = getattr(getattr(self, part), axis, None)
                 if isinstance(extent, tuple):
-                    # Surfaces may be all in one plane, as a floor alone is; what is built of them is another matter.
+                    # All surfaces of a file may lie in one plane, as a floor alone does (see `check_buildable`).
                     flat = part in ("room", "partition") and extent[0] == extent[1]
                     require(extent[0] < extent[1] or flat, f"{part}.{axis}: {extent} must run from low to high")
         require(self.spot.power >= 0, f"spot.power: {self.spot.power} must not be negative")
@@ -226,7 +226,7 @@ class Scene:
         return albedo / math.pi * self.spot.irradiance()
 
     def with_ambient(self, radiance: float) -> Scene:
-        """Return the scene under uniform ambient light; a closed room loses its ceiling, or none could enter."""
+        """Return the scene under uniform ambient light; a closed room loses its ceiling, so that light can enter."""
         room = self.room
         if radiance > 0 and room and set(ROOM_SURFACES) <= set(room.surfaces):
             room = replace(room, surfaces=tuple(s for s in room.surfaces if s != "ceiling"))
@@ -235,32 +235,33 @@ class Scene:
 
 _LENGTHS = ("wall", "room", "partition", "spot.location", "camera", "grid")
 _NOT_READ = ("preset", "target.mesh", "spot.aim", "camera.projection", "room.surfaces")
-"""What a file does not say, or says in other words."""
+"""Values that a ``.blend`` file does not hold, or holds in another form."""
 
 
 def unlike(wanted: Scene, got: Scene) -> str:
-    """Return the first figure that Blender could not take as it was wanted, in words; empty if there is none.
+    """Return a phrase on the first value that Blender could not store as it was wanted; empty if there is none.
 
-    Its numbers have 24 bits and an end, and some of its settings narrower ones: a spot's cone has 1 degree at least.
+    Blender's numbers have 24 bits and a finite range, and some settings a narrower one: a spot's cone has 1 degree at
+    least.
     """
-    found: dict[str, list[Any]] = {}
+    values: dict[str, list[Any]] = {}
     for name, value in _leaves(got):
-        found.setdefault(name, []).append(value)
-    flat = [f"room.{axis}" for axis in "xyz" if len(set(found.get(f"room.{axis}", ()))) == 1]  # as of a floor alone
-    near = 1e-6 * max(abs(v) for name in ("wall.x", "wall.z", "camera.location") for v in found[name])
+        values.setdefault(name, []).append(value)
+    flat = [f"room.{axis}" for axis in "xyz" if len(set(values.get(f"room.{axis}", ()))) == 1]  # as for a lone floor
+    tolerance = 1e-6 * max(abs(v) for name in ("wall.x", "wall.z", "camera.location") for v in values[name])
     for name, value in _leaves(wanted):
-        if name in _NOT_READ or name not in found:
+        if name in _NOT_READ or name not in values:
             continue
-        other = found[name].pop(0)
+        got_value = values[name].pop(0)
         if not isinstance(value, float) or name in flat or (name == "target.size" and not value):
             continue
-        if not math.isclose(other, value, rel_tol=2e-3, abs_tol=near if name.startswith(_LENGTHS) else 0.0):
-            return f"{name}: {value:g} becomes {other:g} in Blender"
+        if not math.isclose(got_value, value, rel_tol=2e-3, abs_tol=tolerance if name.startswith(_LENGTHS) else 0.0):
+            return f"{name}: {value:g} becomes {got_value:g} in Blender"
     return ""
 
 
 def _leaves(value: Any, prefix: str = "") -> list[tuple[str, Any]]:
-    """Every plain figure inside nested dataclasses and tuples, with its dotted name."""
+    """Return every plain value inside nested dataclasses and tuples, with its dotted name."""
     if is_dataclass(value) and not isinstance(value, type):
         return [
             leaf

@@ -1,4 +1,4 @@
-"""Settings of a sweep: what is chosen beside the scene."""
+"""Settings of a sweep, apart from the scene."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from generator.model.errors import require
 @documented
 @dataclass(frozen=True, kw_only=True)
 class Sweep:
-    """What a sweep renders: all that decides the pixels of a data set besides the scene itself."""
+    """Settings of a sweep: all that determines the pixels of a data set besides the scene itself."""
 
     engine: Literal["path", "patch", "surfel"] = described(
         "how the light is followed; of a sweep whose user names none, the cheapest that the scene allows", "patch"
@@ -70,10 +70,10 @@ class Sweep:
 
     @classmethod
     def idle(cls, engine: str) -> tuple[str, ...]:
-        """Return the settings that mean nothing to an engine."""
-        own = traits_of(engine).settings
-        every = dict.fromkeys(name for traits in ENGINES.values() for name in traits.settings)
-        return tuple(name for name in every if name not in own)
+        """Return the settings that an engine does not use."""
+        used = traits_of(engine).settings
+        names = dict.fromkeys(name for traits in ENGINES.values() for name in traits.settings)
+        return tuple(name for name in names if name not in used)
 
     @property
     def noisy(self) -> bool:
@@ -82,7 +82,7 @@ class Sweep:
 
     @property
     def unused(self) -> tuple[str, ...]:
-        """The settings that mean nothing here: to the engine, and to a sweep of voxels or a trajectory."""
+        """Settings without effect: neither the engine nor this kind of sweep (voxels or trajectory) uses them."""
         kind = ("poses", "inside") if self.frames else ("frames", "pace")
         return (*self.idle(self.engine), *kind, *(() if self.leave_out else ("leave_out",)))
 
@@ -92,4 +92,4 @@ class Sweep:
 
 
 BACKGROUND_FACTOR = 16
-"""The background is rendered with this many times a pose's samples: its noise stands in every difference."""
+"""The background is rendered with this many times a pose's samples: its noise enters every difference picture."""

@@ -1,1 +1,1 @@
-"""Data sets: rendered and simulated ones, their fingerprints, and what both offer to readers."""
+"""Data sets, rendered and simulated: their fingerprints, and the interface by which both are read."""

@@ -1,7 +1,7 @@
-"""Reads all of a data set again, and says where it is not what it says of itself.
+"""Reads all of a data set again, and reports where it differs from what it claims to be.
 
-What a set says is held by hashes (`generator.sets.seal`) or follows from its seed, so each fault is named where it
-is: a label that was changed in ``poses.csv`` is that file's, not the picture's.
+The claims of a set are protected by hashes (`generator.sets.seal`) or follow from its seed, so each fault is reported
+for the file that holds it: a label that was changed in ``poses.csv`` for that file, not for the picture.
 """
 
 from __future__ import annotations
@@ -28,13 +28,13 @@ if TYPE_CHECKING:
 PUT_BACK = "put the file back as it was"
 
 _ROUNDING = 1e-9
-"""Relative, of angles and places."""
+"""Relative tolerance of angles and places."""
 _NAMED = 3
-"""Faults of one kind that are told file by file."""
+"""Most files that a fault of several files names one by one."""
 
 
 def changed(dataset: Dataset) -> Iterator[str]:
-    """Look for what was changed after a set was planned: manifest, plan, scene, backgrounds, files of others.
+    """Look for changes after a set was planned: of manifest, plan, scene and backgrounds, or by foreign files.
 
     Pictures of poses are not read.
 
@@ -46,7 +46,7 @@ def changed(dataset: Dataset) -> Iterator[str]:
     path = dataset.path
     if words := manifest_fault(dataset.meta, FORMAT):
         yield f"{path / MANIFEST}: {words}; {PUT_BACK}"
-        return  # all else is judged by it
+        return  # all other checks rely on the manifest
     if not (holds := plan_holds(dataset)):
         line, words = next(plan_faults(dataset), (0, _NOT_PLANNED))
         yield f"{path / POSES}{_line(line)}: {words}; {PUT_BACK}"
@@ -56,19 +56,19 @@ def changed(dataset: Dataset) -> Iterator[str]:
         seen = dataset.see_background(name)
         if seen.pixels is not None and seen.fault:
             yield f"{path / name}: {seen.fault}; {RENDER_AGAIN}"
-    if holds:  # else nobody knows which files are its own
+    if holds:  # else it is unknown which files belong to the set
         planned = {pose.file for pose in dataset.poses}
         yield from foreign(path, {MANIFEST, POSES, SCENE, LOG, PLAN, *dataset.background_names, *planned})
 
 
 def plan_holds(dataset: Dataset) -> bool:
-    """Whether ``poses.csv`` says what was planned; of a set without seal, as far as it can be told from its seed."""
-    told = dataset.seal.get("poses")
-    return plan_hash(dataset.poses) == told if told else not any(plan_faults(dataset))
+    """Whether ``poses.csv`` has the planned poses; for a set without seal, as far as they follow from its seed."""
+    digest = dataset.seal.get("poses")
+    return plan_hash(dataset.poses) == digest if digest else not any(plan_faults(dataset))
 
 
 def manifest_fault(meta: Mapping[str, Any], newest: int) -> str:
-    """Return what of a manifest was changed after its set was planned; empty if nothing was, as far as it tells."""
+    """Return what was changed in a manifest after its set was planned; empty if no change can be seen."""
     if meta["format"] == newest and seal.SEAL not in meta:
         return f"lacks the table '{seal.SEAL}'"
     if words := seal.broken(meta):
@@ -77,7 +77,7 @@ def manifest_fault(meta: Mapping[str, Any], newest: int) -> str:
 
 
 def scene_fault(path: Path, digest: str) -> str:
-    """Return how a set's scene is not the one it was planned with; empty if it is, or no hash tells."""
+    """Return how a set's scene differs from the one it was planned with; empty if it does not, or without a hash."""
     if not digest:
         return ""
     if not path.is_file():
@@ -87,26 +87,26 @@ def scene_fault(path: Path, digest: str) -> str:
 
 
 def foreign(path: Path, known: Collection[str]) -> list[str]:
-    """Return a fault for each file in a set's folders that is none of its own; hidden files are left out.
+    """Return a fault for each file in a set's folders that does not belong to it; hidden files are left out.
 
     Parameters
     ----------
     path : Path
-        Of the set.
+        Folder of the set.
     known : collection of str
-        Its own files, relative to that; their folders are looked into.
+        Files of the set, relative to its folder; the folders that hold them are searched.
     """
     folders = {str(Path(file).parent) for file in known} - {"."}
-    found = []
+    names = []
     for folder in ("", *sorted(folders)):
-        with contextlib.suppress(FileNotFoundError, NotADirectoryError), os.scandir(path / folder) as inside:
-            found += [f"{folder}/{entry.name}".lstrip("/") for entry in inside if not _is_hidden(entry.name)]
-    own = {*known, *folders}
-    return [f"{path / name}: is no file of this set; take it away" for name in sorted(found) if name not in own]
+        with contextlib.suppress(FileNotFoundError, NotADirectoryError), os.scandir(path / folder) as entries:
+            names += [f"{folder}/{entry.name}".lstrip("/") for entry in entries if not _is_hidden(entry.name)]
+    expected = {*known, *folders}
+    return [f"{path / name}: is no file of this set; take it away" for name in sorted(names) if name not in expected]
 
 
 def _is_hidden(name: str) -> bool:
-    """Whether a file is one of our runs' and temporary ones, or of those that file managers leave."""
+    """Whether a file is a temporary file, a run's state, or one that file managers leave."""
     return name.startswith(".") or name.lower() in ("thumbs.db", "desktop.ini")
 
 
@@ -118,15 +118,16 @@ _NOT_PLANNED = "its poses are not those that were planned"
 
 
 def plan_faults(dataset: Dataset) -> Iterator[tuple[int, str]]:
-    """Look for poses that the sweep's settings and the voxel grid do not give.
+    """Look for poses that do not follow from the sweep's settings and the voxel grid.
 
-    Where the target stands in its voxel is drawn with the scene's obstacles in mind, and is not drawn again.
+    The place of the target within its voxel depends on the scene's obstacles, so it is not drawn again.
 
     Yields
     ------
     line : int
-        Of ``poses.csv``; 0 if it is all of them.
+        Line of ``poses.csv``; 0 if the fault is that of the whole file.
     words : str
+        Description of the fault.
     """
     sweep, grid = dataset.sweep, dataset.grid
     wanted = sweep.frames or sweep.poses * grid.n_voxels
@@ -137,25 +138,25 @@ def plan_faults(dataset: Dataset) -> Iterator[tuple[int, str]]:
         np.array([getattr(pose, name) for pose in dataset.poses]).reshape(-1, 3) for name in ("position", "rotation")
     )
     if sweep.frames:
-        with np.errstate(invalid="ignore"):  # a changed place may be beyond what whole numbers count
+        with np.errstate(invalid="ignore"):  # a changed place may be beyond the range of integers
             indices, voxels = np.arange(count), grid.voxels(positions)
     else:
         indices, voxels = np.divmod(np.arange(count), grid.n_voxels)
     lo, hi = np.array([grid.bounds(voxel) for voxel in range(grid.n_voxels)]).transpose(1, 0, 2)
     slack = _ROUNDING * np.abs([grid.lo, grid.hi]).max()
     inside = ((lo[voxels] - slack <= positions) & (positions <= hi[voxels] + slack)).all(axis=1)
-    if not sweep.frames and sweep.inside == "whole":  # the origin of a mesh may lie beside it
+    if not sweep.frames and sweep.inside == "whole":  # the origin of a mesh may lie outside
         inside[:] = True
     turned = (np.abs(rotations) <= np.asarray(sweep.rotation) * (1.0 + _ROUNDING)).all(axis=1)
-    seeds = (noise_seed(sweep.seed, 0) + 1 + np.arange(count)) % 2**31  # as `noise_seed` has it
-    told = zip(indices.tolist(), voxels.tolist(), inside.tolist(), turned.tolist(), seeds.tolist(), strict=True)
-    for line, (pose, (index, voxel, held, within, seed)) in enumerate(zip(dataset.poses, told, strict=True), start=2):
+    seeds = (noise_seed(sweep.seed, 0) + 1 + np.arange(count)) % 2**31  # as in `noise_seed`
+    rows = zip(indices.tolist(), voxels.tolist(), inside.tolist(), turned.tolist(), seeds.tolist(), strict=True)
+    for line, (pose, (index, voxel, held, within, seed)) in enumerate(zip(dataset.poses, rows, strict=True), start=2):
         file = f"frames/{index:05d}.exr" if sweep.frames else f"{labels[voxel]}/{index:04d}.exr"
         planned = {"index": index, "voxel": voxel, "label": labels[voxel], "seed": seed, "file": file}
-        own = {name: getattr(pose, name) for name in planned}
-        if own != planned:
-            name = next(name for name in planned if own[name] != planned[name])
-            yield line, f"{name} is {own[name]} in place of {planned[name]}"
+        actual = {name: getattr(pose, name) for name in planned}
+        if actual != planned:
+            name = next(name for name in planned if actual[name] != planned[name])
+            yield line, f"{name} is {actual[name]} in place of {planned[name]}"
         elif not held:
             yield line, f"its position lies outside voxel {pose.label}"
         elif not within:
@@ -163,7 +164,7 @@ def plan_faults(dataset: Dataset) -> Iterator[tuple[int, str]]:
 
 
 def faults(dataset: Dataset) -> list[str]:
-    """Re-read everything.
+    """Read everything again.
 
     Returns
     -------
@@ -174,39 +175,39 @@ def faults(dataset: Dataset) -> list[str]:
     if manifest_fault(dataset.meta, FORMAT):
         return list(changed(dataset))
     holds = plan_holds(dataset)
-    found = [fault for fault in changed(dataset) if not fault.startswith(f"{path / POSES}")]
+    sentences = [fault for fault in changed(dataset) if not fault.startswith(f"{path / POSES}")]
     for name in dataset.background_names:
         if words := _background_fault(dataset, name):
-            found.append(f"{path / name}: {words}")
+            sentences.append(f"{path / name}: {words}")
     if not (path / SCENE).is_file() and "scene" not in dataset.seal:
-        found.append(f"{path / SCENE}: the scene is missing")
+        sentences.append(f"{path / SCENE}: the scene is missing")
     lines = dict(plan_faults(dataset))
     pictures = []
     for line, pose in enumerate(dataset.poses, start=2):
-        blamed, words = _picture_fault(dataset, pose, holds=holds)
-        if blamed == POSES:
+        faulty_file, words = _picture_fault(dataset, pose, holds=holds)
+        if faulty_file == POSES:
             lines.setdefault(line, words)
         elif words:
             pictures.append(f"{path / pose.file}: {words}")
     if not (holds or lines):
         lines[0] = _NOT_PLANNED
     for line, words in sorted(lines.items()):
-        found.append(f"{path / POSES}{_line(line)}: {words}")
-    return found + pictures + alike(dataset)
+        sentences.append(f"{path / POSES}{_line(line)}: {words}")
+    return sentences + pictures + alike(dataset)
 
 
 def _background_fault(dataset: Dataset, name: str) -> str:
-    """What of a background `Dataset.changed` has not told."""
+    """Return the fault of a background that `changed` does not report; empty if there is none."""
     seen = dataset.see_background(name)
     if seen.pixels is None:
         return "the background is missing or broken; run the sweep again to render it"
     wanted = str(noise_seed(dataset.sweep.seed, 0))
-    own = seen.header.get("seed")
-    return f"its seed is {own} in place of {wanted}" if not seen.fault and own != wanted else ""
+    actual = seen.header.get("seed")
+    return f"its seed is {actual} in place of {wanted}" if not seen.fault and actual != wanted else ""
 
 
 def _picture_fault(dataset: Dataset, pose: PoseRecord, *, holds: bool) -> tuple[str, str]:
-    """Which file is at fault for a picture, the picture's own or the plan's, and what is wrong."""
+    """Return the file that is at fault for a picture, its own or the plan's, and what is wrong, if anything."""
     seen = dataset.see(pose)
     if not pose.done:
         sound = seen.pixels is not None and not seen.fault
@@ -214,14 +215,14 @@ def _picture_fault(dataset: Dataset, pose: PoseRecord, *, holds: bool) -> tuple[
     if seen.pixels is None:
         return pose.file, "missing or broken; run the sweep again to render it"
     if seen.fault:
-        # A picture that is sound by itself, beside a plan that is not as it was: the plan is to blame.
-        named = [name for name in _OF_POSE if seen.fault.startswith(f"is a picture of {name} ")]
-        unheld = not holds or (not dataset.seal and {"position", "rotation"} & set(named))
-        return (POSES, f"{pose.file} {seen.fault}") if named and unheld else (pose.file, seen.fault)
-    told = rendered(pose, seen)
-    if told.pixel_hash != pose.pixel_hash:
+        # If a picture is valid by itself but the plan was changed, the plan is at fault.
+        differing = [name for name in _OF_POSE if seen.fault.startswith(f"is a picture of {name} ")]
+        plan_doubtful = not holds or (not dataset.seal and {"position", "rotation"} & set(differing))
+        return (POSES, f"{pose.file} {seen.fault}") if differing and plan_doubtful else (pose.file, seen.fault)
+    actual = rendered(pose, seen)
+    if actual.pixel_hash != pose.pixel_hash:
         return POSES, f"its pixel_hash is not that of {pose.file}"
-    if (told.seconds, told.samples) != (pose.seconds, pose.samples):
+    if (actual.seconds, actual.samples) != (pose.seconds, pose.samples):
         return POSES, f"its seconds and samples are not those that {pose.file} tells"
     return "", ""
 
@@ -230,12 +231,12 @@ _OF_POSE = ("label", "index", "seed", "position", "rotation")
 
 
 def alike(dataset: Dataset) -> list[str]:
-    """Look for pictures that equal the background to the bit, or each other, by their hashes.
+    """Look for pictures that are bitwise equal to the background or to each other, by their hashes.
 
     Returns
     -------
     list of str
-        A sentence per voxel whose pictures are the background, and per group of equal pictures.
+        One sentence per voxel with pictures that equal the background, and one per group of equal pictures.
     """
     seen = dataset.see_background(dataset.background_names[-1])
     groups: defaultdict[str, list[PoseRecord]] = defaultdict(list)
@@ -243,21 +244,21 @@ def alike(dataset: Dataset) -> list[str]:
         groups[pose.pixel_hash].append(pose)
     empty = [] if seen.pixels is None or seen.fault else groups.pop(seen.digest, [])
     counts = Counter(pose.label for pose in dataset.records)
-    found = []
+    texts = []
     for label, count in sorted(Counter(pose.label for pose in empty).items()):
         first = next(pose.file for pose in empty if pose.label == label)
-        found.append(
+        texts.append(
             f"{dataset.path / first}: equals the background to the bit, as {count} of {counts[label]} pictures of "
             f"voxel {label} do: {_nothing(dataset)}"
         )
     for same in groups.values():
-        # Without noise, the same pose is the same picture.
+        # Without noise, equal poses have equal pictures.
         noisy = traits_of(dataset.settings["engine"]).noisy
         if len(same) > 1 and (noisy or len({(pose.position, pose.rotation) for pose in same}) > 1):
             others = ", ".join(pose.file for pose in same[1 : 1 + _NAMED])
             more = f" and {len(same) - 1 - _NAMED} more" if len(same) > 1 + _NAMED else ""
-            found.append(f"{dataset.path / same[0].file}: equals {others}{more} to the bit, though the poses differ")
-    return found
+            texts.append(f"{dataset.path / same[0].file}: equals {others}{more} to the bit, though the poses differ")
+    return texts
 
 
 def _nothing(dataset: Dataset) -> str:
@@ -268,16 +269,16 @@ def _nothing(dataset: Dataset) -> str:
 
 
 def words(dataset: Dataset) -> str:
-    """Return what to say at the end of a sweep of pictures that show nothing or the same; empty if none do."""
-    found = alike(dataset)
-    if not found:
+    """Return a warning for the end of a sweep if pictures show no object or are equal; empty if there are none."""
+    sentences = alike(dataset)
+    if not sentences:
         return ""
-    more = f" (nlos-generate verify lists {len(found)} such faults)" if len(found) > 1 else ""
-    return f"warning: {found[0]}{more}"
+    more = f" (nlos-generate verify lists {len(sentences)} such faults)" if len(sentences) > 1 else ""
+    return f"warning: {sentences[0]}{more}"
 
 
 def unchecked(dataset: Dataset) -> str:
-    """Return what cannot be told of a set that an older version made; empty if all can."""
+    """Return what cannot be checked in a set that an older version made; empty if everything can."""
     if dataset.seal:
         return ""
     return (

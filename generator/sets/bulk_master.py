@@ -20,15 +20,15 @@ from generator.sets.hdf5 import VERSIONS, describe_file
 
 @dataclass(frozen=True)
 class Master:
-    """What it holds.
+    """Contents of the master file.
 
     Attributes
     ----------
     layout : Layout
     background : ndarray of shape (height, width, 3), float32
-        W/m^2/sr.
+        Picture without the hidden object, W/m^2/sr.
     reference_radiance : float
-        W/m^2/sr.
+        Radiance of the directly lit patch around w1, W/m^2/sr.
     """
 
     layout: Layout
@@ -52,7 +52,7 @@ class Master:
             "voxel": ((), "<i8", -1),
             "index": ((), "<i8", -1),
         }
-        # A part that is taken away later reads as the fill value: NaN, which nobody takes for a picture.
+        # A part that is removed later reads as the fill value: NaN, which cannot be mistaken for a picture.
         for name, (shape, dtype, fill) in columns.items():
             table = h5py.VirtualLayout((layout.plan.pictures, *shape), dtype)
             for number in range(layout.parts):
@@ -73,7 +73,7 @@ class Master:
         )
 
     def is_in(self, path: Path) -> bool:
-        """Whether a file is there, and says this."""
+        """Whether a file exists and has these contents."""
         try:
             check_heaps(path)
             with (
@@ -84,22 +84,22 @@ class Master:
                 return set(file) == set(wanted) and all(
                     _told(file, name) == _told(wanted, name) for name in ("/", *wanted)
                 )
-        except Exception:  # HDF5's and h5py's, of many kinds
+        except Exception:  # HDF5 and h5py raise errors of many kinds
             return False
 
 
 def _told(file: Any, name: str) -> Any:
-    """The attributes of an HDF5 dataset or group, and what a dataset holds, or where it says that it lies."""
+    """Return the attributes of an HDF5 dataset or group, and a dataset's values, or the sources of a virtual one."""
     if name != "/" and not isinstance(file.get(name, getlink=True), h5py.HardLink):
         return None
-    thing = file[name]
-    attributes = {name: np.asarray(value).tolist() for name, value in thing.attrs.items()}
-    if not isinstance(thing, h5py.Dataset) or thing.external:
+    item = file[name]
+    attributes = {name: np.asarray(value).tolist() for name, value in item.attrs.items()}
+    if not isinstance(item, h5py.Dataset) or item.external:
         return attributes
-    if not thing.is_virtual:
-        return attributes, thing.shape, thing.dtype.str, np.asarray(thing[()]).tolist()
-    places = [
+    if not item.is_virtual:
+        return attributes, item.shape, item.dtype.str, np.asarray(item[()]).tolist()
+    sources = [
         (m.file_name, m.dset_name, m.vspace.get_select_bounds(), m.src_space.get_select_type())
-        for m in thing.virtual_sources()
+        for m in item.virtual_sources()
     ]
-    return attributes, thing.shape, thing.dtype.str, repr(thing.fillvalue), sorted(places)
+    return attributes, item.shape, item.dtype.str, repr(item.fillvalue), sorted(sources)

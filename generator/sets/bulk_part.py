@@ -23,14 +23,14 @@ COLUMNS = ("position", "rotation", "voxel", "index")
 PART_FORMAT = 1
 
 _SMALL = 2**24
-"""Bytes of a part that is looked through before it is opened; to read more would take longer than to use it."""
+"""Most bytes of a part whose heaps are checked before it is opened: for more, checking takes longer than using it."""
 _BATCH = 16 * 1024**2
 
 Pictures = NDArray[np.float32]
 
 
 class Renderer(Protocol):
-    """What renders the pictures: `Engine`, or a stand-in."""
+    """Renders the pictures: `generator.jobs.bulk.Engine`, or a stand-in."""
 
     def pictures(self, numbers: NDArray[np.int64], positions: Array, rotations: Array) -> Pictures:
         """Return pictures (n, height, width, 3), given their numbers (n,), in order, and poses.
@@ -40,7 +40,7 @@ class Renderer(Protocol):
 
 
 class Part:
-    """A part.
+    """A part of a bulk set.
 
     Parameters
     ----------
@@ -63,13 +63,13 @@ class Part:
 
     @property
     def state(self) -> list[int]:
-        """What of its file tells that it was not changed since."""
-        found = self.path.stat()
-        return [found.st_size, found.st_mtime_ns]
+        """Size and time of the last change of its file, by which later changes are noticed."""
+        status = self.path.stat()
+        return [status.st_size, status.st_mtime_ns]
 
     @property
     def is_there(self) -> bool:
-        """Whether its file is there and is this part; one that was renamed into place is believed to be whole."""
+        """Whether its file exists and is this part; it is taken to be whole, since it was put in place by rename."""
         try:
             self.open().close()
         except NlosError:
@@ -77,7 +77,7 @@ class Part:
         return True
 
     def _columns(self) -> tuple[NDArray[np.int64], NDArray[np.int64], NDArray[np.int64]]:
-        """The numbers of its pictures, which voxel each shows, and which of its poses."""
+        """Return the numbers of its pictures, the voxel that each shows, and the index of the pose in the voxel."""
         numbers = np.array(self.numbers, dtype=np.int64)
         return numbers, numbers % self._layout.grid.n_voxels, numbers // self._layout.grid.n_voxels
 
@@ -91,7 +91,7 @@ class Part:
         Raises
         ------
         NlosError
-            It is not there, broken, or of another set.
+            The file is missing, broken, or of another set.
         """
         path, layout = self.path, self._layout
         if not path.is_file():
@@ -124,13 +124,13 @@ class Part:
                 claimed += file[name].nbytes
             if exceeds_limit(claimed, path.stat().st_size):
                 raise ValueError(f"claims {claimed} bytes in {path.stat().st_size}")
-        except Exception as error:  # HDF5's and h5py's, of many kinds
+        except Exception as error:  # HDF5 and h5py raise errors of many kinds
             file.close()
             raise NlosError(f"{path}: {short_size(error)}; run the same command again to make it anew") from None
         return file
 
     def write(self, draw: Callable[[int, int], Pose], renderer: Renderer) -> None:
-        """Render its pictures and put it in place.
+        """Render its pictures and write its file.
 
         Parameters
         ----------
@@ -145,23 +145,23 @@ class Part:
         """
         layout, plan = self._layout, self._layout.plan
         numbers, voxel, index = self._columns()
-        drawn = [draw(v, i) for v, i in zip(voxel.tolist(), index.tolist(), strict=True)]
-        position = np.array([p for p, _ in drawn], dtype=np.float64)
-        rotation = np.array([r for _, r in drawn], dtype=np.float64)
+        poses = [draw(v, i) for v, i in zip(voxel.tolist(), index.tolist(), strict=True)]
+        position = np.array([p for p, _ in poses], dtype=np.float64)
+        rotation = np.array([r for _, r in poses], dtype=np.float64)
         digest = hashlib.sha256()
         batch = max(1, min(1024, _BATCH // plan.picture_bytes(3)))
         chunk = min(plan.chunk(layout.channels), len(numbers))
-        # In memory first: HDF5 that finds the disk full in the middle of a file ends the process, not the call.
+        # In memory first: HDF5 that finds the disk full in the middle of a file ends the process, not only the call.
         with h5py.File(f"part {self._number}", "w", driver="core", backing_store=False, libver=VERSIONS) as file:
             packed = {"compression": "gzip", "compression_opts": 1, "shuffle": True} if plan.compress else {}
             shape = (len(numbers), *layout.picture_shape)
             pictures = file.create_dataset("pictures", shape, "<f4", chunks=(chunk, *layout.picture_shape), **packed)
             for start in range(0, len(numbers), batch):
-                some = slice(start, start + batch)
-                made = renderer.pictures(numbers[some], position[some], rotation[some])
-                made = self._checked(made, numbers[some])
-                digest.update(made.tobytes())
-                pictures[some] = made
+                rows = slice(start, start + batch)
+                rendered = renderer.pictures(numbers[rows], position[rows], rotation[rows])
+                rendered = self._checked(rendered, numbers[rows])
+                digest.update(rendered.tobytes())
+                pictures[rows] = rendered
             for name, column in zip(COLUMNS, (position, rotation, voxel, index), strict=True):
                 file.create_dataset(name, data=column, dtype=column.dtype.newbyteorder("<"))
                 digest.update(file[name][()].tobytes())
@@ -173,13 +173,13 @@ class Part:
             write_image(self.path, file)
 
     def _checked(self, made: Pictures, numbers: NDArray[np.int64]) -> NDArray[Any]:
-        """Return pictures as they are stored, once they are known to be sound."""
+        """Return pictures as they are stored; raise NlosError if they are not valid."""
         path, (width, height) = self._layout.path, self._layout.plan.resolution
         if made.shape != (len(numbers), height, width, 3):
             raise NlosError(f"{path}: the renderer made {made.shape}, not {(len(numbers), height, width, 3)}")
-        whole = np.isfinite(made).all(axis=(1, 2, 3))
-        if not whole.all():
-            raise NlosError(f"{path}: picture {numbers[~whole][0]} holds NaN or infinite pixels")
+        finite = np.isfinite(made).all(axis=(1, 2, 3))
+        if not finite.all():
+            raise NlosError(f"{path}: picture {numbers[~finite][0]} holds NaN or infinite pixels")
         if self._layout.channels == 1:
             if not ((made[..., 0] == made[..., 1]) & (made[..., 0] == made[..., 2])).all():
                 raise NlosError(f"{path}: the scene is grey, but the renderer made coloured pictures of it")
@@ -187,7 +187,7 @@ class Part:
         return np.ascontiguousarray(made, dtype="<f4")
 
     def fault(self, alike: Alike | None = None) -> str:
-        """Read all of it; return what is wrong, or nothing. Its pictures are shown to ``alike``."""
+        """Read the whole part; return what is wrong, or an empty text. Its pictures are passed to ``alike``."""
         path, layout = self.path, self._layout
         try:
             file = self.open()
@@ -206,40 +206,40 @@ class Part:
                         alike.look(numbers[start : start + batch], pictures)
                 for name in COLUMNS:
                     digest.update(file[name][()].tobytes())
-                order = np.array_equal(file["voxel"][()], voxels)
-                order &= np.array_equal(file["index"][()], indices)
+                in_order = np.array_equal(file["voxel"][()], voxels)
+                in_order &= np.array_equal(file["index"][()], indices)
                 placed = self._stand_right(file["position"][()], file["rotation"][()], voxels)
                 with limited(MUCH):
-                    told = str(file.attrs.get("sha256"))
-        except Exception as error:  # HDF5's and h5py's, of many kinds
+                    recorded = str(file.attrs.get("sha256"))
+        except Exception as error:  # HDF5 and h5py raise errors of many kinds
             return f"{path}: is broken ({short_size(error)}); take it away and run the same command again"
-        if digest.hexdigest() != told:
+        if digest.hexdigest() != recorded:
             return f"{path}: its contents differ from their hash; take it away and run the same command again"
         if not finite:
             return f"{path}: holds NaN or infinite pixels"
-        if not order:
+        if not in_order:
             return f"{path}: its voxels and indices are not those of this part"
         return "" if placed else f"{path}: its poses are not in their voxels, or turned by more than the set allows"
 
     def _stand_right(self, positions: Array, rotations: Array, voxels: NDArray[np.int64]) -> bool:
-        """Whether poses are such as the settings allow, as far as that can be told without the object."""
+        """Whether the settings allow the poses, as far as that can be checked without the object."""
         plan, grid = self._layout.plan, self._layout.grid
-        turned = plan.unknown or bool((np.abs(rotations) <= np.array(plan.rotation) * (1 + 1e-9)).all())
-        if plan.inside == "whole":  # the origin of an object may lie beside it
-            return turned
+        rotations_valid = plan.unknown or bool((np.abs(rotations) <= np.array(plan.rotation) * (1 + 1e-9)).all())
+        if plan.inside == "whole":  # the origin of an object may lie outside
+            return rotations_valid
         lo, hi = np.array([grid.bounds(v) for v in range(grid.n_voxels)]).transpose(1, 0, 2)
         slack = 1e-9 * np.abs([grid.lo, grid.hi]).max()
-        return turned and bool(((lo[voxels] - slack <= positions) & (positions <= hi[voxels] + slack)).all())
+        return rotations_valid and bool(((lo[voxels] - slack <= positions) & (positions <= hi[voxels] + slack)).all())
 
 
 class Alike:
-    """Looks for pictures of a set that equal its background to the bit, or each other.
+    """Looks for pictures of a set that are bitwise equal to its background or to each other.
 
     Parameters
     ----------
     layout : Layout
     background : ndarray of shape (height, width, 3), float32
-        Or of no pixels, if it cannot be read.
+        Without pixels if it cannot be read.
     """
 
     def __init__(self, layout: Layout, background: NDArray[np.float32]) -> None:
@@ -251,7 +251,7 @@ class Alike:
         self._background = np.ascontiguousarray(grey, dtype="<f4").tobytes()
 
     def look(self, numbers: NDArray[np.int64], pictures: Pictures) -> None:
-        """Take note of pictures."""
+        """Compare pictures with the background and with those before."""
         for number, picture in zip(numbers.tolist(), pictures, strict=True):
             if (data := picture.tobytes()) == self._background:
                 self._empty.append(number)
@@ -261,12 +261,12 @@ class Alike:
                 self._same.append((first, number))
 
     def faults(self) -> list[str]:
-        """Return a sentence per voxel whose pictures are the background, and one for those that equal each other."""
-        layout, found = self._layout, []
+        """Return a sentence per voxel in which pictures equal the background, and one for pictures that are equal."""
+        layout, faults = self._layout, []
         n, labels = layout.grid.n_voxels, layout.grid.labels
         for voxel, count in sorted(Counter(number % n for number in self._empty).items()):
             first = next(number for number in self._empty if number % n == voxel)
-            found.append(
+            faults.append(
                 f"{self._named(first)} equals the background to the bit, as {count} of "
                 f"{len(range(voxel, layout.plan.pictures, n))} pictures of voxel {labels[voxel]} do: the object "
                 "changes nothing there, so it is in full shadow or hidden by something"
@@ -274,8 +274,8 @@ class Alike:
         if self._same:
             first, second = self._same[0]
             more = f"; so do {len(self._same) - 1} more" if len(self._same) > 1 else ""
-            found.append(f"{self._named(second)} equals picture {first} to the bit, though the poses differ{more}")
-        return found
+            faults.append(f"{self._named(second)} equals picture {first} to the bit, though the poses differ{more}")
+        return faults
 
     def _named(self, number: int) -> str:
         return f"{self._layout.part_path(number // self._layout.plan.part)}: picture {number}"

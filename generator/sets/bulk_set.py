@@ -4,13 +4,14 @@ A bulk set is a folder::
 
     bulk.toml           format version, settings, scene, radiometry, software
     scene.blend         the scene as rendered
-    world.npz           what the pictures were computed from, as plain arrays; no Blender is needed to read it
+    world.npz           data that the pictures were computed from, as plain arrays; readable without Blender
     background.exr      no hidden object
     part-1f0c9a27-000000.h5 ...   some thousand pictures each, with their poses; the middle is the set's fingerprint
     set.h5              all parts as one, once they are all there (HDF5 virtual datasets)
 
-Picture number i shows voxel i % n_voxels with pose i // n_voxels, the very pose that a sweep with the same seed draws
-there; so any first pictures of a set have seen every voxel. The datasets, one row per picture, are
+Picture number i shows voxel i % n_voxels with pose i // n_voxels, which is the pose that a sweep with the same seed
+draws there; so the first pictures of a set, up to any number, are spread evenly over the voxels. The datasets, one
+row per picture, are
 
     pictures    (n, height, width) float32, W/m^2/sr, row 0 the top; (n, height, width, 3) where the scene has colours
     position    (n, 3) float64, m, of the target's origin
@@ -18,11 +19,11 @@ there; so any first pictures of a set have seen every voxel. The datasets, one r
     voxel       (n,) int64
     index       (n,) int64, of the pose within its voxel
 
-A part is put in place by rename when it is whole, so a run that is killed loses the parts in hand and no other, and a
-shard needs nothing but the folder.
+A part is put in place by rename when it is whole, so a killed run loses only the parts in progress, and a shard needs
+nothing but the folder.
 
-The fingerprint stands in the parts' names because HDF5 looks for a part that is missing in the current directory too,
-and would take another set's for it.
+The names of parts contain the fingerprint because HDF5 also looks for a missing part in the current directory, and
+would use another set's part.
 """
 
 from __future__ import annotations
@@ -57,23 +58,23 @@ from generator.transport.world import World
 from generator.transport.world_file import load_world, save_world, world_hash
 
 FORMAT = 2
-"""1 had no seal."""
+"""Format 1 had no seal."""
 MANIFEST = "bulk.toml"
 WORLD = "world.npz"
 MASTER = "set.h5"
 
 _TOO_MANY = 2**19
-"""Parts; a billion pictures of 64 x 64 are half of these."""
+"""Largest number of parts; a billion pictures of 64 x 64 take half as many."""
 _CHECKED = ".checked.json"
-"""Remembers which parts were found sound."""
+"""File that records which parts were found valid."""
 
 
 def check_free(path: Path) -> None:
     """Raise NlosError unless a bulk set can be created at that path."""
-    ours = {SCENE, WORLD, BACKGROUND}  # what planning leaves when it is killed
+    leftovers = {SCENE, WORLD, BACKGROUND}  # files that planning leaves when it is killed
     if path.is_dir():
         names = {p.name for p in path.iterdir() if not p.name.endswith(".tmp")}
-        if names and names <= ours:
+        if names and names <= leftovers:
             return
     check_no_set(path)
 
@@ -88,7 +89,7 @@ def is_grey(world: World) -> bool:
 
 
 class Bulk:
-    """A bulk set on disk, whole or not.
+    """A bulk set on disk, finished or not.
 
     Attributes
     ----------
@@ -114,7 +115,7 @@ class Bulk:
 
     @classmethod
     def exists(cls, path: Path) -> bool:
-        """Whether a bulk set stands at that path, finished or not."""
+        """Whether there is a bulk set at that path, finished or not."""
         return (Path(path) / MANIFEST).is_file()
 
     @classmethod
@@ -125,13 +126,12 @@ class Bulk:
         ----------
         path : Path
         check : bool
-            Refuse one that was changed after it was planned (`changed`). Parts are looked at by
-            `refuse_changed_parts`.
+            Refuse a set that was changed after it was planned (`changed`). `refuse_changed_parts` checks the parts.
 
         Raises
         ------
         NlosError
-            There is none, its format is newer than this software, its manifest is broken, or it was changed.
+            There is no bulk set, its format is newer than this software, its manifest is broken, or it was changed.
         """
         path = Path(path)
         if not cls.exists(path):
@@ -145,7 +145,7 @@ class Bulk:
         try:
             check_meta(meta, channels=int)
             bulk = cls(path, meta)
-            bulk.grid  # noqa: B018 (refuses what cannot be one)
+            bulk.grid  # noqa: B018 (raises if it is not valid)
         except NlosError as error:
             raise NlosError(f"{path / MANIFEST}: {error}") from None
         if bulk.plan.part < 1 or meta["channels"] not in (1, 3):
@@ -160,12 +160,12 @@ class Bulk:
     def create(
         cls, path: Path, plan: Settings, meta: Mapping[str, Any], world: World, background: Picture, scene_sha256: str
     ) -> Bulk:
-        """Put a new set in place, with no part yet; ``bulk.toml`` comes last and makes it one.
+        """Write a new set, with no part yet; ``bulk.toml`` is written last and makes the folder a set.
 
         Parameters
         ----------
         path : Path
-            Holds nothing, or ``scene.blend``.
+            Folder that is empty, or holds ``scene.blend``.
         plan : Settings
         meta : mapping
             ``scene`` (table), ``reference_radiance`` (float, W/m^2/sr), ``software`` (table).
@@ -173,7 +173,7 @@ class Bulk:
         background : ndarray of shape (height, width, 3), float32
             W/m^2/sr.
         scene_sha256 : str
-            Of the file that the scene was opened from.
+            Hash of the file that the scene was opened from.
 
         Raises
         ------
@@ -206,11 +206,11 @@ class Bulk:
     @property
     def seal(self) -> dict[str, str]:
         """The hashes of what was planned; empty in sets of older versions."""
-        found: dict[str, str] = self.meta.get(seal.SEAL, {})
-        return found
+        hashes: dict[str, str] = self.meta.get(seal.SEAL, {})
+        return hashes
 
     def changed(self) -> Iterator[str]:
-        """Look for what was changed after the set was planned: manifest, scene, world, background, files of others.
+        """Look for changes after the set was planned: of manifest, scene, world and background, or by foreign files.
 
         Parts are not read.
 
@@ -221,7 +221,7 @@ class Bulk:
         """
         if words := audit.manifest_fault(self.meta, FORMAT):
             yield f"{self.path / MANIFEST}: {words}; {audit.PUT_BACK}"
-            return  # all else is judged by it
+            return  # all other checks rely on the manifest
         if words := audit.scene_fault(self.path / SCENE, self.seal.get("scene", "")):
             yield words
         for read in (self.world, lambda: self.background):
@@ -246,29 +246,29 @@ class Bulk:
 
     @property
     def reference_radiance(self) -> float:
-        """Radiance of the directly lit patch around w1, W/m^2/sr: the scene's own scale of light."""
+        """Radiance of the directly lit patch around w1, W/m^2/sr, which sets the scale of the scene's radiance."""
         return float(self.meta["reference_radiance"])
 
     @property
     def target_kind(self) -> str:
-        """The kind of target: sheet, sphere or mesh; or box, where it is unknown."""
+        """The kind of target: sheet, sphere or mesh; or box, for unknown objects."""
         if self.plan.unknown:
             return "box"
         return str(self.meta["scene"].get("target", {}).get("kind", "mesh"))
 
     @property
     def planned(self) -> int:
-        """How many pictures the set has when it is finished."""
+        """Number of pictures of the finished set."""
         return self.plan.pictures
 
     @cached_property
     def layout(self) -> Layout:
-        """What its parts look like."""
+        """Layout of its parts."""
         return Layout(self.path, self.meta["fingerprint"], self.plan, self.meta["channels"], self.grid)
 
     @property
     def parts(self) -> int:
-        """How many parts the set has when it is finished."""
+        """Number of parts of the finished set."""
         return self.layout.parts
 
     @property
@@ -283,7 +283,7 @@ class Bulk:
         Raises
         ------
         NlosError
-            It is missing, broken, or another picture.
+            The picture is missing, broken, or another one.
         """
         pixels, header = read_picture(self.path / BACKGROUND)
         digest = pixel_hash(pixels)
@@ -296,41 +296,41 @@ class Bulk:
 
     @property
     def colour_space(self) -> str:
-        """The linear space that the three channels are of: Rec.709, Rec.2020 or ACEScg."""
+        """Linear colour space of the three channels: Rec.709, Rec.2020 or ACEScg."""
         return str(self.meta.get("colour_space", COLOUR_SPACE))
 
     @property
     def pictures(self) -> Rows:
-        """The pictures, W/m^2/sr, read as they are asked for: ``pictures[7]``, ``pictures[100:200]``."""
+        """The pictures, W/m^2/sr, which are read when they are indexed: ``pictures[7]``, ``pictures[100:200]``."""
         return Rows(self, "pictures", self.picture_shape, np.dtype(np.float32))
 
     @cached_property
     def positions(self) -> Array:
-        """Of the target's origin, (n, 3), metres; all are read."""
+        """Positions of the target's origin, (n, 3), metres; all are read at once."""
         return np.asarray(Rows(self, "position", (3,), np.dtype(np.float64)))
 
     @cached_property
     def rotations(self) -> Array:
-        """About x, then y, then z, (n, 3), degrees; all are read."""
+        """Rotations about x, then y, then z, (n, 3), degrees; all are read at once."""
         return np.asarray(Rows(self, "rotation", (3,), np.dtype(np.float64)))
 
     @property
     def voxels(self) -> NDArray[np.int64]:
-        """Which voxel the target stands in, (n,)."""
+        """Number of the voxel that the target stands in, (n,)."""
         return np.arange(self.planned) % self.grid.n_voxels
 
     @property
     def labels(self) -> NDArray[np.str_]:
-        """The voxels' names, (n,)."""
+        """Names of these voxels, (n,)."""
         return np.array(self.grid.labels)[self.voxels]
 
     def world(self) -> World:
-        """What the pictures were computed from.
+        """Return the data that the pictures were computed from.
 
         Raises
         ------
         NlosError
-            It is missing, or not the one this set was begun with.
+            The file is missing, or is not the one this set was begun with.
         """
         world = load_world(self.path / WORLD)
         if world_hash(world) != self.settings.get("world_sha256"):
@@ -350,7 +350,7 @@ class Bulk:
         return Part(self.layout, number)
 
     def missing(self) -> list[int]:
-        """Return the parts that are not there; a part that was renamed into place is believed to be whole."""
+        """Return the numbers of the missing parts; a part that exists is taken to be whole (`Part.is_there`)."""
         return [number for number in range(self.parts) if not self.part(number).is_there]
 
     def refuse_unfinished(self) -> None:
@@ -359,29 +359,29 @@ class Bulk:
             raise NlosError(f"{self.path}: {len(missing)} of {self.parts} parts are missing; finish the set first")
 
     def rows(self, number: int, name: str) -> Any:
-        """Return a part's dataset, as h5py gives it; some parts are kept open."""
+        """Return a part's dataset, of type h5py.Dataset; the parts used last are kept open."""
         # A file that was opened before a fork must not be used after it, so the process is part of the key. Datasets
-        # are kept and not the file alone, since to look one up takes longer than to read a picture from it.
+        # are kept and not the file alone, since looking one up takes longer than reading a picture from it.
         key = (number, os.getpid())
-        kept = self._opened.pop(key, None)
-        if kept is None:
+        datasets = self._opened.pop(key, None)
+        if datasets is None:
             file = self.part(number).open()
-            kept = {"file": file} | {column: file[column] for column in ("pictures", *COLUMNS)}
-        self._opened[key] = kept  # the last used comes last
+            datasets = {"file": file} | {column: file[column] for column in ("pictures", *COLUMNS)}
+        self._opened[key] = datasets  # the last used comes last
         if len(self._opened) > OPENED:
             del self._opened[next(iter(self._opened))]
-        return kept[name]
+        return datasets[name]
 
     def close(self) -> None:
         """Close the parts that are kept open; they open again when they are read."""
-        for kept in self._opened.values():
-            kept["file"].close()
+        for datasets in self._opened.values():
+            datasets["file"].close()
         self._opened.clear()
 
     def finish(self) -> None:
-        """Write ``set.h5``, which shows all parts as one, unless it is there; clear away what killed runs left."""
-        for left in self.path.glob(".part-*.tmp"):
-            left.unlink(missing_ok=True)
+        """Write ``set.h5``, which shows all parts as one, unless it exists; remove temporary files of killed runs."""
+        for leftover in self.path.glob(".part-*.tmp"):
+            leftover.unlink(missing_ok=True)
         master = self._master()
         if not master.is_in(self.path / MASTER):
             with atomic(self.path / MASTER) as temporary:
@@ -393,43 +393,43 @@ class Bulk:
     def refuse_changed_parts(self, count: int = 0) -> None:
         """Raise NlosError if parts are not as they were rendered.
 
-        A part that was found sound is remembered, with its size and the time of its last change, and is read again
-        only when those differ; `verify` reads all.
+        A part that was found valid is recorded, with its size and the time of its last change, and is read again only
+        when those differ; `verify` reads all parts.
 
         Parameters
         ----------
         count : int
-            Of pictures, from the first, that are to be used; 0 is all.
+            Number of pictures, from the first, that are to be used; 0 is all.
         """
-        known = self._sound()
-        before = dict(known)
+        sound = self._sound()
+        before = dict(sound)
         for number in range(math.ceil((count or self.planned) / self.plan.part)):
             part = self.part(number)
-            if known.get(part.path.name) != (state := part.state):
+            if sound.get(part.path.name) != (state := part.state):
                 if fault := part.fault():
                     raise NlosError(fault)
-                known[part.path.name] = state
-        self._remember(known, before)
+                sound[part.path.name] = state
+        self._remember(sound, before)
 
     def _sound(self) -> dict[str, Any]:
-        """What is remembered of parts that were found sound."""
+        """Return the recorded states of the parts that were found valid, by name of their file."""
         try:
-            found = json.loads((self.path / _CHECKED).read_text(encoding="utf-8"))
+            states = json.loads((self.path / _CHECKED).read_text(encoding="utf-8"))
         except (OSError, ValueError, RecursionError):
             return {}
-        return found if isinstance(found, dict) else {}
+        return states if isinstance(states, dict) else {}
 
     def _remember(self, sound: dict[str, Any], before: dict[str, Any]) -> None:
         if sound != before:
-            with contextlib.suppress(NlosError):  # of a set that one may only read, parts are read again
+            with contextlib.suppress(NlosError):  # parts of a read-only set are read again each time
                 write_text(self.path / _CHECKED, json.dumps(sound))
 
     def verify(self, progress: Progress = lambda done, total: None) -> list[str]:
-        """Re-read everything; return what is wrong, a sentence each, which begins with the file that it is in."""
+        """Read everything again; return one sentence per fault, which begins with the file that it is in."""
         faults, sound = list(self.changed()), {}
         try:
             alike = Alike(self.layout, self.background)
-        except NlosError:  # which `changed` has told
+        except NlosError:  # `changed` has reported it
             alike = Alike(self.layout, np.zeros((0, 0, 3), dtype=np.float32))
         for number in range(self.parts):
             progress(number, self.parts)

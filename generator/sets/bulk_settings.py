@@ -1,4 +1,4 @@
-"""Settings of a bulk set, and where its parts lie."""
+"""Settings of a bulk set, and the layout of its parts."""
 
 from __future__ import annotations
 
@@ -17,13 +17,13 @@ _CHUNK = 64 * 1024
 _PART = 64 * 1024**2
 _LARGEST_PART = 1024**3
 _MOST_PARTS = 512
-"""HDF5 holds every part open that it has read through the master, and a process may have 1024 files open."""
+"""HDF5 keeps every part open that it has read through the master, and a process may have 1024 files open."""
 
 
 @documented
 @dataclass(frozen=True, kw_only=True)
 class Settings:
-    """All that decides a bulk set besides the scene."""
+    """All that determines a bulk set besides the scene."""
 
     pictures: int = described("in all voxels together", lo=1, hi=10**9)
     seed: int = borrowed(Sweep, "seed")
@@ -45,15 +45,15 @@ class Settings:
         check_ranges(self)
         if self.part < 0:
             raise NlosError(f"part: {self.part} must be 1 or more, or 0 to choose")
-        self.sweep  # noqa: B018 (refuses what a sweep refuses)
+        self.sweep  # noqa: B018 (raises what a sweep raises)
 
     @property
     def sweep(self) -> Sweep:
-        """The sweep whose poses these are."""
+        """The sweep that has the same poses."""
         return Sweep(seed=self.seed, resolution=self.resolution, inside=self.inside, rotation=self.rotation)
 
     def chunk(self, channels: int) -> int:
-        """Pictures per HDF5 chunk: what is read from the disk to see one picture, about 64 KiB."""
+        """Pictures per HDF5 chunk, which is read whole from disk for any of its pictures: about 64 KiB."""
         return max(1, min(1024, _CHUNK // self.picture_bytes(channels)))
 
     def picture_bytes(self, channels: int) -> int:
@@ -63,7 +63,7 @@ class Settings:
     def with_part(self, channels: int) -> Settings:
         """Return the settings with a size of part chosen, if there is none yet.
 
-        About 64 MiB, but enough parts to share among workers, and not so many that they cannot all be open at once.
+        A part has about 64 MiB, but there are enough to share among workers, and few enough to be all open at once.
         """
         if self.part:
             return self
@@ -76,17 +76,17 @@ class Settings:
 
 @dataclass(frozen=True)
 class Layout:
-    """What parts of a set look like.
+    """Layout of the parts of a set.
 
     Attributes
     ----------
     path : Path
         Folder of the set.
     fingerprint : str
-        The set's.
+        Fingerprint of the set.
     plan : Settings
     channels : int
-        1 or 3, of a stored picture.
+        Number of channels of a stored picture, 1 or 3.
     grid : VoxelGrid
     """
 
@@ -98,7 +98,7 @@ class Layout:
 
     @property
     def parts(self) -> int:
-        """How many parts there are when the set is finished."""
+        """Number of parts of the finished set."""
         return math.ceil(self.plan.pictures / self.plan.part)
 
     @property

@@ -11,9 +11,9 @@ A data set is a folder::
 Each picture carries its pose, its pixels' hash and the fingerprint of its sweep in its header, so workers need no
 common file: a picture that was put in place by rename is done, and the manifest is gathered from the pictures.
 
-``dataset.toml`` holds hashes of its own values, of the scene, and of what ``poses.csv`` planned
+``dataset.toml`` holds hashes of its own values, of the scene, and of the planned poses in ``poses.csv``
 (`generator.sets.seal`), so a set that was changed after it was planned is refused when it is opened.
-`generator.sets.audit` re-reads everything.
+`generator.sets.audit` reads everything again.
 """
 
 from __future__ import annotations
@@ -67,7 +67,7 @@ class Dataset:
 
     @classmethod
     def exists(cls, path: Path) -> bool:
-        """Whether a data set stands at that path, finished or not."""
+        """Whether there is a data set at that path, finished or not."""
         return (path / MANIFEST).is_file()
 
     @classmethod
@@ -78,13 +78,13 @@ class Dataset:
         ----------
         path : Path
         check : bool
-            Refuse one that was changed after it was planned (`audit.changed`). Pictures are looked at when they are
+            Refuse a set that was changed after it was planned (`audit.changed`). Pictures are checked when they are
             read.
 
         Raises
         ------
         NlosError
-            There is none, its format is newer than this software, its manifest is broken, or it was changed.
+            There is no data set, its format is newer than this software, its manifest is broken, or it was changed.
         """
         path = Path(path)
         if not cls.exists(path):
@@ -100,7 +100,7 @@ class Dataset:
         try:
             check_meta(meta)
             dataset = cls(path, meta, read_poses(path / POSES))
-            dataset.sweep, dataset.grid  # noqa: B018 (refuse what cannot be one)
+            dataset.sweep, dataset.grid  # noqa: B018 (raise if they are not valid)
         except NlosError as error:
             raise NlosError(f"{path / MANIFEST}: {error}") from None
         if check:
@@ -109,7 +109,7 @@ class Dataset:
 
     @classmethod
     def create(cls, path: Path, meta: Mapping[str, Any], poses: Sequence[PoseRecord]) -> Dataset:
-        """Put a new data set in place, with no picture yet; ``dataset.toml`` comes last and makes it one.
+        """Write a new data set, with no picture yet; ``dataset.toml`` is written last and makes it a data set.
 
         Parameters
         ----------
@@ -138,8 +138,8 @@ class Dataset:
     @property
     def seal(self) -> dict[str, str]:
         """The hashes of what was planned; empty in sets of older versions."""
-        found: dict[str, str] = self.meta.get(seal.SEAL, {})
-        return found
+        hashes: dict[str, str] = self.meta.get(seal.SEAL, {})
+        return hashes
 
     def refuse_changed(self) -> None:
         """Raise NlosError, naming the first fault, if the set was changed after it was planned (`audit.changed`)."""
@@ -167,7 +167,7 @@ class Dataset:
 
     @property
     def background_names(self) -> list[str]:
-        """The background pictures this set has: a second one where ambient light is on."""
+        """Names of the background pictures: there is a second one where ambient light is on."""
         return [BACKGROUND] + [BACKGROUND_AMBIENT] * (float(self.meta["scene"].get("ambient", 0.0)) > 0)
 
     @property
@@ -177,7 +177,7 @@ class Dataset:
 
     @property
     def reference_radiance(self) -> float:
-        """Radiance of the directly lit patch around w1, W/m^2/sr: the scene's own scale of light."""
+        """Radiance of the directly lit patch around w1, W/m^2/sr, which sets the scale of the scene's radiance."""
         return float(self.meta["reference_radiance"])
 
     @property
@@ -187,12 +187,12 @@ class Dataset:
 
     @property
     def colour_space(self) -> str:
-        """The linear space that the three channels are of: Rec.709, Rec.2020 or ACEScg."""
+        """Linear colour space of the three channels: Rec.709, Rec.2020 or ACEScg."""
         return str(self.meta.get("colour_space", COLOUR_SPACE))
 
     @property
     def planned(self) -> int:
-        """How many poses the sweep has."""
+        """Number of poses of the sweep."""
         return len(self.poses)
 
     def background(self) -> Picture:
@@ -201,7 +201,7 @@ class Dataset:
         Raises
         ------
         NlosError
-            It is missing, broken, or another picture.
+            The picture is missing, broken, or another one.
         """
         return self._background(self.background_names[-1])
 
@@ -224,7 +224,7 @@ class Dataset:
         Raises
         ------
         NlosError
-            It is truncated, its pixels are not those that were rendered, or it is of another pose.
+            The picture is truncated, its pixels are not those that were rendered, or it is of another pose.
         """
         seen = self.see(record)
         if seen.pixels is None:
@@ -247,12 +247,12 @@ class Dataset:
         write_picture(self.path / name, pixels, header)
 
     def has_background(self, name: str) -> bool:
-        """Whether a sound background picture of this sweep is there.
+        """Whether there is a valid background picture of this sweep.
 
         Raises
         ------
         NlosError
-            Another sound picture is there: somebody put it in place, and rendering would overwrite it.
+            There is another valid picture: somebody put it in place, and rendering would overwrite it.
         """
         seen = self.see_background(name)
         if seen.pixels is not None and seen.fault:
@@ -260,7 +260,7 @@ class Dataset:
         return seen.pixels is not None
 
     def see_background(self, name: str) -> Seen:
-        """Look at a background picture on disk, and in what it is not that background."""
+        """Read a background picture on disk, and find how it differs from the expected one."""
         return self._see(self.path / name, {**self._common(), "background": name}, unlike="label")
 
     def _common(self) -> dict[str, str]:
@@ -283,11 +283,11 @@ class Dataset:
         }
 
     def see(self, pose: PoseRecord) -> Seen:
-        """Look at a pose's picture on disk, and in what it is not that pose's."""
+        """Read a pose's picture on disk, and find how it differs from the expected one."""
         return self._see(self.path / pose.file, self._identity(pose), unlike="background")
 
     def _see(self, path: Path, expected: Mapping[str, str], *, unlike: str) -> Seen:
-        """Look at a picture; ``unlike`` is an attribute that pictures of the other kind have."""
+        """Read and check a picture; ``unlike`` is an attribute that pictures of the other kind have."""
         try:
             pixels, header = read_picture(path)
         except NlosError as error:
@@ -307,20 +307,20 @@ class Dataset:
             return f"has {shape[1]} x {shape[0]} pixels, not {width} x {height}"
         if unlike in header:
             is_background = unlike == "background"
-            mine = f"the background {header[unlike]}" if is_background else f"a picture of voxel {header[unlike]}"
-            return f"is {mine}, not {'a picture of a pose' if is_background else 'the background'}"
+            actual = f"the background {header[unlike]}" if is_background else f"a picture of voxel {header[unlike]}"
+            return f"is {actual}, not {'a picture of a pose' if is_background else 'the background'}"
         for name, value in expected.items():
             if header.get(name) != value and (name in header or self.seal or name not in NEWER_ATTRIBUTES):
                 return f"is a picture of {name.replace('_', ' ')} {header.get(name)}, not {value}"
         return ""
 
     def inspect(self, pose: PoseRecord) -> PoseRecord:
-        """Return the pose as its picture on disk tells it: finished if the picture is whole.
+        """Return the pose with the values of its picture on disk: finished if the picture is whole.
 
         Raises
         ------
         NlosError
-            A sound picture is there that is not this pose's: somebody put it in place, and rendering would overwrite
+            There is a valid picture that is not this pose's: somebody put it in place, and rendering would overwrite
             it.
         """
         seen = self.see(pose)
@@ -331,41 +331,41 @@ class Dataset:
         return rendered(pose, seen)
 
     def gather(self, some: Collection[int] | None = None) -> list[PoseRecord]:
-        """Look at pictures on disk, bring the manifest up to date, and return the poses still to render.
+        """Check pictures on disk, bring the manifest up to date, and return the poses still to render.
 
         Parameters
         ----------
         some : collection of int, optional
-            Positions of poses whose pictures are looked at; of the others only those that the manifest does not know
-            yet, so that of many shares that end together the last leaves it whole. Without it, all are.
+            Positions of poses whose pictures are read; other pictures are read only if the manifest does not list
+            them yet, so that the last of many shards that end together leaves it complete. By default, all are read.
         """
         known = self.poses if some is None else self._read_again()
-        look = range(len(known)) if some is None else set(some)
+        chosen = range(len(known)) if some is None else set(some)
         self.poses = [
-            self.inspect(pose) if position in look or not pose.done else pose for position, pose in enumerate(known)
+            self.inspect(pose) if position in chosen or not pose.done else pose for position, pose in enumerate(known)
         ]
         self.write_manifest()
         return [pose for pose in self.poses if not pose.done]
 
     def tidy(self) -> None:
-        """Clear away what killed runs on this machine left half-written; what a process is at work on stays."""
+        """Remove half-written files that killed runs on this machine left; those of running processes stay."""
         for folder in {(self.path / pose.file).parent for pose in self.poses} | {self.path}:
-            for left in folder.glob(f".*.{HOST}-*.tmp"):
-                number = left.name.rpartition("-")[2].partition(".")[0]
-                if not (number.isdecimal() and is_alive(int(number))):
-                    left.unlink(missing_ok=True)
+            for leftover in folder.glob(f".*.{HOST}-*.tmp"):
+                pid = leftover.name.rpartition("-")[2].partition(".")[0]
+                if not (pid.isdecimal() and is_alive(int(pid))):
+                    leftover.unlink(missing_ok=True)
 
     def write_manifest(self) -> None:
         """Write ``poses.csv`` by temporary name and rename."""
         write_text(self.path / POSES, csv_text(POSE_COLUMNS, (pose.row() for pose in self.poses)))
 
     def _read_again(self) -> list[PoseRecord]:
-        """Read ``poses.csv``, to which other shares may have added what they rendered."""
-        found = read_poses(self.path / POSES)
-        if [pose.plan for pose in found] != [pose.plan for pose in self.poses]:
+        """Read ``poses.csv``, to which other shards may have added the poses that they rendered."""
+        poses = read_poses(self.path / POSES)
+        if [pose.plan for pose in poses] != [pose.plan for pose in self.poses]:
             raise NlosError(f"{self.path / POSES}: its poses are not those that were planned; put the file back")
-        return found
+        return poses
 
     def verify(self) -> list[str]:
-        """Re-read everything; return a sentence per fault (`generator.sets.audit`)."""
+        """Read everything again; return a sentence per fault (`generator.sets.audit`)."""
         return audit.faults(self)

@@ -1,4 +1,4 @@
-"""Tables of an HDF5 file, refused before what they claim is believed."""
+"""Rows of the datasets of a bulk set, read across its parts, and the writing of HDF5 files."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ _ABOUT = {
 OPENED = 128
 
 VERSIONS = ("v110", "v110")
-"""Files that HDF5 1.10 can read, the first that knows virtual datasets, whatever is newest here."""
+"""Versions of the file format to write: HDF5 1.10, the first with virtual datasets, can read them."""
 
 
 class Parts(Protocol):
@@ -46,16 +46,16 @@ class Parts(Protocol):
 
 
 class Rows:
-    """One row per picture, spread over the parts, read as they are asked for.
+    """One row per picture, spread over the parts; rows are read when they are indexed.
 
     Parameters
     ----------
     bulk : Parts
         Set that they belong to.
     name : str
-        Of the dataset.
+        Name of the dataset.
     shape : tuple of int
-        Of one row.
+        Shape of one row.
     dtype : dtype
     """
 
@@ -73,7 +73,7 @@ class Rows:
         return whole if dtype is None else whole.astype(dtype)
 
     def __getitem__(self, which: Any) -> Any:
-        """Return one row, a slice of them, or those that an array of numbers or of truth values names."""
+        """Return one row, a slice of rows, or the rows that an array of numbers or of booleans selects."""
         part = self._bulk.plan.part
         if isinstance(which, int | np.integer):
             number = range(len(self))[which]
@@ -90,21 +90,21 @@ class Rows:
             return rows
         numbers = self._numbers(which)
         rows = np.empty((len(numbers), *self.shape[1:]), self.dtype)
-        owner = numbers // part
-        for number in np.unique(owner).tolist():
-            mine = np.flatnonzero(owner == number)
-            wanted = numbers[mine] - number * part
-            low, high = int(wanted.min()), int(wanted.max()) + 1
-            # h5py's own way with lists of rows is slower than either of these.
-            if high - low <= 4 * len(wanted):
-                rows[mine] = self._read(number, slice(low, high))[wanted - low]
+        parts = numbers // part
+        for number in np.unique(parts).tolist():
+            positions = np.flatnonzero(parts == number)
+            rows_of_part = numbers[positions] - number * part
+            low, high = int(rows_of_part.min()), int(rows_of_part.max()) + 1
+            # h5py's own indexing by lists of rows is slower than either of these.
+            if high - low <= 4 * len(rows_of_part):
+                rows[positions] = self._read(number, slice(low, high))[rows_of_part - low]
             else:
-                for at, row in zip(mine.tolist(), wanted.tolist(), strict=True):
-                    rows[at] = self._read(number, row)
+                for position, row in zip(positions.tolist(), rows_of_part.tolist(), strict=True):
+                    rows[position] = self._read(number, row)
         return rows
 
     def _read(self, number: int, which: int | slice) -> Any:
-        """Some rows of a part."""
+        """Return rows of a part."""
         try:
             return self._bulk.rows(number, self._name)[which]
         except OSError as error:
@@ -125,19 +125,19 @@ class Rows:
 
 
 def describe_file(file: Any) -> None:
-    """Write units and meaning beside the tables of a part."""
+    """Write units and meaning of a part's datasets into their attributes."""
     for name, attributes in _ABOUT.items():
         file[name].attrs.update(attributes)
 
 
 def write_image(path: Path, file: Any) -> None:
-    """Put an HDF5 file that was made in memory into place, whole or not at all."""
+    """Write an HDF5 file that was made in memory to disk, whole or not at all."""
     file.flush()
     with atomic(path) as temporary:
         temporary.write_bytes(file.id.get_file_image())
 
 
 def short_size(error: Exception) -> str:
-    """HDF5's message without its inner monologue of addresses and times."""
+    """Return HDF5's message on one line, cut before its long details of addresses and times."""
     text = " ".join(str(error.args[0] if error.args else error).split())
     return text[:120]

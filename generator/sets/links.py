@@ -1,4 +1,4 @@
-"""Files that a scene refers to, as a data set remembers them: are they the same, and may they be read?"""
+"""Files that a scene refers to: whether they are those that a data set recorded, and whether they may be read."""
 
 from __future__ import annotations
 
@@ -13,10 +13,10 @@ from generator.files.writing import file_hash
 from generator.model.errors import NlosError
 
 _TRUSTED = ContextVar("links are trusted", default=False)
-"""Of this thread; a request carries it to a worker (`generator.jobs.protocol.Request`)."""
+"""Holds for this thread; a request passes it on to a worker (`generator.jobs.protocol.Request`)."""
 
 MISSING = "missing"
-"""In place of a hash."""
+"""Recorded in place of the hash of a missing file."""
 
 
 def trusted() -> bool:
@@ -26,21 +26,21 @@ def trusted() -> bool:
 
 @contextlib.contextmanager
 def trusting(yes: bool = True) -> Iterator[None]:
-    """Follow links wherever they lead for a while, if that is wanted, in this thread and in workers that it asks."""
-    before = _TRUSTED.set(yes or _TRUSTED.get())
+    """Follow links wherever they lead within this context, if ``yes``, in this thread and in workers it starts."""
+    token = _TRUSTED.set(yes or _TRUSTED.get())
     try:
         yield
     finally:
-        _TRUSTED.reset(before)
+        _TRUSTED.reset(token)
 
 
 def recorded(found: Collection[Path], folder: Path) -> dict[str, str]:
-    """Return the hashes of files by their names as seen from a data set's folder: what it remembers of them."""
+    """Return the hashes of files by their paths relative to a data set's folder, as the set records them."""
     return {_seen_from(path, folder): _hash(path) for path in found}
 
 
 def of_dataset(links: Mapping[str, Any], folder: Path) -> list[Path]:
-    """Return the files that a data set remembers."""
+    """Return the files that a data set has recorded."""
     return [folder / name for name in links]
 
 
@@ -50,16 +50,16 @@ def check(links: Mapping[str, Any], folder: Path, scene: Path) -> None:
     Parameters
     ----------
     links : mapping
-        Of `recorded`.
+        Result of `recorded`.
     folder : Path
-        Of the data set.
+        Folder of the data set.
     scene : Path
-        That the user named.
+        Scene file that the user named.
     """
-    homes = (real(scene.parent), real(folder))
+    allowed_folders = (real(scene.parent), real(folder))
     for name, digest in links.items():
         path = real(folder / name)
-        if not trusted() and not any(path.is_relative_to(home) for home in homes):
+        if not trusted() and not any(path.is_relative_to(allowed) for allowed in allowed_folders):
             raise NlosError(f"{folder}: refers to {path}, outside the folder of {scene}; allow it with --trust-links")
         if _hash(path) != digest:
             raise NlosError(
@@ -73,7 +73,7 @@ def _hash(path: Path) -> str:
 
 
 def real(path: Path) -> Path:
-    """Return where a path leads, symbolic links followed."""
+    """Return a path with its symbolic links followed."""
     return Path(os.path.realpath(path))
 
 

@@ -1,4 +1,4 @@
-"""Names and tables of a data set's folder, and the checks that they pass before they are believed."""
+"""Names of the files in a data set's folder, and the checks of its tables when they are read."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from generator.model.errors import NlosError
 from generator.model.poses import PLANNED_COLUMNS, PoseRecord
 
 FORMAT = 2
-"""1 had no seal."""
+"""Format 1 had no seal."""
 
 
 MANIFEST = "dataset.toml"
@@ -40,7 +40,7 @@ PLAN = "plan.toml"
 
 
 NEWER_ATTRIBUTES = ("background", "colour_space")
-"""Attributes of pictures that sets without seal may lack."""
+"""Attributes that pictures of sets without seal may lack."""
 
 
 def plan_hash(poses: Iterable[PoseRecord]) -> str:
@@ -57,7 +57,7 @@ def scene_hash(path: Path) -> str:
     Raises
     ------
     NlosError
-        It cannot be read.
+        The file cannot be read.
     """
     try:
         return file_hash(path)
@@ -77,7 +77,7 @@ _OPTIONAL = dict.fromkeys(("software", "links", "start_check"), dict) | dict.fro
 
 
 def check_meta(meta: Mapping[str, Any], **needed: type) -> None:
-    """Raise NlosError unless a manifest has what every set's has, and some fields more."""
+    """Raise NlosError unless a manifest has the fields that every set needs, and those of ``needed``."""
     for name, kind in {**_TABLES, **needed}.items():
         if not isinstance(meta.get(name), kind):
             raise NlosError(f"lacks the field '{name}'")
@@ -85,8 +85,8 @@ def check_meta(meta: Mapping[str, Any], **needed: type) -> None:
         if name in meta and not isinstance(meta[name], kind):
             raise NlosError(f"{name}: must be a {'table' if kind is dict else 'list'}")
     scene = meta["scene"]
-    for name, some in _IN_SCENE.items():
-        if name in scene and not isinstance(scene[name], some):
+    for name, kinds in _IN_SCENE.items():
+        if name in scene and not isinstance(scene[name], kinds):
             raise NlosError(f"scene.{name}: {scene[name]!r} cannot be")
     if "reflection_order" not in scene:
         raise NlosError("lacks the field 'scene.reflection_order'")
@@ -114,12 +114,12 @@ def check_no_set(path: Path) -> None:
 
 
 def read_poses(path: Path) -> list[PoseRecord]:
-    """Return the poses of a manifest.
+    """Return the poses of a file ``poses.csv``.
 
     Raises
     ------
     NlosError
-        It is missing, cannot be read, or is no table of poses.
+        The file is missing, cannot be read, or is no table of poses.
     """
     try:
         with path.open(newline="", encoding="utf-8") as file:

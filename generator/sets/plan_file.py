@@ -1,4 +1,4 @@
-"""The file of a plan: what a sweep follows, and a data set keeps."""
+"""The file of a plan, which a sweep follows and a data set keeps a copy of."""
 
 from __future__ import annotations
 
@@ -18,11 +18,11 @@ FILE = PLAN
 
 
 SETTINGS = ("engine", "accuracy", "samples", "leave_out")
-"""Of a sweep, that follow from a plan."""
+"""Settings of a sweep that follow from a plan."""
 
 
 def followed(path: Path, scene: Path, chosen: Mapping[str, Any]) -> dict[str, Any]:
-    """Return the settings of a sweep that follows a plan: its own, and those that the user chose besides.
+    """Return the settings of a sweep that follows a plan: those of the plan, and those that the user chose besides.
 
     Raises
     ------
@@ -30,13 +30,13 @@ def followed(path: Path, scene: Path, chosen: Mapping[str, Any]) -> dict[str, An
         As `read`; or the user chose what follows from the plan.
     """
     settings = read(path, scene)
-    if twice := [name for name in SETTINGS if name in chosen]:
-        raise NlosError(f"{twice[0]}: follows from --plan; leave it out, or leave --plan out")
+    if conflicts := [name for name in SETTINGS if name in chosen]:
+        raise NlosError(f"{conflicts[0]}: follows from --plan; leave it out, or leave --plan out")
     return {**chosen, **settings}
 
 
 def keep(path: Path, dataset: Path) -> None:
-    """Copy a plan, or the one in a folder, into the data set that was made by it."""
+    """Copy a plan, or the one in a folder, into the data set that was made from it."""
     write_text(dataset / FILE, _file(path).read_text(encoding="utf-8"))
 
 
@@ -52,19 +52,19 @@ def read(path: Path, scene: Path) -> dict[str, Any]:
     path : Path
         The file, or the folder that holds it.
     scene : Path
-        That is to be swept.
+        Scene file that is to be swept.
 
     Raises
     ------
     NlosError
-        It is no plan, is newer than this software, or is of another scene.
+        The file is no plan, is newer than this software, or is of another scene.
     """
     file = _file(path)
-    made = read_toml(file)
-    settings = made.get("settings")
-    if not isinstance(settings, dict) or made.get("format") != FORMAT or set(settings) - set(SETTINGS):
+    plan = read_toml(file)
+    settings = plan.get("settings")
+    if not isinstance(settings, dict) or plan.get("format") != FORMAT or set(settings) - set(SETTINGS):
         raise NlosError(f"{file}: is no plan of format {FORMAT}; make one with nlos-generate plan")
-    if made.get("scene_sha256") != scene_hash(scene):
+    if plan.get("scene_sha256") != scene_hash(scene):
         raise NlosError(
             f"{file}: is a plan of another scene than {scene}, or of this one before it was edited; plan again"
         )

@@ -1,4 +1,4 @@
-"""What rendered and simulated sets both offer to whoever reads them."""
+"""Common interface by which rendered and simulated sets are read."""
 
 from __future__ import annotations
 
@@ -17,19 +17,19 @@ from generator.model.poses import PoseRecord
 
 
 class PictureSet(Protocol):
-    """What pictures are read from: `Dataset`, or `generator.sets.simulated.SimulatedSet`."""
+    """A set that pictures are read from: `Dataset`, or `generator.sets.simulated.SimulatedSet`."""
 
     @property
     def path(self) -> Path:
-        """Of the set."""
+        """Folder of the set."""
 
     @property
     def meta(self) -> dict[str, Any]:
-        """All of its manifest."""
+        """All values of its manifest."""
 
     @property
     def settings(self) -> dict[str, Any]:
-        """What it was made with."""
+        """Settings that it was made with."""
 
     @property
     def grid(self) -> VoxelGrid:
@@ -45,28 +45,28 @@ class PictureSet(Protocol):
 
     @property
     def colour_space(self) -> str:
-        """The linear space that the three channels are of: Rec.709, Rec.2020 or ACEScg."""
+        """Linear colour space of the three channels: Rec.709, Rec.2020 or ACEScg."""
 
     @property
     def planned(self) -> int:
-        """How many pictures it has when it is finished."""
+        """Number of pictures of the finished set."""
 
     @property
     def records(self) -> list[PoseRecord]:
-        """The poses whose pictures are there."""
+        """The poses whose pictures exist."""
 
     def background(self) -> Picture:
         """Return the picture without the hidden object, (height, width, 3), W/m^2/sr."""
 
     def ambient_background(self) -> Picture | None:
-        """Return what ambient light alone adds to it, or None."""
+        """Return what ambient light alone adds to the background, or None where it is off."""
 
     def picture(self, record: PoseRecord) -> Picture:
         """Return a pose's picture, (height, width, 3), W/m^2/sr."""
 
 
 class Seen(NamedTuple):
-    """A picture on disk: its pixels' own hash, and in what it is not the expected one; none if it is not whole."""
+    """A picture on disk, None if it is not whole; its pixels' hash, and how it differs from the expected picture."""
 
     pixels: Picture | None
     header: dict[str, str]
@@ -75,15 +75,15 @@ class Seen(NamedTuple):
 
 
 def check_colours(path: Path, own: str, wanted: str, what: str) -> None:
-    """Raise NlosError unless channels of one linear space mean the same as those of another.
+    """Raise NlosError unless the channels of two sets or pictures are in the same linear space.
 
     Parameters
     ----------
     path : Path
-        Of the picture or the set whose channels are of the space ``own``.
+        Picture or set whose channels are in the space ``own``.
     own, wanted : str
     what : str
-        Whose channels are of the space ``wanted``.
+        Words for the set or picture whose channels are in the space ``wanted``.
     """
     if own != wanted:
         raise NlosError(
@@ -93,7 +93,7 @@ def check_colours(path: Path, own: str, wanted: str, what: str) -> None:
 
 
 def as_read(meta: Mapping[str, Any]) -> dict[str, Any]:
-    """Return a manifest's values as they are read back: TOML knows no tuples."""
+    """Return a manifest's values as they are read back from TOML, which has no tuples."""
     return tomllib.loads(dump_toml(meta))
 
 
@@ -101,7 +101,7 @@ RENDER_AGAIN = "take it away and run the sweep again to render it"
 
 
 def rendered(pose: PoseRecord, seen: Seen) -> PoseRecord:
-    """Return a pose as its picture tells it."""
+    """Return a pose with the hash, seconds and samples of its picture."""
     try:
         seconds, samples = float(seen.header.get("seconds", "0")), int(seen.header.get("samples", "0"))
     except ValueError:
@@ -110,5 +110,5 @@ def rendered(pose: PoseRecord, seen: Seen) -> PoseRecord:
 
 
 def vector_text(vector: Vector) -> str:
-    """Return a vector as an attribute of a picture holds it: every digit, blanks between."""
+    """Return a vector as text for an attribute of a picture: with all digits, separated by blanks."""
     return " ".join(repr(float(value)) for value in vector)

@@ -1,4 +1,4 @@
-"""Whether a set that is there is the one asked for, so that it may be gone on with."""
+"""Checks that an existing set is the one that is asked for, so that it may be continued."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from generator.sets.manifest import SCENE, scene_hash
 
 
 class HasSettings(Protocol):
-    """A set on disk that knows what it was made with."""
+    """A set on disk and the settings that it was made with."""
 
     path: Path
     meta: dict[str, Any]
@@ -28,25 +28,26 @@ class HasSettings(Protocol):
 def check_same(dataset: HasSettings, scene: Path, chosen: Mapping[str, Any]) -> None:
     """Raise NlosError, naming each difference, if a data set was made from another scene or with other settings.
 
-    Or if files that its scene refers to have changed, or may not be read (`links.check`).
+    NlosError is also raised if files that its scene refers to have changed, or may not be read (`links.check`).
     """
-    own = {"device": Sweep.device, "denoise": Sweep.denoise, **dataset.settings}  # older sets knew of no other
-    width, height = own["resolution"]
+    settings = {"device": Sweep.device, "denoise": Sweep.denoise, **dataset.settings}  # older sets lack these
+    width, height = settings["resolution"]
     differences = []
     for name, value in chosen.items():
         if name == "resolution" and isinstance(value, str):
-            value = list(parse_resolution(value, width / height))
+            value = parse_resolution(value, width / height)
+        value = list(value) if isinstance(value, tuple) else value  # as TOML gives it back
         if name == "engine" and value == AUTO:
             continue
-        if name in Sweep.idle(own["engine"]) and chosen.get("engine", AUTO) != AUTO:
-            differences.append(f"{name} means nothing to its engine {own['engine']!r}")
-        if name in own and own[name] != value:
-            differences.append(f"{name} is {own[name]} there and {value} here")
-        elif name == "frames" and name not in own:
+        if name in Sweep.idle(settings["engine"]) and chosen.get("engine", AUTO) != AUTO:
+            differences.append(f"{name} means nothing to its engine {settings['engine']!r}")
+        if name in settings and settings[name] != value:
+            differences.append(f"{name} is {settings[name]} there and {value} here")
+        elif name == "frames" and name not in settings:
             differences.append("its poses lie in voxels, not on a trajectory")
-        elif name == "poses" and name not in own:
+        elif name == "poses" and name not in settings:
             differences.append("its poses lie on a trajectory, not in voxels")
-    if scene_hash(scene) not in (own.get("scene_sha256"), scene_hash(dataset.path / SCENE)):
+    if scene_hash(scene) not in (settings.get("scene_sha256"), scene_hash(dataset.path / SCENE)):
         differences.append(f"{scene} is not the scene it was rendered from (or has been saved again since)")
     if differences:
         raise NlosError(

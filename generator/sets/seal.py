@@ -1,7 +1,7 @@
-"""Hashes by which a set's manifest vouches for itself and for what lies beside it.
+"""Hashes in a set's manifest, which protect the manifest itself and the other files of the set.
 
-They guard against mistakes - a value edited, a file copied to the wrong place, a disk that forgets - and not against
-whoever computes them anew.
+They protect against mistakes - an edited value, a file copied to the wrong place, a faulty disk - and not against
+anybody who computes them anew.
 """
 
 from __future__ import annotations
@@ -15,7 +15,7 @@ SEAL = "seal"
 """Table of the manifest that holds the hashes."""
 _OWN, _FIELDS = "sha256", "fields"
 _DIGITS = 8
-"""Of a field's own hash, which only has to name the field: the whole is held by SHA-256."""
+"""Digits of a field's own hash, which only has to identify the field: SHA-256 protects the whole."""
 
 
 def sealed(meta: Mapping[str, Any], **files: str) -> dict[str, Any]:
@@ -26,7 +26,7 @@ def sealed(meta: Mapping[str, Any], **files: str) -> dict[str, Any]:
     meta : mapping
         Plain values, as they are read back from TOML.
     **files : str
-        SHA-256 of what lies beside it, by name.
+        SHA-256 of the set's other files, by name.
     """
     plain = {name: value for name, value in meta.items() if name != SEAL}
     seal: dict[str, Any] = {**files, _FIELDS: " ".join(sorted(_short(*leaf) for leaf in _leaves(plain)))}
@@ -34,7 +34,7 @@ def sealed(meta: Mapping[str, Any], **files: str) -> dict[str, Any]:
 
 
 def broken(meta: Mapping[str, Any]) -> str:
-    """Return what of a sealed manifest was changed; empty if it is as it was written, or has no seal."""
+    """Return what was changed in a sealed manifest; empty if it is as it was written, or has no seal."""
     seal = meta.get(SEAL)
     if seal is None:
         return ""
@@ -54,7 +54,7 @@ def broken(meta: Mapping[str, Any]) -> str:
 
 
 def _leaves(table: Mapping[str, Any], prefix: str = "") -> Iterator[tuple[str, Any]]:
-    """Every value that is no table, with its dotted name; an empty table is a value."""
+    """Yield every value that is not a table, with its dotted name; an empty table counts as a value."""
     for name, value in table.items():
         if isinstance(value, Mapping) and value:
             yield from _leaves(value, f"{prefix}{name}.")
@@ -63,7 +63,7 @@ def _leaves(table: Mapping[str, Any], prefix: str = "") -> Iterator[tuple[str, A
 
 
 def _long(value: Any) -> str:
-    # TOML knows dates, which only a changed manifest holds.
+    # `default` is for dates, which TOML has but only a changed manifest holds.
     return hashlib.sha256(json.dumps(value, sort_keys=True, default=str).encode()).hexdigest()
 
 

@@ -25,14 +25,14 @@ class SimulatedSet:
     ----------
     bulk : Bulk
     count : int
-        How many; 0 is all of them.
+        Number of pictures; 0 is all of them.
     check : bool
-        Look whether their parts are as they were rendered (`Bulk.refuse_changed_parts`).
+        Check that their parts are as they were rendered (`Bulk.refuse_changed_parts`).
 
     Raises
     ------
     NlosError
-        The set is not finished, has fewer, or was changed.
+        The set is not finished, has fewer pictures, or was changed.
     """
 
     def __init__(self, bulk: Bulk, count: int = 0, *, check: bool = True) -> None:
@@ -49,7 +49,7 @@ class SimulatedSet:
 
     @property
     def path(self) -> Path:
-        """Of the set."""
+        """Folder of the set."""
         return self._bulk.path
 
     @property
@@ -59,7 +59,7 @@ class SimulatedSet:
 
     @property
     def settings(self) -> dict[str, Any]:
-        """Of the set, with how many pictures are taken."""
+        """Settings of the set, with the number of pictures that are taken."""
         return {**self._bulk.settings, "pictures": self._count}
 
     @property
@@ -79,48 +79,48 @@ class SimulatedSet:
 
     @property
     def colour_space(self) -> str:
-        """The linear space that the three channels are of: Rec.709, Rec.2020 or ACEScg."""
+        """Linear colour space of the three channels: Rec.709, Rec.2020 or ACEScg."""
         return self._bulk.colour_space
 
     @property
     def planned(self) -> int:
-        """How many pictures are taken."""
+        """Number of pictures that are taken."""
         return self._count
 
     @cached_property
     def records(self) -> list[PoseRecord]:
-        """The pictures' poses, in their order; the files are named but do not exist."""
+        """Poses of the pictures, in order; the files that they name do not exist."""
         labels, n = self.grid.labels, self.grid.n_voxels
-        made = []
+        records = []
         poses = zip(self._bulk.positions[: self._count], self._bulk.rotations[: self._count], strict=True)
         for number, (position, rotation) in enumerate(poses):
             index, voxel = divmod(number, n)
             file = f"{labels[voxel]}/{index:04d}"
-            made.append(PoseRecord(index, voxel, labels[voxel], tuple(position), tuple(rotation), 0, file=file))
-        return made
+            records.append(PoseRecord(index, voxel, labels[voxel], tuple(position), tuple(rotation), 0, file=file))
+        return records
 
     def background(self) -> Picture:
         """Return the picture without the hidden object, (height, width, 3), W/m^2/sr."""
         return self._bulk.background
 
     def ambient_background(self) -> Picture | None:
-        """Return what ambient light alone adds to it, (height, width, 3); None where there is none."""
+        """Return what ambient light alone adds to the background, (height, width, 3); None where it is off."""
         world = self._bulk.world()
         if world.ambient is None:
             return None
-        from generator.transport import Transport  # readers of sets need no compiler
+        from generator.transport import Transport  # imported here: readers of sets need no compiler
 
         lamp = Transport(replace(world, ambient=None), accuracy=self._bulk.plan.accuracy).background()
         return self.background() - lamp.astype(np.float32)
 
     def picture(self, record: PoseRecord) -> Picture:
         """Return a pose's picture, (height, width, 3), W/m^2/sr."""
-        found = self._bulk.pictures[record.index * self.grid.n_voxels + record.voxel]
-        return found if found.ndim == 3 else np.repeat(found[..., None], 3, axis=2)
+        pixels = self._bulk.pictures[record.index * self.grid.n_voxels + record.voxel]
+        return pixels if pixels.ndim == 3 else np.repeat(pixels[..., None], 3, axis=2)
 
 
 def open_set(path: Path, count: int = 0) -> PictureSet:
-    """Open a data set, or a bulk set as one.
+    """Open a data set, or a bulk set with the same interface.
 
     Parameters
     ----------

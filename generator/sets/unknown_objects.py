@@ -1,7 +1,7 @@
-"""Objects that stand in for an unknown one: boxes and sheets of random edges, turn and albedo.
+"""Objects that represent an unknown one: boxes and sheets of random edges, rotation and albedo.
 
-Three diffuse reflections leave no edge or curve of an object to see, but how large it is, how flat, which way it
-faces and how bright it is. Boxes have all of these; and they are convex and of few faces, so the engine is fast.
+After three diffuse reflections no edge or curve of an object can be seen, but its size, flatness, orientation and
+brightness can. Boxes have all of these, and they are convex with few faces, so the engine is fast.
 """
 
 from __future__ import annotations
@@ -17,20 +17,20 @@ from generator.model.settings import Sweep
 from generator.transport.world import Mesh
 
 SMALLEST, LARGEST, TALLEST = 0.2, 1.0, 1.6
-"""Edges, in those of a voxel: its shorter level edge is 1 for all three. Each is as likely to double as to halve."""
+"""Least and largest edge, and largest vertical edge, in units of a voxel's shorter horizontal edge; log-uniform."""
 
 FLAT = 1.0 / 3.0
 """Share of sheets."""
 
 DARKEST = 0.3
-"""Least albedo; the most is 1."""
+"""Least albedo; the largest is 1."""
 
 _TRIES = 10_000
 _FACES = ((0, 1, 3, 2), (4, 6, 7, 5), (0, 4, 5, 1), (2, 3, 7, 6), (0, 2, 6, 4), (1, 5, 7, 3))
 
 
 def unknown_object(grid: VoxelGrid, sweep: Sweep, index: int) -> Mesh:
-    """Return an object, in its own frame, turned already as far as the sweep turns.
+    """Return an object in its own frame, already rotated at random by up to the sweep's largest angles.
 
     Parameters
     ----------
@@ -38,12 +38,12 @@ def unknown_object(grid: VoxelGrid, sweep: Sweep, index: int) -> Mesh:
     sweep : Sweep
         If all of a target must lie in its voxel, the object fits into one.
     index : int
-        Of the pose: every index has another object, the same in all voxels.
+        Index of the pose: every index has another object, the same in all voxels.
 
     Raises
     ------
     NlosError
-        None fits.
+        No object fits into a voxel.
     """
     rng = np.random.default_rng([sweep.seed, index, 6])
     size = np.asarray(grid.size)

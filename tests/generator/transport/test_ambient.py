@@ -178,7 +178,7 @@ def test_a_world_keeps_its_sky_in_a_file(tmp_path):
     assert load_world(tmp_path / "0.npz").ambient is None
     assert load_world(tmp_path / "1.npz").ambient.radiance[0] == 0.3
     for change in ({"radiance": np.array([0.3, np.nan, 0.3])}, {"radiance": np.zeros(2)}):
-        save_world(tmp_path / "2.npz", replace(lit, ambient=replace(lit.ambient, **change)))
+        save_world(tmp_path / "2.npz", replace(world, ambient=replace(world.ambient, **change)))
         with pytest.raises(NlosError, match="radiance must be"):
             load_world(tmp_path / "2.npz")
     coloured = replace(dark, ambient=AmbientLight(np.array([0.1, 0.2, 0.3]), under_sky(ball()).ambient.wall))
