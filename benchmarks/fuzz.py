@@ -42,10 +42,11 @@ with atheris.instrument_imports(
     include=["generator", "classify", "skops"], exclude=[f"generator.transport.{name}" for name in _COMPILED]
 ):
     from classify.classifiers import models
+    from classify.classifiers.names import ALL
     from classify.inference import atlas_build, atlas_file, posterior
     from classify.pictures import feature_table
-    from classify.pictures.features import FeatureSettings
     from classify.pictures.sensor import Sensor
+    from classify.pictures.settings import FeatureSettings
     from generator.files import exr, limits
     from generator.files.pictures import read_picture
     from generator.files.toml import dump_toml, from_dict, read_toml, to_dict
@@ -304,7 +305,7 @@ def _seed_structured(target: str) -> None:
         )
         feature_table.write(_FILE, described)
         _SOUND["features"] = _FILE.read_bytes()
-        for name in models.ALL if target == "model" else ():
+        for name in ALL if target == "model" else ():
             model = models.train(described, name, "paper")
             if name == "RF":  # a hundred trees take the time of thirty smaller models
                 model.estimator[-1].estimators_ = model.estimator[-1].estimators_[:3]

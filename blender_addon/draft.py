@@ -12,18 +12,11 @@ from generator.blender.scene.words import short, vector
 from generator.files.toml import from_dict
 from generator.model.errors import NlosError
 from generator.model.grid import VoxelGrid
-from generator.model.presets import preset
+from generator.model.presets import PRESETS, preset
 from generator.model.scene import Scene, Target
 from generator.model.settings import Sweep
 
 ROOM = preset("room")
-
-
-PRESETS = (
-    ("room", "Room", "A room 5 m wide with a matt black partition that hides the object"),
-    ("tabletop", "Tabletop", "2 m x 2 m of wall seen orthographically, a small object half a metre from it"),
-    ("corridor", "Corridor", "An L-shaped corridor at building scale; the object is behind the corner"),
-)
 
 
 def sweep_of(settings: Any) -> dict[str, Any]:
@@ -117,7 +110,7 @@ def fill(settings: Any, scene: Scene, *, target: bool = True) -> None:
     target : bool
         The target's figures too.
     """
-    known = scene.preset in {name for name, *_ in PRESETS}
+    known = scene.preset in PRESETS
     if known and settings.preset != scene.preset:
         settings.preset = scene.preset  # fills in the preset's figures, so it comes first
     if target:

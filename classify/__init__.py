@@ -55,13 +55,13 @@ if TYPE_CHECKING:
     from classify.pictures.feature_table import Features, extract
     from classify.pictures.feature_table import read as read_features
     from classify.pictures.feature_table import write as write_features
-    from classify.pictures.features import FeatureSettings
     from classify.pictures.sensor import Sensor
+    from classify.pictures.settings import FeatureSettings
 
 _EXPORTS = {
     "Atlas": "classify.inference.atlas:Atlas",
     "Detector": "classify.inference.detect:Detector",
-    "FeatureSettings": "classify.pictures.features:FeatureSettings",
+    "FeatureSettings": "classify.pictures.settings:FeatureSettings",
     "Features": "classify.pictures.feature_table:Features",
     "Model": "classify.classifiers.models:Model",
     "Sensor": "classify.pictures.sensor:Sensor",

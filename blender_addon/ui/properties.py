@@ -25,11 +25,11 @@ from bpy.props import (
 from generator.model.described import range_of, sentence_for
 from generator.model.engines import AUTO, AUTO_HELP, ENGINES
 from generator.model.grid import VoxelGrid
-from generator.model.presets import preset
+from generator.model.presets import PRESETS, preset
 from generator.model.scene import Scene, Spot, Target
 from generator.model.settings import Sweep
 
-from ..draft import PRESETS, ROOM, fill
+from ..draft import ROOM, fill
 from ..view import live, overlay
 
 
@@ -77,7 +77,7 @@ class NlosSettings(bpy.types.PropertyGroup):
     preset: EnumProperty(
         name="Preset",
         description="Scene to start from. Choosing one sets all figures below to its own",
-        items=PRESETS,
+        items=[(name, of.title, _sentence(of.words)) for name, of in PRESETS.items()],
         update=_preset_changed,
     )
     target_kind: EnumProperty(

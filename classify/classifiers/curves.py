@@ -16,6 +16,7 @@ from sklearn.model_selection import train_test_split
 from classify.classifiers import models
 from classify.classifiers.evaluate import fit_and_test
 from classify.classifiers.models import Settings
+from classify.classifiers.names import ALL, NAMES
 from classify.intervals import Interval, wilson
 from classify.pictures.feature_table import Features, check_comparable
 from generator.measure import figures
@@ -58,7 +59,7 @@ def curves(
     train: Features,
     test: Features | None = None,
     *,
-    classifiers: Sequence[str] = tuple(models.NAMES),
+    classifiers: Sequence[str] = tuple(NAMES),
     settings: Settings = "paper",
     counts: Sequence[int] = (),
     seed: int = 0,
@@ -156,7 +157,7 @@ def _order(features: Features, seed: int, *, hold: bool) -> tuple[NDArray[np.int
 
 def rows(points: Sequence[Point]) -> list[tuple[str, ...]]:
     """Return a table with a row for each classifier and number of pictures."""
-    ordered = sorted(points, key=lambda point: (list(models.ALL).index(point.classifier), point.count))
+    ordered = sorted(points, key=lambda point: (list(ALL).index(point.classifier), point.count))
     return [
         (
             p.classifier,

@@ -18,6 +18,7 @@ from sklearn.model_selection import StratifiedKFold
 
 from classify.classifiers import models
 from classify.classifiers.models import Settings
+from classify.classifiers.names import NAMES
 from classify.intervals import Interval, wilson
 from classify.pictures.feature_table import Features, check_comparable
 from generator.model.errors import NlosError
@@ -117,7 +118,7 @@ def compare(
     sets: Sequence[Features],
     names: Sequence[str],
     *,
-    classifiers: Sequence[str] = tuple(models.NAMES),
+    classifiers: Sequence[str] = tuple(NAMES),
     settings: Sequence[Settings] = ("paper", "tuned"),
     folds: int = 10,
     seed: int = 0,

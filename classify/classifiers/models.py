@@ -26,8 +26,10 @@ from sklearn.svm import SVC
 from sklearn.tree import DecisionTreeClassifier
 from sklearn.tree._tree import Tree
 
+from classify.classifiers.names import ALL
 from classify.pictures.feature_table import Features
-from classify.pictures.features import FeatureSettings, describe, feature_names
+from classify.pictures.features import describe, feature_names
+from classify.pictures.settings import FeatureSettings
 from generator.files.limits import check_archive
 from generator.files.pictures import COLOUR_SPACE, Picture
 from generator.files.toml import from_dict, to_dict
@@ -36,19 +38,6 @@ from generator.model.errors import NlosError
 from generator.model.grid import VoxelGrid
 
 Settings = Literal["paper", "tuned"]
-
-NAMES = {
-    "LR": "logistic regression",
-    "LDA": "linear discriminant analysis",
-    "KNN": "k nearest neighbours",
-    "CART": "decision tree",
-    "RF": "random forest",
-    "SVM": "support vector machine",
-    "NB": "Gaussian naive Bayes",
-}
-
-ALL = {**NAMES, "MLP": "small neural network"}
-"""The paper's classifiers, and one that needs more pictures than the paper had."""
 
 FORMAT = 1
 INNER_FOLDS = 3

@@ -6,6 +6,8 @@ import argparse
 from pathlib import Path
 
 from classify.cli.options import RAW, Commands, add_seed, add_sensor_options, check_output, progress_bar, sensor_of
+from classify.pictures.settings import FeatureSettings
+from generator.cli.options import add_setting
 
 
 def add_parsers(commands: Commands) -> None:
@@ -19,42 +21,12 @@ def add_parsers(commands: Commands) -> None:
     )
     parser.add_argument("dataset", type=Path, help="folder of a data set, or of a simulated set")
     parser.add_argument("-o", "--output", type=Path, required=True, metavar="FILE.h5")
-    parser.add_argument(
-        "--set",
-        choices=["global", "spatial-hog", "physics"],
-        default="global",
-        help="global: colour histogram, Hu moments, Haralick texture; spatial-hog: small copy, colour histogram, "
-        "HOG; physics: level, shape without level, and the fit of an unknown target",
-    )
-    parser.add_argument(
-        "--input",
-        choices=["difference", "raw"],
-        default="difference",
-        help="picture minus background, or the picture itself (default: difference)",
-    )
-    parser.add_argument(
-        "--tone",
-        choices=["log", "linear"],
-        default="log",
-        help="log keeps shades in near and far voxels alike; linear is like 8 bits of the brightest (default: log)",
-    )
-    parser.add_argument(
-        "--floor",
-        type=float,
-        default=1e-7,
-        metavar="F",
-        help="where log turns linear, in units of the lit patch's radiance (default: 1e-7)",
-    )
-    parser.add_argument(
-        "--ceiling",
-        type=float,
-        default=1e-3,
-        metavar="F",
-        help="what counts as white, in the same units (default: 1e-3)",
-    )
-    parser.add_argument(
-        "--size", type=int, default=32, metavar="N", help="average down to N pixels a side (default: 32)"
-    )
+    add_setting(parser, "set", FeatureSettings)
+    add_setting(parser, "input", FeatureSettings)
+    add_setting(parser, "tone", FeatureSettings)
+    add_setting(parser, "floor", FeatureSettings, type=float, metavar="F")
+    add_setting(parser, "ceiling", FeatureSettings, type=float, metavar="F")
+    add_setting(parser, "size", FeatureSettings, type=int, metavar="N")
     parser.add_argument(
         "--count",
         type=int,
@@ -72,17 +44,10 @@ def run_features(options: argparse.Namespace) -> int:
     """Extract the features of every picture of a set."""
     from classify.classifiers import models
     from classify.pictures import feature_table
-    from classify.pictures.features import FeatureSettings
     from generator.sets.simulated import open_set
 
-    settings = FeatureSettings(
-        set=options.set,
-        input=options.input,
-        tone=options.tone,
-        floor=options.floor,
-        ceiling=options.ceiling,
-        size=options.size,
-    )
+    names = ("set", "input", "tone", "floor", "ceiling", "size")
+    settings = FeatureSettings(**{n: getattr(options, n) for n in names if getattr(options, n) is not None})
     models.check_seed(options.seed)
     sensor = None if options.sensor is None and options.frames is None else sensor_of(options)
     dataset = open_set(options.dataset, options.count)

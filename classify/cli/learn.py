@@ -7,6 +7,7 @@ import json
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from classify.classifiers.names import ALL, NAMES
 from classify.cli.options import add_seed, check_output, progress_bar
 from generator.cli import console
 from generator.cli.terminal import print_table
@@ -54,9 +55,7 @@ def _add_train(commands: Commands) -> None:
     )
     parser.add_argument("features", type=Path, metavar="FILE.h5")
     parser.add_argument("-o", "--output", type=Path, required=True, metavar="FILE.skops")
-    parser.add_argument(
-        "--classifier", default="SVM", metavar="NAME", help="LR, LDA, KNN, CART, RF, SVM, NB or MLP (default: SVM)"
-    )
+    parser.add_argument("--classifier", default="SVM", metavar="NAME", help=f"one of {', '.join(ALL)} (default: SVM)")
     parser.add_argument("--settings", choices=["paper", "tuned"], default="tuned", help="default: tuned")
     parser.add_argument("--seed", type=int, default=0, metavar="N", help="default: 0")
     parser.set_defaults(run=run_train)
@@ -78,7 +77,7 @@ def _add_learn(commands: Commands) -> None:
         "-o", "--output", type=Path, required=True, metavar="FOLDER", help="for report.html, learn.csv and learn.png"
     )
     parser.add_argument(
-        "--classifiers", nargs="+", metavar="NAME", help="LR, LDA, KNN, CART, RF, SVM, NB, MLP (default: all but MLP)"
+        "--classifiers", nargs="+", metavar="NAME", help=f"some of {', '.join(ALL)} (default: all but MLP)"
     )
     parser.add_argument("--counts", type=int, nargs="+", metavar="N", help="default: 30, 100, 300, ... and all")
     parser.add_argument("--settings", choices=["paper", "tuned"], default="paper", help="default: paper")
@@ -145,7 +144,7 @@ def run_compare(options: argparse.Namespace) -> int:
 
 def run_learn(options: argparse.Namespace) -> int:
     """Draw learning curves."""
-    from classify.classifiers import curves, models
+    from classify.classifiers import curves
     from classify.pictures import feature_table
     from classify.report import page
     from generator.files.writing import csv_text, write_text
@@ -157,7 +156,7 @@ def run_learn(options: argparse.Namespace) -> int:
         points = curves.curves(
             train,
             test,
-            classifiers=options.classifiers or tuple(models.NAMES),
+            classifiers=options.classifiers or tuple(NAMES),
             settings=options.settings,
             counts=options.counts or (),
             seed=options.seed,

@@ -14,9 +14,9 @@ import joblib
 import numpy as np
 from numpy.typing import NDArray
 
-from classify.pictures.features import FeatureSettings, describe, feature_names, software
-from classify.pictures.physics import Setup
+from classify.pictures.features import describe, feature_names, software
 from classify.pictures.sensor import Camera, Sensor
+from classify.pictures.settings import FeatureSettings, Setup
 from generator.files.limits import check_heaps, exceeds_limit, limited
 from generator.files.pictures import COLOUR_SPACE, Picture
 from generator.files.toml import from_dict, to_dict

@@ -7,9 +7,7 @@ another, and the same constants hold for every target of that scene.
 
 from __future__ import annotations
 
-import json
-from dataclasses import asdict, dataclass
-from typing import Any, Literal
+from typing import Any
 
 import cv2
 import mahotas
@@ -17,9 +15,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from classify.pictures import physics
-from classify.pictures.physics import Setup
+from classify.pictures.settings import FeatureSettings
 from generator.files.pictures import Picture
-from generator.files.toml import from_dict
 from generator.model.errors import NlosError
 
 Array = NDArray[np.float64]
@@ -34,63 +31,6 @@ _SPATIAL = 16
 _HOG_SIZE, _HOG_CELL, _HOG_BLOCK, _HOG_BINS = 32, 8, 16, 9
 _HU_UNIT = 1e-12
 _SMALLEST = 1e-300
-
-
-@dataclass(frozen=True, kw_only=True)
-class FeatureSettings:
-    """All settings that determine a picture's features; stored with them, and in every model trained on them.
-
-    Attributes
-    ----------
-    set : {"global", "spatial-hog", "physics"}
-        Colour histogram, Hu moments and Haralick texture (paper, 5.3.1); down-sampled copy, colour histogram and HOG
-        (section 4); level, shape and the fit of an unknown target (`classify.pictures.physics`).
-    input : {"difference", "raw"}
-        Picture minus background, or the picture itself.
-    tone : {"log", "linear"}
-        Signed asinh, linear below ``floor`` and logarithmic above, so that near and far voxels both keep their
-        shades; or linear up to ``ceiling``.
-    floor, ceiling : float
-        Limits of the tone mapping, in units of the scene's reference radiance.
-    size : int
-        Larger pictures are averaged down to this many pixels a side.
-    bins : int
-        Histogram bins per channel.
-    levels : int
-        Grey levels of the co-occurrence matrices behind Haralick's texture.
-    setup : Setup, optional
-        Setup of the scene, which ``physics`` needs.
-    """
-
-    set: Literal["global", "spatial-hog", "physics"] = "global"
-    input: Literal["difference", "raw"] = "difference"
-    tone: Literal["log", "linear"] = "log"
-    floor: float = 1e-7
-    ceiling: float = 1e-3
-    size: int = 32
-    bins: int = 32
-    levels: int = 64
-    setup: Setup | None = None
-
-    def __post_init__(self) -> None:
-        if not 0.0 < self.floor < self.ceiling < float("inf"):
-            raise NlosError(f"floor {self.floor:g} and ceiling {self.ceiling:g}: must be 0 < floor < ceiling")
-        if not (1 <= self.size <= 4096 and 2 <= self.bins <= 256 and 2 <= self.levels <= 256):
-            raise NlosError("size must be 1 to 4096, bins and levels 2 to 256")
-
-    def to_json(self) -> str:
-        """Return the settings as text."""
-        return json.dumps(asdict(self), sort_keys=True)
-
-    @classmethod
-    def from_json(cls, text: str) -> FeatureSettings:
-        """Return the settings from the text of `to_json`; NlosError if the text is not valid."""
-        try:
-            values = json.loads(text)
-        except json.JSONDecodeError:
-            raise NlosError("feature settings: are not JSON") from None
-        settings: FeatureSettings = from_dict(cls, values, "feature settings: ")
-        return settings
 
 
 def tone_map(light: Array, settings: FeatureSettings, reference: float) -> Array:

@@ -19,9 +19,8 @@ from numpy.polynomial import legendre
 from numpy.typing import NDArray
 from sklearn.base import BaseEstimator, TransformerMixin
 
-from generator.model.arrays import Vector
+from classify.pictures.settings import Setup
 from generator.model.errors import NlosError
-from generator.model.scene import Scene
 
 Array = NDArray[np.float64]
 
@@ -39,57 +38,6 @@ _MISFIT = 0.03
 _USUAL, _SPREAD = 0.1, 1.5
 """Prior of an element's strength: share of a voxel's face that it fills, and standard deviation of the logarithm."""
 _SMALLEST = 1e-300
-
-
-@dataclass(frozen=True, kw_only=True)
-class Setup:
-    """Geometry of a scene: the lit patch, the watched part of the wall, and where an object may be.
-
-    Attributes
-    ----------
-    lit : (float, float, float)
-        Lit wall point w1, metres.
-    lit_area : float
-        Area of the lit patch, m^2.
-    watched : (float, float, float, float)
-        The watched rectangle of the wall, metres: x of its right and of its left edge in the picture, z of its lower
-        and of its upper edge.
-    lo, hi : (float, float, float)
-        Opposite corners of the voxel grid, metres.
-    face : float
-        Area of the smallest face of a voxel, m^2.
-    """
-
-    lit: Vector
-    lit_area: float
-    watched: tuple[float, float, float, float]
-    lo: Vector
-    hi: Vector
-    face: float
-
-    def __post_init__(self) -> None:
-        x0, x1, z0, z1 = self.watched
-        if not (x0 < x1 and z0 < z1 and all(a < b for a, b in zip(self.lo, self.hi, strict=True))):
-            raise NlosError("setup: edges of the watched rectangle and of the voxel grid must be low before high")
-        if not (self.lit_area > 0.0 and self.face > 0.0 and self.lo[1] > 0.0):
-            raise NlosError("setup: lit_area and face must be positive, and the voxel grid in front of the wall")
-
-    @classmethod
-    def of(cls, scene: Scene) -> Setup:
-        """Return the setup of a scene."""
-        spot, camera, grid = scene.spot, scene.camera, scene.grid
-        beam = np.subtract(spot.location, spot.aim)
-        distance = float(np.linalg.norm(beam))
-        area = math.pi * (distance * math.tan(math.radians(spot.half_angle))) ** 2 * distance / max(beam[1], 1e-9)
-        x, y, z = grid.size
-        return cls(
-            lit=spot.aim,
-            lit_area=area,
-            watched=(*camera.x, *camera.z),
-            lo=grid.lo,
-            hi=grid.hi,
-            face=min(x * y, y * z, x * z),
-        )
 
 
 def names() -> list[str]:

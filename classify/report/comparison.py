@@ -19,7 +19,7 @@ from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 
 from classify.classifiers.evaluate import Result
-from classify.classifiers.models import NAMES
+from classify.classifiers.names import NAMES
 from classify.intervals import Interval
 from classify.pictures.feature_table import Features
 from generator.files.writing import atomic, csv_text, write_text

@@ -6,7 +6,7 @@ import argparse
 from collections.abc import Callable
 from dataclasses import fields
 from pathlib import Path
-from typing import Any, TypeAlias
+from typing import Any, Literal, TypeAlias, get_args, get_origin, get_type_hints
 
 from generator.files.toml import from_dict
 from generator.model.described import default_of, words_for
@@ -42,6 +42,9 @@ def add_setting(
     if isinstance(value, bool):
         how["action"] = argparse.BooleanOptionalAction
         value = "on" if value else "off"
+    hint = get_type_hints(kind)[name]
+    if get_origin(hint) is Literal:
+        how["choices"] = get_args(hint)
     taken = default or (f"{value:g}" if isinstance(value, float) else value)
     words = words_for(kind, name).replace("%", "%%")
     parser.add_argument(f"--{name.replace('_', '-')}", help=f"{words} (default: {taken})", **how)
@@ -113,7 +116,7 @@ def add_engine_options(parser: argparse.ArgumentParser) -> None:
         ),
     )
     add_setting(parser, "samples", type=int, metavar="N")
-    add_setting(parser, "device", choices=["cpu", "gpu"])
+    add_setting(parser, "device")
     add_setting(parser, "accuracy", type=option(fraction), metavar="A")
     add_setting(parser, "denoise")
     add_setting(parser, "paired")
@@ -124,7 +127,7 @@ def add_pose_options(parser: argparse.ArgumentParser, *, inside: bool = True) ->
     add_setting(parser, "seed", type=int, metavar="N")
     add_setting(parser, "resolution", default="the scene's", metavar="64|64x48")
     if inside:
-        add_setting(parser, "inside", choices=["whole", "centre"])
+        add_setting(parser, "inside")
     free = "15 15 90, and none for a sphere"
     add_setting(parser, "rotation", default=free, type=float, nargs=3, metavar=("X", "Y", "Z"))
 

@@ -8,7 +8,7 @@ from pathlib import Path
 from generator.cli.options import Commands, add_setting
 from generator.files.toml import dump_toml, from_dict, merge, read_toml, set_field, to_dict
 from generator.model.errors import NlosError
-from generator.model.presets import preset
+from generator.model.presets import PRESETS, preset
 from generator.model.scene import Scene, unlike
 
 
@@ -22,7 +22,9 @@ def add_parsers(commands: Commands) -> None:
         epilog="example:\n  nlos-generate scene room --target sphere --set spot.power=500 -o room.blend",
         formatter_class=argparse.RawDescriptionHelpFormatter,
     )
-    parser.add_argument("preset", choices=["room", "tabletop", "corridor"])
+    parser.add_argument(
+        "preset", choices=list(PRESETS), help="; ".join(f"{name}: {of.words}" for name, of in PRESETS.items())
+    )
     parser.add_argument(
         "--target", default="sheet", metavar="sheet|sphere|FILE", help="the hidden object (default: sheet)"
     )

@@ -12,9 +12,11 @@ import skops.io
 from classify_helpers import make_dataset
 
 from classify.classifiers import evaluate, models
+from classify.classifiers.names import ALL
 from classify.cli import main
 from classify.pictures import feature_table
-from classify.pictures.features import FeatureSettings, describe
+from classify.pictures.features import describe
+from classify.pictures.settings import FeatureSettings
 from generator.model.errors import NlosError
 
 
@@ -164,7 +166,7 @@ def test_a_model_of_other_features_is_refused(features, tmp_path):
         models.load(tmp_path / "m.skops")
 
 
-@pytest.mark.parametrize("name", models.ALL)
+@pytest.mark.parametrize("name", ALL)
 def test_every_tuned_model_is_saved_and_loaded(features, tmp_path, name):
     model = models.train(features, name, "tuned")
     models.save(tmp_path / "m.skops", model)

@@ -11,9 +11,10 @@ from classify_helpers import colour, make_bulk, plain_atlas
 from classify.classifiers import curves, evaluate, models
 from classify.inference import atlas_build, bound, detect, posterior, tracker
 from classify.pictures import feature_table
-from classify.pictures.features import FeatureSettings, describe
-from classify.pictures.physics import PhysicsFeatures, Setup
+from classify.pictures.features import describe
+from classify.pictures.physics import PhysicsFeatures
 from classify.pictures.sensor import Sensor
+from classify.pictures.settings import FeatureSettings, Setup
 from generator.model.errors import NlosError
 from generator.model.grid import VoxelGrid
 from generator.model.presets import preset

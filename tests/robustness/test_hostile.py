@@ -27,8 +27,8 @@ from hypothesis import strategies as st
 from classify.classifiers import models
 from classify.inference import atlas_build, atlas_file, posterior
 from classify.pictures import feature_table
-from classify.pictures.features import FeatureSettings
 from classify.pictures.sensor import Sensor
+from classify.pictures.settings import FeatureSettings
 from generator.files import limits
 from generator.files.toml import dump_toml, merge, read_toml
 from generator.model.errors import NlosError

@@ -13,7 +13,7 @@ from scipy.stats import norm
 from classify.classifiers import curves
 from classify.cli import main
 from classify.pictures import feature_table
-from classify.pictures.features import FeatureSettings
+from classify.pictures.settings import FeatureSettings
 from generator.model.errors import NlosError
 
 

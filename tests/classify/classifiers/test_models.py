@@ -10,9 +10,10 @@ import skops.io
 from classify_helpers import make_dataset
 
 from classify.classifiers import evaluate, models
+from classify.classifiers.names import NAMES
 from classify.intervals import Interval, wilson
 from classify.pictures import feature_table
-from classify.pictures.features import FeatureSettings
+from classify.pictures.settings import FeatureSettings
 from classify.report import comparison
 from generator.files.pictures import pixel_hash, read_picture
 from generator.model.errors import NlosError
@@ -125,7 +126,7 @@ def test_results_follow_from_the_seed(pair):
     np.testing.assert_array_equal(first[0].confusion, again[0].confusion)
 
 
-@pytest.mark.parametrize("name", models.NAMES)
+@pytest.mark.parametrize("name", NAMES)
 def test_every_model_is_saved_and_loaded_with_equal_probabilities(pair, tmp_path, name):
     model = models.train(pair[0], name, "paper")
     models.save(tmp_path / "m.skops", model)
@@ -164,7 +165,7 @@ def test_collinear_duplicate_and_many_features_are_borne():
     labels = np.repeat(["A", "B"], 6)
     half = rng.normal(size=(12, 40)) + (labels == "B")[:, None]
     values = np.hstack([half, half, np.zeros((12, 5))])
-    for name in models.NAMES:
+    for name in NAMES:
         for settings in ("paper", "tuned"):
             fitted = models.make(name, settings, "global", 12).fit(values, labels)
             assert set(fitted.predict(values)) <= {"A", "B"}

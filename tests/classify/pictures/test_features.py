@@ -8,8 +8,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from classify.pictures import feature_table
-from classify.pictures.features import FeatureSettings, describe, feature_names, tone_map
+from classify.pictures.features import describe, feature_names, tone_map
 from classify.pictures.sensor import Sensor
+from classify.pictures.settings import FeatureSettings
 from generator.files.pictures import read_picture, write_picture
 from generator.model.errors import NlosError
 

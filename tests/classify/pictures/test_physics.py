@@ -13,9 +13,10 @@ from sklearn.pipeline import make_pipeline
 
 from classify.cli.main import main
 from classify.pictures import feature_table, physics
-from classify.pictures.features import FeatureSettings, describe
-from classify.pictures.physics import PhysicsFeatures, Setup
+from classify.pictures.features import describe
+from classify.pictures.physics import PhysicsFeatures
 from classify.pictures.sensor import Camera, Sensor
+from classify.pictures.settings import FeatureSettings, Setup
 from generator.model.errors import NlosError
 from generator.model.presets import preset
 from generator.sets.simulated import SimulatedSet, open_set

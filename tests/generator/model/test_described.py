@@ -5,6 +5,7 @@ from dataclasses import fields
 
 import pytest
 
+from classify.pictures.settings import FeatureSettings
 from generator.cli.options import add_setting, add_sweep_options
 from generator.model.described import default_of, range_of, words_for
 from generator.model.errors import NlosError
@@ -13,7 +14,7 @@ from generator.model.scene import Camera, Partition, Room, Scene, Spot, Target, 
 from generator.model.settings import Sweep
 from generator.sets.bulk_settings import Settings
 
-KINDS = (Sweep, Settings, Scene, Wall, Room, Partition, Spot, Camera, Target, VoxelGrid)
+KINDS = (FeatureSettings, Sweep, Settings, Scene, Wall, Room, Partition, Spot, Camera, Target, VoxelGrid)
 
 
 @pytest.mark.parametrize("kind", KINDS, ids=lambda kind: kind.__name__)
@@ -46,6 +47,14 @@ def test_a_flag_shows_whether_it_is_on():
     assert "(default: off)" in shown
     assert parser.parse_args(["--no-paired"]).paired is False
     assert parser.parse_args([]).compress is None
+
+
+def test_what_may_be_chosen_follows_from_the_type():
+    parser = argparse.ArgumentParser()
+    add_setting(parser, "inside")
+    assert parser.parse_args(["--inside", "centre"]).inside == "centre"
+    with pytest.raises(SystemExit):
+        parser.parse_args(["--inside", "beside"])
 
 
 @pytest.mark.parametrize(

@@ -15,7 +15,7 @@ from classify_helpers import make_bulk, make_dataset, plain_atlas
 from classify.cli import main as classify_cli
 from classify.inference import atlas_build, atlas_file
 from classify.pictures import feature_table
-from classify.pictures.features import FeatureSettings
+from classify.pictures.settings import FeatureSettings
 from generator.cli import main as cli
 from generator.cli.terminal import report
 from generator.files.pictures import read_picture, write_picture
