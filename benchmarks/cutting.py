@@ -1,7 +1,7 @@
-"""Shadows cut out as polygons against shadows traced by rays: seconds, and how far apart, with more furniture.
+"""Compare shadows cut out as polygons with shadows traced by rays: time and difference, with more furniture.
 
-Run: ``python benchmarks/cutting.py [--boxes 2 5 8 16 32] [--accuracy 1e-2]``. The two are independent ways to the
-same picture, so what they differ by tells of the error of both.
+Run: ``python benchmarks/cutting.py [--boxes 2 5 8 16 32] [--accuracy 1e-2]``. The two are independent methods for
+the same picture, so their difference shows the error of both.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ from generator.transport.world import Mesh
 
 
 def furnished(boxes: int) -> Any:
-    """Return the preset room with boxes beside its partition."""
+    """Return the preset room with boxes next to its partition."""
     world = scenes.world_from_spec(replace(preset("room", "sphere"), resolution=(32, 32)))
     rng = np.random.default_rng(boxes)
     added = []
@@ -43,18 +43,18 @@ def main() -> None:
     options = parser.parse_args()
     print("surfaces | cut, ms | rays, ms | apart")
     for boxes in options.boxes:
-        made, seconds = {}, {}
-        for way, most in (("cut", 10**6), ("rays", 0)):
-            fields.CUT = most
+        pictures, seconds = {}, {}
+        for method, limit in (("cut", 10**6), ("rays", 0)):
+            fields.CUT = limit
             engine = Transport(furnished(boxes), accuracy=options.accuracy)
-            engine.difference((1.2, 1.0, 1.3), (0.0, 0.0, 0.0))  # what is made once is no part of a picture's time
+            engine.difference((1.2, 1.0, 1.3), (0.0, 0.0, 0.0))  # warms up: setup is not part of the time
             places = np.random.default_rng(0).uniform((1.0, 0.6, 0.6), (2.1, 1.7, 2.0), size=(12, 3))
-            begun = time.perf_counter()
-            made[way] = np.array([engine.difference(place, (0.0, 0.0, 0.0)) for place in places])
-            seconds[way] = 1000.0 * (time.perf_counter() - begun) / len(places)
-        level = np.sqrt((made["rays"] ** 2).mean(axis=(1, 2, 3)))
-        apart = np.sqrt(((made["cut"] - made["rays"]) ** 2).mean(axis=(1, 2, 3))) / level
-        print(f"{6 + 6 * boxes} | {seconds['cut']:.1f} | {seconds['rays']:.1f} | {np.median(apart):.1e}", flush=True)
+            start = time.perf_counter()
+            pictures[method] = np.array([engine.difference(place, (0.0, 0.0, 0.0)) for place in places])
+            seconds[method] = 1000.0 * (time.perf_counter() - start) / len(places)
+        level = np.sqrt((pictures["rays"] ** 2).mean(axis=(1, 2, 3)))
+        error = np.sqrt(((pictures["cut"] - pictures["rays"]) ** 2).mean(axis=(1, 2, 3))) / level
+        print(f"{6 + 6 * boxes} | {seconds['cut']:.1f} | {seconds['rays']:.1f} | {np.median(error):.1e}", flush=True)
 
 
 if __name__ == "__main__":

@@ -1,7 +1,7 @@
-"""Edits of a scene made by hand, each a way in which an artist's file once meant another picture than ours.
+"""Hand-made edits of a scene, each a way in which our picture of an artist's file once differed from Cycles'.
 
 Every edit is a function of the open scene and of the folder that the file will be saved in; `EDITS` names them all.
-They know the scene by its roles alone, so that any preset will do; `BASE` is the small one that `properties.py` uses.
+They find objects by role alone, so that any preset will do; `BASE` is the small scene that `properties.py` uses.
 """
 
 from __future__ import annotations
@@ -30,28 +30,28 @@ BASE = Scene(
     target=Target(kind="sheet", size=0.6),
     resolution=(8, 8),
 )
-"""A room in which plain Cycles has little noise: a wide lit patch, and the target near the wall."""
+"""A room in which plain Cycles has little noise, with a wide lit patch and the target near the wall."""
 
 Edit = Callable[[bpy.types.Scene, Path], None]
 
 
 @dataclass(frozen=True)
 class Case:
-    """An edit, and what is right about it.
+    """An edit, and what a sweep must do with it.
 
     Attributes
     ----------
     edit : callable
-        Of the scene and of the folder that the file is saved in.
+        Called with the scene and the folder that the file is saved in.
     kind : int
         Number of the kind of fault that it belongs to.
     expect : {"cycles", "refuse", "base"}
-        What a sweep must do: render what plain Cycles renders, or refuse; refuse; render what it would without the
-        edit, or refuse.
-    solid : tuple of two (float, float, float), optional
-        Corners of a box that the target must not be planned in.
+        What a sweep must do. cycles: render what plain Cycles renders, or refuse. refuse: refuse. base: render the
+        same as without the edit, or refuse.
+    solid : callable, optional
+        Called with the scene; returns two corners of a box in which no pose of the target may be planned.
     instead : (str, object), optional
-        Setting of ``scene.render`` that a sweep replaces, and by what: plain Cycles is given that too.
+        Setting of ``scene.render`` that a sweep replaces, and its new value, which plain Cycles is given too.
     """
 
     edit: Edit
@@ -75,7 +75,7 @@ def case(kind: int, expect: str = "cycles", **more: Any) -> Callable[[Edit], Edi
 
 
 # --------------------------------------------------------------------------------------------------------------------
-# The parts of a scene, and small changes of them
+# Helpers: the parts of a scene, and small changes of them
 # --------------------------------------------------------------------------------------------------------------------
 
 
@@ -90,7 +90,7 @@ def material(scene: bpy.types.Scene, role: str) -> Any:
 
 
 def nodes_of(owner: Any) -> Any:
-    """Return the node tree of a material, lamp or world, made and used if it is not."""
+    """Return the node tree of a material, lamp or world, created and enabled if necessary."""
     if owner.node_tree is None or (bpy.app.version < (5, 0) and not owner.use_nodes):
         owner.use_nodes = True
     if isinstance(owner, bpy.types.Light) and bpy.app.version < (5, 2):
@@ -121,17 +121,17 @@ def shaded(tree: Any, shader: str, output: str = "ShaderNodeOutputMaterial", **i
 
 def new_material(name: str, shader: str = "ShaderNodeBsdfDiffuse", **inputs: Any) -> Any:
     """Return a new material of one shader."""
-    made = bpy.data.materials.new(name)
-    shaded(fresh(made), shader, **inputs)
-    return made
+    shade = bpy.data.materials.new(name)
+    shaded(fresh(shade), shader, **inputs)
+    return shade
 
 
 def add(scene: bpy.types.Scene, name: str, data: Any, location: Any = (0.0, 0.0, 0.0)) -> Any:
     """Put a new object into the scene."""
-    made = bpy.data.objects.new(name, data)
-    made.location = tuple(map(float, location))
-    scene.collection.objects.link(made)
-    return made
+    obj = bpy.data.objects.new(name, data)
+    obj.location = tuple(map(float, location))
+    scene.collection.objects.link(obj)
+    return obj
 
 
 def middle(scene: bpy.types.Scene) -> Any:
@@ -169,13 +169,13 @@ def lamp(name: str, kind: str, power: float, **settings: Any) -> Any:
 
 
 def beside(scene: bpy.types.Scene, *shift: float) -> Any:
-    """Return a place for furniture: behind the voxels, in nobody's way, or so far from there."""
+    """Return a place for furniture behind the voxels, out of the way, or shifted from there."""
     lo, hi = np.array(scene["nlos_grid_lo"]), np.array(scene["nlos_grid_hi"])
     return np.array([(lo[0] + hi[0]) / 2.0, hi[1] + 0.3, lo[2] + 0.2]) + (shift or 0.0)
 
 
 def keyed(owner: Any, name: str, *values: Any, index: int = -1) -> None:
-    """Put keys of a property at the frames 1, 11, 21 ...; leave it at the first value."""
+    """Insert keyframes of a property at the frames 1, 11, 21 ...; leave it at the first value."""
     for number, value in enumerate(values):
         if index >= 0:
             getattr(owner, name)[index] = value
@@ -185,7 +185,7 @@ def keyed(owner: Any, name: str, *values: Any, index: int = -1) -> None:
 
 
 def geometry(obj: Any, name: str = "Geometry") -> tuple[Any, Any, Any]:
-    """Give an object a modifier of geometry nodes; return its tree, input and output."""
+    """Add a geometry nodes modifier to an object; return its node tree, input node and output node."""
     group = bpy.data.node_groups.new(name, "GeometryNodeTree")
     group.interface.new_socket("Geometry", in_out="INPUT", socket_type="NodeSocketGeometry")
     group.interface.new_socket("Geometry", in_out="OUTPUT", socket_type="NodeSocketGeometry")
@@ -283,9 +283,9 @@ def target_keys_elsewhere_muted(scene, folder):
 
 @case(1, "base")
 def marker_bound_to_another_camera(scene, folder):
-    other = add(scene, "Other camera", bpy.data.cameras.new("Other"), (-0.5, 2.0, 1.3))
-    other.rotation_euler = (math.pi / 2.0, 0.0, math.pi)
-    scene.timeline_markers.new("other", frame=1).camera = other
+    camera = add(scene, "Other camera", bpy.data.cameras.new("Other"), (-0.5, 2.0, 1.3))
+    camera.rotation_euler = (math.pi / 2.0, 0.0, math.pi)
+    scene.timeline_markers.new("other", frame=1).camera = camera
 
 
 @case(1)
@@ -450,9 +450,9 @@ def area_lamp_grandchild_of_target(scene, folder):
 @case(2)
 def texture_of_target_follows_target(scene, folder):
     tree = material(scene, "target").node_tree
-    where, ramp = tree.nodes.new("ShaderNodeTexCoord"), tree.nodes.new("ShaderNodeTexGradient")
-    where.object = part(scene, "target")
-    tree.links.new(where.outputs["Object"], ramp.inputs["Vector"])
+    coordinates, ramp = tree.nodes.new("ShaderNodeTexCoord"), tree.nodes.new("ShaderNodeTexGradient")
+    coordinates.object = part(scene, "target")
+    tree.links.new(coordinates.outputs["Object"], ramp.inputs["Vector"])
     tree.links.new(ramp.outputs["Color"], tree.nodes["Diffuse BSDF"].inputs["Color"])
 
 
@@ -461,18 +461,18 @@ def world_texture_follows_child_of_target(scene, folder):
     handle = add(scene, "Handle", None)
     handle.parent = part(scene, "target")
     tree, node = _sky(scene)
-    where, ramp = tree.nodes.new("ShaderNodeTexCoord"), tree.nodes.new("ShaderNodeTexGradient")
-    where.object = handle
-    tree.links.new(where.outputs["Object"], ramp.inputs["Vector"])
+    coordinates, ramp = tree.nodes.new("ShaderNodeTexCoord"), tree.nodes.new("ShaderNodeTexGradient")
+    coordinates.object = handle
+    tree.links.new(coordinates.outputs["Object"], ramp.inputs["Vector"])
     tree.links.new(ramp.outputs["Color"], node.inputs["Color"])
 
 
 @case(2, "refuse")
 def texture_of_floor_follows_target(scene, folder):
     tree = material(scene, "room").node_tree
-    where, ramp = tree.nodes.new("ShaderNodeTexCoord"), tree.nodes.new("ShaderNodeTexGradient")
-    where.object = part(scene, "target")
-    tree.links.new(where.outputs["Object"], ramp.inputs["Vector"])
+    coordinates, ramp = tree.nodes.new("ShaderNodeTexCoord"), tree.nodes.new("ShaderNodeTexGradient")
+    coordinates.object = part(scene, "target")
+    tree.links.new(coordinates.outputs["Object"], ramp.inputs["Vector"])
     tree.links.new(ramp.outputs["Color"], tree.nodes["Diffuse BSDF"].inputs["Color"])
 
 
@@ -535,9 +535,9 @@ def target_is_viewport_node(scene, folder):
     group, start, end = geometry(target)
     scale = group.nodes.new("GeometryNodeTransform")
     scale.inputs["Scale"].default_value = (0.5, 0.5, 0.5)
-    choice, asked = group.nodes.new("GeometryNodeSwitch"), group.nodes.new("GeometryNodeIsViewport")
+    choice, is_viewport = group.nodes.new("GeometryNodeSwitch"), group.nodes.new("GeometryNodeIsViewport")
     choice.input_type = "GEOMETRY"
-    group.links.new(asked.outputs[0], choice.inputs["Switch"])
+    group.links.new(is_viewport.outputs[0], choice.inputs["Switch"])
     group.links.new(start.outputs[0], scale.inputs["Geometry"])
     group.links.new(start.outputs[0], choice.inputs["True"])
     group.links.new(scale.outputs[0], choice.inputs["False"])
@@ -704,9 +704,9 @@ def _second_output(shade: Any, engine: str, *, first: str = "ALL", active: bool 
     old = output_of(tree)
     old.target = first
     dark = shaded(tree, "ShaderNodeBsdfDiffuse", Color=(0.3, 0.3, 0.3, 1.0))
-    other = next(n for n in tree.nodes if n.type == "OUTPUT_MATERIAL" and n != old)
-    other.target = engine
-    other.is_active_output, old.is_active_output = active, not active
+    added = next(n for n in tree.nodes if n.type == "OUTPUT_MATERIAL" and n != old)
+    added.target = engine
+    added.is_active_output, old.is_active_output = active, not active
     assert dark.outputs[0].is_linked
 
 
@@ -911,9 +911,9 @@ def spot_without_output(scene, folder):
 @case(7)
 def spot_through_reroute(scene, folder):
     tree, emission, end = _spot_nodes(scene)
-    way = tree.nodes.new("NodeReroute")
-    tree.links.new(emission.outputs[0], way.inputs[0])
-    tree.links.new(way.outputs[0], end.inputs["Surface"])
+    reroute = tree.nodes.new("NodeReroute")
+    tree.links.new(emission.outputs[0], reroute.inputs[0])
+    tree.links.new(reroute.outputs[0], end.inputs["Surface"])
 
 
 @case(7)
@@ -967,9 +967,9 @@ def wall_colour_link_muted(scene, folder):
 @case(7)
 def wall_through_reroute(scene, folder):
     tree = material(scene, "relay_wall").node_tree
-    way = tree.nodes.new("NodeReroute")
-    tree.links.new(tree.nodes["Diffuse BSDF"].outputs[0], way.inputs[0])
-    tree.links.new(way.outputs[0], output_of(tree).inputs["Surface"])
+    reroute = tree.nodes.new("NodeReroute")
+    tree.links.new(tree.nodes["Diffuse BSDF"].outputs[0], reroute.inputs[0])
+    tree.links.new(reroute.outputs[0], output_of(tree).inputs["Surface"])
 
 
 @case(7)
@@ -1040,8 +1040,8 @@ def world_output_for_eevee(scene, folder):
 def world_second_output_for_cycles(scene, folder):
     tree, _ = _sky(scene)
     first = output_of(tree)
-    other = shaded(tree, "ShaderNodeBackground", "ShaderNodeOutputWorld")
-    other.inputs["Strength"].default_value = 0.1
+    background = shaded(tree, "ShaderNodeBackground", "ShaderNodeOutputWorld")
+    background.inputs["Strength"].default_value = 0.1
     second = next(n for n in tree.nodes if n.type == "OUTPUT_WORLD" and n != first)
     second.target = "CYCLES"
     first.is_active_output = True
@@ -1186,10 +1186,10 @@ def sun_lamp(scene, folder):
 
 @case(9)
 def second_spot(scene, folder):
-    other = part(scene, "spot").copy()
-    other.name = "Second spot"
-    del other["nlos_role"]
-    scene.collection.objects.link(other)
+    spot_copy = part(scene, "spot").copy()
+    spot_copy.name = "Second spot"
+    del spot_copy["nlos_role"]
+    scene.collection.objects.link(spot_copy)
 
 
 @case(9)
@@ -1200,17 +1200,17 @@ def point_lamp_in_an_instance(scene, folder):
 
 @case(9)
 def point_lamp_in_a_background_set(scene, folder):
-    other = bpy.data.scenes.new("Set")
-    bulb = add(other, "Bulb", lamp("Bulb", "POINT", 20.0, shadow_soft_size=0.05), beside(scene, 0.0, 0.0, 1.0))
-    assert bulb.name in other.objects
-    scene.background_set = other
+    set_scene = bpy.data.scenes.new("Set")
+    bulb = add(set_scene, "Bulb", lamp("Bulb", "POINT", 20.0, shadow_soft_size=0.05), beside(scene, 0.0, 0.0, 1.0))
+    assert bulb.name in set_scene.objects
+    scene.background_set = set_scene
 
 
 @case(9)
 def furniture_in_a_background_set(scene, folder):
-    other = bpy.data.scenes.new("Set")
-    add(other, "Cupboard", box("Cupboard", 0.3), beside(scene))
-    scene.background_set = other
+    set_scene = bpy.data.scenes.new("Set")
+    add(set_scene, "Cupboard", box("Cupboard", 0.3), beside(scene))
+    scene.background_set = set_scene
 
 
 @case(9)
@@ -1299,8 +1299,8 @@ def world_of_two_shaders(scene, folder):
 @case(10)
 def world_gradient(scene, folder):
     tree, node = _sky(scene)
-    where, ramp = tree.nodes.new("ShaderNodeTexCoord"), tree.nodes.new("ShaderNodeTexGradient")
-    tree.links.new(where.outputs["Generated"], ramp.inputs["Vector"])
+    coordinates, ramp = tree.nodes.new("ShaderNodeTexCoord"), tree.nodes.new("ShaderNodeTexGradient")
+    tree.links.new(coordinates.outputs["Generated"], ramp.inputs["Vector"])
     tree.links.new(ramp.outputs["Color"], node.inputs["Color"])
 
 
@@ -1316,9 +1316,9 @@ def world_strength_linked(scene, folder):
 @case(10)
 def world_through_reroute(scene, folder):
     tree, node = _sky(scene)
-    way = tree.nodes.new("NodeReroute")
-    tree.links.new(node.outputs[0], way.inputs[0])
-    tree.links.new(way.outputs[0], output_of(tree).inputs["Surface"])
+    reroute = tree.nodes.new("NodeReroute")
+    tree.links.new(node.outputs[0], reroute.inputs[0])
+    tree.links.new(reroute.outputs[0], output_of(tree).inputs["Surface"])
 
 
 @case(10)
@@ -1521,7 +1521,7 @@ def camera_scaled(scene, folder):
 
 
 # --------------------------------------------------------------------------------------------------------------------
-# 15. Things that are not there, instances and collections
+# 15. Missing files, instances and collections
 # --------------------------------------------------------------------------------------------------------------------
 
 
@@ -1592,27 +1592,27 @@ def furniture_of_curves(scene, folder):
 
 @case(15)
 def furniture_by_points_to_instances(scene, folder):
-    # Planes, not boxes: of some forty faces, the engine's background would take minutes.
+    # Planes, not boxes: with some forty faces the engine's background would take minutes.
     cupboard = add(scene, "Cupboard", plane("Cupboard", 0.2), beside(scene, 0.0, 0.2, 0.0))
     board = add(scene, "Board", plane("Board", 0.4), beside(scene))
     group, start, end = geometry(board)
-    put, info = group.nodes.new("GeometryNodeInstanceOnPoints"), group.nodes.new("GeometryNodeObjectInfo")
+    on_points, info = group.nodes.new("GeometryNodeInstanceOnPoints"), group.nodes.new("GeometryNodeObjectInfo")
     info.inputs["Object"].default_value = cupboard
     info.transform_space = "ORIGINAL"
-    group.links.new(start.outputs[0], put.inputs["Points"])
-    group.links.new(info.outputs["Geometry"], put.inputs["Instance"])
-    group.links.new(put.outputs[0], end.inputs[0])
+    group.links.new(start.outputs[0], on_points.inputs["Points"])
+    group.links.new(info.outputs["Geometry"], on_points.inputs["Instance"])
+    group.links.new(on_points.outputs[0], end.inputs[0])
 
 
 @case(15)
 def library_there(scene, folder):
-    other = folder / "library.blend"
+    library = folder / "library.blend"
     mesh = box("Linked", 0.3)
     obj = bpy.data.objects.new("Linked", mesh)
     obj.location = tuple(map(float, beside(scene)))
-    bpy.data.libraries.write(str(other), {obj})
+    bpy.data.libraries.write(str(library), {obj})
     bpy.data.objects.remove(obj)
-    with bpy.data.libraries.load(str(other), link=True) as (_, wanted):
+    with bpy.data.libraries.load(str(library), link=True) as (_, wanted):
         wanted.objects = ["Linked"]
     scene.collection.objects.link(wanted.objects[0])
 

@@ -1,7 +1,7 @@
-"""Memory and rate of a sweep over ten thousand renders: is it flat?
+"""Memory and rate of a sweep over ten thousand renders: do they stay constant?
 
 Run: ``python benchmarks/endurance.py -o DIR [--pictures 10000]``. Draws ``endurance.png``: memory of each worker and
-of the coordinator, and pictures a second, against pictures done.
+of the coordinator, and pictures per second, against pictures done.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ from generator.measure import figures
 
 
 def main() -> None:
-    """Render, look, draw."""
+    """Render, record memory and rate, and plot them."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("-o", "--output", type=Path, required=True)
     parser.add_argument("--pictures", type=int, default=10_000)
@@ -35,9 +35,9 @@ def main() -> None:
     command = [sys.executable, "-m", "generator.cli", "scene", "room", "--target", "sphere", "-o", str(scene)]
     subprocess.run(command, check=True, stdout=subprocess.DEVNULL)
     rows: list[tuple[float, ...]] = []
-    begun = time.monotonic()
+    start = time.monotonic()
 
-    def told(done: int, total: int) -> None:
+    def record(done: int, total: int) -> None:
         if not rows or done - rows[-1][0] >= max(1, total // 200):
             workers = sorted(
                 int(n)
@@ -45,13 +45,13 @@ def main() -> None:
                 for n in task.read_text().split()
                 if b"generator.blender.worker" in Path(f"/proc/{n}/cmdline").read_bytes()
             )
-            used = [memory(pid) / 2**20 for pid in [os.getpid(), *workers]]
-            rows.append((done, time.monotonic() - begun, *(used + [0.0] * 3)[:3]))
+            memories = [memory(pid) / 2**20 for pid in [os.getpid(), *workers]]
+            rows.append((done, time.monotonic() - start, *(memories + [0.0] * 3)[:3]))
 
     poses = -(-options.pictures // 9)
     chosen = {"engine": "patch", "samples": options.samples, "poses": poses, "resolution": [16, 16]}
     outcome = local.run(
-        SweepRequest(scene=scene, path=options.output / "set", chosen=chosen, workers=2), progress=told
+        SweepRequest(scene=scene, path=options.output / "set", chosen=chosen, workers=2), progress=record
     )
     table = np.array(rows)
     write_text(

@@ -1,17 +1,17 @@
-"""Error against time, and agreement in absolute units: `surfel`, `patch`, `path`, and Mitsuba 3 as the outsider.
+"""Error against time, and agreement in absolute units: `surfel`, `patch`, `path`, and the independent Mitsuba 3.
 
     python benchmarks/engines.py -o DIR [--quick] [--only agreement|time]
 
-What is measured is the light that the hidden target makes: picture with it minus picture without it, both from the
-same noise. "time": error (root mean square over pixels, relative to the signal's) of a new pose, at a ladder of
+Measured is the light that the hidden target adds: the picture with it minus the picture without it, both with the
+same noise. "time": error (root mean square over pixels, relative to the signal's) of a new pose, at rising numbers of
 samples, against `surfel` at an accuracy of 1e-6 (in the room 1e-5); `surfel` also renders batches of poses, as a
-sweep does, and its seconds are then those of one. "agreement": the picture's mean, engine against
+sweep does, and its seconds are then those of one pose. "agreement": the picture's mean, engine against
 engine, with 95 % intervals over independent renders, from 1 m down to 5 cm from the relay wall; that table, not the
-first, is what shows that the engines are right, since Mitsuba shares nothing with them: it gets worlds made by hand
+first, shows that the engines are right, since Mitsuba shares nothing with them: it renders worlds made by hand
 (`scenes.py`), and `surfel` those that `generator.blender.engines.survey` reads from the Blender scene.
 
-Mitsuba is left out, with a word, where it is not installed (`pip install mitsuba`; its LLVM variants need LLVM 17 or
-later). Cycles and Mitsuba each run in a process of their own, one at a time.
+Mitsuba is left out, with a message, where it is not installed (`pip install mitsuba`; its LLVM variants need LLVM 17
+or later). Cycles and Mitsuba each run in a separate process, one at a time.
 """
 
 from __future__ import annotations
@@ -41,10 +41,10 @@ from generator.transport.compiled import COMPILED
 from generator.transport.world import Body, Sphere, World
 
 ROTATION = (15.0, -10.0, -35.0)
-"""Turns the sheet's face to the lit patch; edge-on, there would be next to no light to compare."""
+"""Rotation that turns the sheet's face to the lit patch; edge-on, there would be almost no light to compare."""
 GOAL = 0.01
 REFERENCE = {False: 1e-6, True: 1e-5}
-"""Accuracy of what pictures are judged by, before the bare wall and in the room, whose own light takes its time."""
+"""Accuracy of the reference pictures, before the bare wall and in the room, whose own light takes long to compute."""
 
 
 @dataclass(frozen=True)
@@ -54,11 +54,11 @@ class Case:
     Attributes
     ----------
     target : {"sphere", "sheet", "box", "sphere+sheet"}
-        The box is open, so that it shadows itself; the last is one target of two parts, one before the other.
+        The box is open, so that it shadows itself; the last is one target of two parts, one in front of the other.
     gap : float
         Distance of the target's nearest point from the relay wall, metres.
     room : bool
-        In the preset room, or without room and partition.
+        Whether the target is in the preset room; if not, there is neither room nor partition.
     resolution : int
         Pixels along each side.
     """
@@ -70,12 +70,12 @@ class Case:
 
     @property
     def name(self) -> str:
-        """For tables and plots."""
+        """Name for tables and plots."""
         return f"{self.target}, {self.gap:g} m, {'room' if self.room else 'bare wall'}"
 
     @property
     def spec(self) -> Scene:
-        """The scene, its target a sheet where the spec knows none such."""
+        """The scene; its target is a sheet where a spec cannot describe the target."""
         kind = self.target if self.target in ("sphere", "sheet") else "sheet"
         scene = replace(preset("room", kind), resolution=(self.resolution, self.resolution))
         return scene if self.room else replace(scene, room=None, partition=None)
@@ -93,7 +93,7 @@ class Case:
 
     @property
     def position(self) -> Vector:
-        """Right of the lamp's cone and out of the camera's view, so far from the wall that the gap is right."""
+        """Position right of the lamp's cone, out of the camera's view, and such that the gap is right."""
         turn = rotation_matrix(ROTATION)
         spheres = [float((turn @ b.centre)[1]) - b.radius for b in self.bodies if isinstance(b, Sphere)]
         meshes = [float((b.triangles @ turn.T)[..., 1].min()) for b in self.bodies if not isinstance(b, Sphere)]
@@ -102,7 +102,7 @@ class Case:
 
     @property
     def world(self) -> World:
-        """By hand."""
+        """The world, made by hand."""
         return scenes.world_from_spec(self.spec, self.bodies)
 
 
@@ -111,7 +111,7 @@ Shots = tuple[list[float], list[np.ndarray], list[np.ndarray]]
 
 
 def cycles(case: Case, engine: str, samples: int, seeds: list[int], denoise: bool = False) -> Shots:
-    """Render differences with Cycles; runs in a process of its own. Seconds are those of a new pose."""
+    """Render differences with Cycles; runs in a separate process. Seconds are those of a new pose."""
     from generator.blender.engines import renderers
     from generator.blender.scene import posing
 
@@ -140,7 +140,7 @@ def cycles(case: Case, engine: str, samples: int, seeds: list[int], denoise: boo
 
 
 def extracted(case: Case) -> tuple[World | None, list[str]]:
-    """Return what `generator.blender.engines.survey` makes of the case's Blender scene; runs in Cycles' process."""
+    """Return the world that `survey` reads from the case's Blender scene, or reasons; for Cycles' process."""
     from generator.blender.engines import survey
 
     return survey.world(_blender_scene(case), resolution=case.spec.resolution)
@@ -177,13 +177,13 @@ def _give_shape(obj: Any, body: Body) -> None:
 
 
 def mitsuba(case: Case, method: str, samples: int, seeds: list[int]) -> Shots:
-    """Render differences with Mitsuba; runs in a process of its own. Seconds are those of a new pose."""
+    """Render differences with Mitsuba; runs in a separate process. Seconds are those of a new pose."""
     from mitsuba_scene import Prepared
 
     world, pose = case.world, (case.position, ROTATION)
     empty = Prepared(world, *pose, method=method, target=False) if case.room else None
     seconds, differences, backgrounds = [], [], []
-    # First in vain: kernels are compiled for every kind of scene, and anew while another scene still lives.
+    # The first render warms up: kernels are compiled for every kind of scene, and again while another scene exists.
     for n, seed in ((min(samples, 1024), 0), *((samples, seed) for seed in seeds)):
         start = time.perf_counter()
         picture = Prepared(world, *pose, method=method).draw(n, seed)[..., 0]
@@ -195,7 +195,7 @@ def mitsuba(case: Case, method: str, samples: int, seeds: list[int]) -> Shots:
 
 
 def mitsuba_missing() -> str:
-    """Return why Mitsuba cannot be used, or nothing; runs in its process, which a wrong LLVM would abort."""
+    """Return why Mitsuba cannot be used; empty if it can. Runs in its process, which a wrong LLVM would abort."""
     try:
         from mitsuba_scene import mitsuba as load
 
@@ -223,17 +223,17 @@ class Surfel:
         self.setup = time.perf_counter() - start
 
     def difference(self, case: Case) -> np.ndarray:
-        """Return what the target adds less what it hides, (height, width)."""
-        found = self._transport.render(case.position, ROTATION)
-        return np.asarray(found.added - found.hidden, dtype=float)[..., 0]
+        """Return the light that the target adds minus the light that it hides, (height, width)."""
+        rendered = self._transport.render(case.position, ROTATION)
+        return np.asarray(rendered.added - rendered.hidden, dtype=float)[..., 0]
 
     def hidden_share(self, case: Case) -> float:
-        """Return how much of what the target adds it takes away again, as a fraction."""
-        found = self._transport.render(case.position, ROTATION)
-        return float(np.mean(found.hidden) / np.mean(found.added))
+        """Return the light that the target hides, as a fraction of the light that it adds."""
+        rendered = self._transport.render(case.position, ROTATION)
+        return float(np.mean(rendered.hidden) / np.mean(rendered.added))
 
     def timed(self, case: Case, repeats: int = 5) -> tuple[float, np.ndarray]:
-        """Return the seconds of a new pose, median, and its picture."""
+        """Return the median seconds of a new pose, and its picture."""
         seconds = []
         for _ in range(repeats):
             self.difference(replace(case, gap=case.gap + 0.1))
@@ -243,7 +243,7 @@ class Surfel:
         return float(np.median(seconds)), picture
 
     def timed_batch(self, case: Case, poses: int) -> tuple[float, np.ndarray]:
-        """Return the seconds a picture of a batch of new poses takes, and that of the case."""
+        """Return the seconds per picture of a batch of new poses, and the picture of the case."""
         places = np.array(case.position) + np.random.default_rng(0).uniform(-0.1, 0.1, (poses, 3))
         places[:, 1] = np.maximum(places[:, 1], case.position[1])
         turns = np.tile(ROTATION, (poses, 1))
@@ -255,14 +255,14 @@ class Surfel:
 
 
 class Processes:
-    """Cycles and Mitsuba, each in a fresh interpreter that lives as long as this does."""
+    """Cycles and Mitsuba, each in a fresh interpreter that lives as long as this object."""
 
     def __enter__(self) -> Processes:
         spawn = multiprocessing.get_context("spawn")
         self._pools = {name: ProcessPoolExecutor(1, mp_context=spawn) for name in ("cycles", "mitsuba")}
         try:
             self.missing = self.mitsuba(mitsuba_missing)
-        except Exception as error:  # aborted: no interpreter is left to say why
+        except Exception as error:  # the process was aborted, so it cannot say why
             self.missing = f"Mitsuba left out: its process died ({error}); is there an LLVM of version 17 or later?"
         if self.missing:
             print(self.missing, flush=True)
@@ -294,20 +294,20 @@ PATH, PATCH, DENOISED = "path", "patch", "patch, OIDN"
 MITSUBA_PATCH, MITSUBA_SPOT = "Mitsuba, patch", "Mitsuba, spot"
 SURFEL, BATCH = "surfel", "surfel, batches"
 POSES = {False: 1024, True: 64}
-"""In a batch, before the bare wall and in the room."""
+"""Poses in a batch, before the bare wall and in the room."""
 
 
 def samplers(processes: Processes) -> dict[str, Sampler]:
-    """Return every Monte Carlo method that there is here, by name."""
-    found: dict[str, Sampler] = {
+    """Return every Monte Carlo method that is available, by name."""
+    methods: dict[str, Sampler] = {
         PATH: lambda case, n, seeds: processes.cycles(cycles, case, "path", n, seeds),
         PATCH: lambda case, n, seeds: processes.cycles(cycles, case, "patch", n, seeds),
         DENOISED: lambda case, n, seeds: processes.cycles(cycles, case, "patch", n, seeds, True),
     }
     if not processes.missing:
-        found[MITSUBA_PATCH] = lambda case, n, seeds: processes.mitsuba(mitsuba, case, "patch", n, seeds)
-        found[MITSUBA_SPOT] = lambda case, n, seeds: processes.mitsuba(mitsuba, case, "spot", n, seeds)
-    return found
+        methods[MITSUBA_PATCH] = lambda case, n, seeds: processes.mitsuba(mitsuba, case, "patch", n, seeds)
+        methods[MITSUBA_SPOT] = lambda case, n, seeds: processes.mitsuba(mitsuba, case, "spot", n, seeds)
+    return methods
 
 
 # --- error against time ---------------------------------------------------------------------------------------------
@@ -322,13 +322,13 @@ class Rung:
     setting : float
         Samples per pixel, or accuracy.
     seconds : list of float
-        Of a new pose, round by round.
+        Seconds of a new pose, round by round.
     error : float
         Root mean square over pixels and rounds, relative to the reference's.
     bias : float
-        The part of it that all rounds share.
+        Part of the error that all rounds share.
     least_bias : float
-        Less could not be told from noise (four sigma, since its tails are heavy; a denoiser's pixels share theirs).
+        Smallest bias that differs from noise (four sigma for its heavy tails; a denoiser's pixels share their noise).
     """
 
     setting: float
@@ -339,14 +339,14 @@ class Rung:
 
 
 def measure(processes: Processes, case: Case, *, budget: float, rounds: int) -> dict[str, list[Rung]]:
-    """Climb every method's ladder of samples, methods in turn, as often as there are rounds.
+    """Render by every method at growing numbers of samples, methods in turn, once per round.
 
     Parameters
     ----------
     processes : Processes
     case : Case
     budget : float
-        Seconds that one render may take; the ladder ends below.
+        Seconds that one render may take; the numbers of samples end below that.
     rounds : int
         Renders of every rung, each with its own noise.
     """
@@ -355,21 +355,21 @@ def measure(processes: Processes, case: Case, *, budget: float, rounds: int) -> 
     reference = Surfel(world, finest).difference(case)
     ladders = {a: Surfel(world, a) for a in (1e-1, 1e-2, 1e-3, 1e-4) if a > finest}
     taken: dict[str, dict[float, list[tuple[float, np.ndarray]]]] = defaultdict(lambda: defaultdict(list))
-    for turn in range(rounds):
+    for round_index in range(rounds):
         for accuracy, transport in ladders.items():
             taken[SURFEL][accuracy].append(transport.timed(case))
             taken[BATCH][accuracy].append(transport.timed_batch(case, POSES[case.room]))
-        climbing = samplers(processes)
+        active = samplers(processes)
         samples = 16
-        while climbing:
-            for name, sampler in list(climbing.items()):
-                seconds, differences, _ = sampler(case, samples, [1 + turn + 1000 * samples])
+        while active:
+            for name, sampler in list(active.items()):
+                seconds, differences, _ = sampler(case, samples, [1 + round_index + 1000 * samples])
                 taken[name][samples].append((seconds[0], differences[0]))
-                # The first round decides how high the ladder goes, or rungs would lack rounds.
-                if samples >= max(taken[name]) if turn else 4.0 * seconds[0] > budget:
-                    del climbing[name]
+                # The first round decides where the ladder ends; otherwise rungs would lack rounds.
+                if samples >= max(taken[name]) if round_index else 4.0 * seconds[0] > budget:
+                    del active[name]
             samples *= 4
-        print(f"  {case.name}: round {turn + 1} of {rounds}", flush=True)
+        print(f"  {case.name}: round {round_index + 1} of {rounds}", flush=True)
     return {
         name: [_rung(setting, shots, reference) for setting, shots in sorted(rungs.items(), key=_by_time)]
         for name, rungs in taken.items()
@@ -383,30 +383,30 @@ def _by_time(rung: tuple[float, Any]) -> float:
 
 def _rung(setting: float, shots: list[tuple[float, np.ndarray]], reference: np.ndarray) -> Rung:
     level = math.sqrt(float((reference**2).mean()))
-    off = np.array([picture for _, picture in shots]) - reference
+    deviations = np.array([picture for _, picture in shots]) - reference
     rounds = len(shots)
-    scatter = off.var(axis=0, ddof=1).mean() if rounds > 1 else 0.0
-    shared = max(0.0, float((off.mean(axis=0) ** 2).mean()) - scatter / rounds)
-    least = 4.0 * scatter / rounds * math.sqrt(2.0 * rounds / max(1, rounds - 1) / off[0].size)
+    scatter = deviations.var(axis=0, ddof=1).mean() if rounds > 1 else 0.0
+    shared = max(0.0, float((deviations.mean(axis=0) ** 2).mean()) - scatter / rounds)
+    least = 4.0 * scatter / rounds * math.sqrt(2.0 * rounds / max(1, rounds - 1) / deviations[0].size)
     return Rung(
         setting=setting,
         seconds=[seconds for seconds, _ in shots],
-        error=math.sqrt(float((off**2).mean())) / level,
+        error=math.sqrt(float((deviations**2).mean())) / level,
         bias=math.sqrt(shared) / level,
         least_bias=math.sqrt(least) / level,
     )
 
 
 def time_to(rungs: list[Rung], goal: float, rounds: slice = slice(None)) -> tuple[float, str]:
-    """Return the seconds to an error, and how that is known.
+    """Return the seconds to reach an error, and how they are known.
 
-    Between two rungs it follows by interpolation; beyond the last, by the law of 1/sqrt(N), unless the error
-    has stopped following it.
+    Between two rungs they are interpolated; beyond the last they follow from the law of 1/sqrt(N), unless the
+    error has stopped following it.
 
     Returns
     -------
     seconds : float
-        Infinite if the error will not get there.
+        Infinite if the error is never reached.
     how : {"measured", "at most", "extrapolated", "not reached"}
     """
     seconds = [float(np.median(r.seconds[rounds])) for r in rungs]
@@ -417,7 +417,7 @@ def time_to(rungs: list[Rung], goal: float, rounds: slice = slice(None)) -> tupl
         if errors[i] <= goal:
             share = math.log(errors[i - 1] / goal) / math.log(errors[i - 1] / errors[i])
             return seconds[i - 1] * (seconds[i] / seconds[i - 1]) ** share, "measured"
-    # Four times the samples halve the noise; a fall by less than a quarter is a floor.
+    # Four times the samples halve the noise; an error that falls by less than a quarter has a floor.
     if len(rungs) > 1 and (rungs[-1].bias > max(goal, rungs[-1].least_bias) and errors[-1] > 0.75 * errors[-2]):
         return math.inf, "not reached"
     return seconds[-1] * (errors[-1] / goal) ** 2, "extrapolated"
@@ -455,7 +455,7 @@ def _short(value: float) -> str:
 
 
 def plot(found: dict[Case, dict[str, list[Rung]]], file: Path) -> None:
-    """Draw error against time, a panel a scene, on logarithmic axes."""
+    """Draw error against time, one panel per scene, on logarithmic axes."""
     import matplotlib
 
     matplotlib.use("Agg")
@@ -491,14 +491,14 @@ def plot(found: dict[Case, dict[str, list[Rung]]], file: Path) -> None:
 def times(processes: Processes, folder: Path, *, quick: bool) -> dict[str, Any]:
     """Measure, print and plot error against time."""
     pairs = [("sphere", False)] if quick else [("sphere", False), ("sheet", False), ("sphere", True)]
-    found = {}
+    results = {}
     for target, room in pairs:
         case = Case(target, 1.0, room)
-        found[case] = measure(processes, case, budget=1.5 if quick else 12.0, rounds=2 if quick else 5)
-        print_times(case, found[case])
-    plot(found, folder / "error-by-time.png")
+        results[case] = measure(processes, case, budget=1.5 if quick else 12.0, rounds=2 if quick else 5)
+        print_times(case, results[case])
+    plot(results, folder / "error-by-time.png")
     print(f"\nplot: {folder / 'error-by-time.png'}")
-    return {case.name: methods for case, methods in found.items()}
+    return {case.name: methods for case, methods in results.items()}
 
 
 # --- agreement ------------------------------------------------------------------------------------------------------
@@ -506,13 +506,13 @@ def times(processes: Processes, folder: Path, *, quick: bool) -> dict[str, Any]:
 
 @dataclass(frozen=True)
 class Mean:
-    """A picture's mean and half its 95 % interval; no half for what has no noise."""
+    """A picture's mean and half the width of its 95 % interval, which is 0 for a picture without noise."""
 
     value: float
     half: float = 0.0
 
     def over(self, other: Mean) -> Mean:
-        """Return the ratio less one."""
+        """Return the ratio to another mean, minus one."""
         half = math.hypot(self.half / other.value, self.value * other.half / other.value**2)
         return Mean(self.value / other.value - 1.0, half)
 
@@ -521,7 +521,7 @@ class Mean:
 
 
 def mean_of(pictures: list[np.ndarray]) -> Mean:
-    """Return the mean over pictures of independent noise, with its interval."""
+    """Return the mean over pictures with independent noise, with its interval."""
     means = [float(p.mean()) for p in pictures]
     half = student.ppf(0.975, len(means) - 1) * np.std(means, ddof=1) / math.sqrt(len(means))
     return Mean(float(np.mean(means)), float(half))
@@ -611,7 +611,7 @@ def _line(name: str, means: dict[str, Mean], hidden: float | None) -> str:
 
 
 def main() -> None:
-    """Run the benchmarks that are asked for."""
+    """Run the selected benchmarks."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("-o", "--output", type=Path, required=True, help="folder for the plot and the figures")
     parser.add_argument("--quick", action="store_true", help="minutes instead of an hour: fewer scenes and renders")
@@ -637,14 +637,14 @@ def main() -> None:
         if options.only != "agreement":
             figures["time"] = times(processes, options.output, quick=options.quick)
         if options.only != "time":
-            fewer: dict[str, Any] = {"targets": ("sphere", "box"), "gaps": (1.0, 0.05)} if options.quick else {}
+            selection: dict[str, Any] = {"targets": ("sphere", "box"), "gaps": (1.0, 0.05)} if options.quick else {}
             if options.target:
-                fewer["targets"] = tuple(options.target)
+                selection["targets"] = tuple(options.target)
             if options.gap:
-                fewer["gaps"] = tuple(options.gap)
+                selection["gaps"] = tuple(options.gap)
             if options.room:
-                fewer["rooms"] = (True,)
-            figures["agreement"] = agreement(processes, budget=options.seconds, **fewer)
+                selection["rooms"] = (True,)
+            figures["agreement"] = agreement(processes, budget=options.seconds, **selection)
     text = json.dumps(figures, indent=1, default=vars)
     (options.output / "figures.json").write_text(text + "\n", encoding="utf-8")
 

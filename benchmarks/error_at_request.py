@@ -1,13 +1,13 @@
-"""Error at request: what the surfel engine achieves at the accuracies asked of it, against quadrature of our own.
+"""Error at request: errors that the surfel engine achieves at requested accuracies, against our own quadrature.
 
 Run: ``python benchmarks/error_at_request.py -o DIR [--poses 1000] [--room 100]`` (some 25 minutes
 on one core). Prints a table, writes ``error-at-request.png`` and ``error-at-request.json``, and exits with 1 if a
-single pose errs by more than was asked, or if the reference could not be shown to be five times better than that.
+single pose errs by more than requested, or if the reference could not be shown to be five times better than that.
 
-Poses before the bare wall are drawn to hurt: near the wall, touching it, edge-on to the lit or the watched patch, and
-edge-on *and* near; in the room, where what a target hides counts too, inside the preset's grid. `quadrature.py` says
-how the references are made. They are checked against themselves, twice as fine (in the room a third), on some
-poses of each kind and on every pose whose error is above half of what was asked.
+Poses before the bare wall are hard ones: near the wall, touching it, edge-on to the lit or the watched patch, and
+edge-on *and* near. In the room, where the light that a target hides counts too, they are inside the preset's grid.
+`quadrature.py` explains how the references are made. They are compared with references twice as fine (in the room by
+a third), on some poses of each kind and on every pose whose error is above half of the request.
 """
 
 from __future__ import annotations
@@ -54,15 +54,15 @@ KINDS = {
 }
 """Share of each kind of pose before the bare wall."""
 FAINT = 1e-12
-"""Pictures below, relative to the same target's brightest, are rounding: a sheet whose lit side nobody sees."""
+"""Pictures below this, relative to the target's brightest, are rounding, as for a sheet whose lit side is unseen."""
 TRUST = 5.0
 PATIENCE = 90
-"""Seconds after which a picture (of milliseconds, as a rule; the first one compiles) counts as failed."""
+"""Seconds after which a picture (usually of milliseconds; the first one compiles) counts as failed."""
 
 
 @dataclass
 class Case:
-    """One pose and what came of it.
+    """One pose and the errors at it.
 
     Attributes
     ----------
@@ -70,9 +70,9 @@ class Case:
     position, rotation : list of float
         Metres, degrees.
     errors : dict of float to float
-        Achieved, by what was asked.
+        Achieved error, by requested accuracy.
     checked : float or None
-        How far the reference is from itself twice as fine.
+        Error of the reference relative to one twice as fine.
     """
 
     kind: str
@@ -84,7 +84,7 @@ class Case:
 
     @property
     def worst(self) -> float:
-        """Largest error over what was asked."""
+        """Largest ratio of the error to the requested accuracy."""
         return max((e / a for a, e in self.errors.items()), default=0.0)
 
     def __str__(self) -> str:
@@ -102,7 +102,7 @@ def cube(size: float, albedo: float = 0.9) -> Mesh:
 
 
 def targets() -> dict[str, Sphere | Mesh]:
-    """Return what stands before the bare wall."""
+    """Return the targets that stand before the bare wall, by name."""
     flat = scenes.bodies(Target(kind="sheet", size=0.5, albedo=0.9))[0]
     balls = {f"sphere {d:g}": Sphere(np.zeros(3), d / 2.0, np.ones(3)) for d in (0.2, 0.35, 0.5)}
     return {"sheet": flat, **balls, "cube": cube(0.35)}
@@ -120,7 +120,7 @@ class Poses:
     Parameters
     ----------
     world : World
-        For its patches.
+        World whose lit and watched patches the poses refer to.
     rng : Generator
     """
 
@@ -136,13 +136,13 @@ class Poses:
         if kind == "free":
             return rng.uniform((0.3, 0.0, 0.2), (2.5, 3.0, 2.4)), rotation
         if kind == "contact" and rng.random() < 0.5:
-            # Stands on an edge or lies on a face: what furniture does, and what no random rotation ever does.
+            # It stands on an edge or lies on a face, as furniture does and a random rotation never does.
             rotation = rng.choice([0.0, 45.0, 90.0, 180.0, -90.0], 3)
             rotation[rng.integers(3)] = rng.uniform(-180.0, 180.0)
         height = 10.0 ** rng.uniform(-4.0, math.log10(0.3)) if kind == "near" else rng.choice([0.0, 1e-9])
         points = self._points(body, rotation)
         lowest = points[np.argmin(points[:, 1])]
-        # Half of them a little beside a rim, half anywhere.
+        # Half of the poses are close to a rim, half anywhere.
         if rng.random() < 0.5:
             turn, away = rng.uniform(0.0, 2.0 * math.pi), 10.0 ** rng.uniform(-3.0, -0.3)
             foot = self._rim() + away * np.array([math.cos(turn), 0.0, math.sin(turn)])
@@ -152,8 +152,8 @@ class Poses:
 
     def _edge_on(self, body: Sphere | Mesh, kind: str) -> tuple[Array, Array]:
         rng = self._rng
-        light = "light" in kind or ("near" in kind and rng.random() < 0.5)
-        through = self._lit() if light else self._view.points(rng.random(2))
+        is_light = "light" in kind or ("near" in kind and rng.random() < 0.5)
+        through = self._lit() if is_light else self._view.points(rng.random(2))
         centre = rng.uniform((0.2, 0.05, 0.2), (2.5, 3.0, 2.4))
         along = (centre - through) / np.linalg.norm(centre - through)
         normal = np.cross(along, rng.normal(size=3))
@@ -167,7 +167,7 @@ class Poses:
         depth = body.triangles[..., 1].max() if isinstance(body, Mesh) else 0.0
         position = centre - depth * normal
         if "near" in kind:
-            # Down within its own plane, so that it stays edge-on, until it all but touches the wall.
+            # Moved down within its own plane, so that it stays edge-on, until it almost touches the wall.
             height = rng.choice([0.0, 10.0 ** rng.uniform(-4.0, -1.0), 10.0 ** rng.uniform(-4.0, -1.0)])
             up = np.array([0.0, 1.0, 0.0]) - normal[1] * normal
             lowest = (self._points(body, rotation) + position)[:, 1].min()
@@ -195,7 +195,7 @@ class Poses:
 
 
 def off(got: Array, expected: Array, scale: float = 0.0) -> float:
-    """Root mean square of the difference, relative to that of what was expected, or to a scale."""
+    """Return the root mean square of the difference, relative to that of the expected picture or to a scale."""
     if not np.isfinite(got).all():
         return math.inf
     size = max(math.sqrt(float((expected**2).mean())), scale)
@@ -203,7 +203,7 @@ def off(got: Array, expected: Array, scale: float = 0.0) -> float:
 
 
 def _added(engine: Transport, position: Array, rotation: Array) -> Array:
-    """Return what the target adds; not-a-number where the engine takes minutes, as it would on."""
+    """Return the light that the target adds; not-a-number where the engine takes longer than `PATIENCE`."""
 
     def stop(*_: object) -> None:
         raise TimeoutError
@@ -211,12 +211,12 @@ def _added(engine: Transport, position: Array, rotation: Array) -> Array:
     signal.signal(signal.SIGALRM, stop)
     signal.alarm(PATIENCE)
     try:
-        found: Array = engine.render(position, rotation).added[..., 0]
+        picture: Array = engine.render(position, rotation).added[..., 0]
     except TimeoutError:
         return np.full((1, 1), np.nan)
     finally:
         signal.alarm(0)
-    return found
+    return picture
 
 
 def bare_wall(poses: int, rng: np.random.Generator) -> Iterator[Case]:
@@ -238,7 +238,7 @@ def bare_wall(poses: int, rng: np.random.Generator) -> Iterator[Case]:
             name = "cube" if rng.random() < 1.0 / 3.0 else "sheet" if kind.startswith("edge-on") else flat
             position, rotation = draw.draw(kind, bodies[name])
             try:
-                found = {a: _added(engine, position, rotation) for a, engine in engines[name].items()}
+                pictures = {a: _added(engine, position, rotation) for a, engine in engines[name].items()}
                 break
             except NlosError:
                 refused[kind] += 1
@@ -246,15 +246,15 @@ def bare_wall(poses: int, rng: np.random.Generator) -> Iterator[Case]:
         expected = quadrature.added(worlds[name], position, rotation, fine)
         size = math.sqrt(float((expected**2).mean()))
         brightest[name] = max(brightest[name], size)
-        case.errors = {a: off(got, expected, FAINT * brightest[name]) for a, got in found.items()}
+        case.errors = {a: off(got, expected, FAINT * brightest[name]) for a, got in pictures.items()}
         count[kind] += 1
         if count[kind] % 10 == 1 or case.worst > 0.5:
-            for how in (fine.doubled, fine.doubled.doubled):
-                coarser, expected = expected, quadrature.added(worlds[name], position, rotation, how)
+            for finer in (fine.doubled, fine.doubled.doubled):
+                coarser, expected = expected, quadrature.added(worlds[name], position, rotation, finer)
                 case.checked = off(coarser, expected, FAINT * brightest[name])
                 if not untrusted(case):
                     break
-            case.errors = {a: off(got, expected, FAINT * brightest[name]) for a, got in found.items()}
+            case.errors = {a: off(got, expected, FAINT * brightest[name]) for a, got in pictures.items()}
         yield case
         if (number + 1) % 50 == 0:
             print(f"  {number + 1} of {poses} poses", flush=True)
@@ -263,7 +263,7 @@ def bare_wall(poses: int, rng: np.random.Generator) -> Iterator[Case]:
 
 
 def in_room(poses: int, accuracies: tuple[float, ...], rng: np.random.Generator) -> Iterator[Case]:
-    """Judge poses in the preset room: what the target adds less what it hides."""
+    """Judge poses in the preset room: the light that the target adds minus the light that it hides."""
     scene = {kind: replace(preset("room", kind), resolution=(8, 8)) for kind in ("sheet", "sphere")}
     worlds = {kind: scenes.world_from_spec(s) for kind, s in scene.items()}
     engines = {kind: {a: Transport(world, accuracy=a) for a in accuracies} for kind, world in worlds.items()}
@@ -280,29 +280,29 @@ def in_room(poses: int, accuracies: tuple[float, ...], rng: np.random.Generator)
             reach = np.abs(points).max(axis=0)
             position = rng.uniform(low + reach, high - reach)
             if edge_on:
-                # About z, until the middle of the watched patch lies in the sheet's plane.
-                way = worlds[name].watched.points(np.array([0.5, 0.5])) - position
+                # Turned about z until the middle of the watched patch lies in the sheet's plane.
+                ray = worlds[name].watched.points(np.array([0.5, 0.5])) - position
                 normal = rotation_matrix((rotation[0], rotation[1], 0.0))[:, 1]
-                level, across = way[0] * normal[0] + way[1] * normal[1], way[1] * normal[0] - way[0] * normal[1]
-                height = math.acos(np.clip(-normal[2] * way[2] / math.hypot(level, across), -1.0, 1.0))
+                level, across = ray[0] * normal[0] + ray[1] * normal[1], ray[1] * normal[0] - ray[0] * normal[1]
+                height = math.acos(np.clip(-normal[2] * ray[2] / math.hypot(level, across), -1.0, 1.0))
                 rotation[2] = math.degrees(math.atan2(across, level) + height)
             try:
-                found = {a: engine.render(position, rotation) for a, engine in engines[name].items()}
+                pictures = {a: engine.render(position, rotation) for a, engine in engines[name].items()}
                 break
             except NlosError:
                 continue
         kind = f"room, {name}{', edge-on' if edge_on else ''}"
         case = Case(kind, name, position.tolist(), rotation.tolist())
         world = worlds[name]
-        made = quadrature.added(world, position, rotation, fine)
-        taken = quadrature.hidden(world, position, rotation, fine)
-        scale = math.sqrt(max(float((made**2).mean()), float((taken**2).mean())))
-        changes = {a: (picture.added - picture.hidden)[..., 0] for a, picture in found.items()}
-        case.errors = {a: off(change, made - taken, scale) for a, change in changes.items()}
+        added = quadrature.added(world, position, rotation, fine)
+        hidden = quadrature.hidden(world, position, rotation, fine)
+        scale = math.sqrt(max(float((added**2).mean()), float((hidden**2).mean())))
+        changes = {a: (picture.added - picture.hidden)[..., 0] for a, picture in pictures.items()}
+        case.errors = {a: off(change, added - hidden, scale) for a, change in changes.items()}
         count[kind] += 1
         if count[kind] % 10 == 1 or case.worst > 0.5:
-            finer = made - quadrature.hidden(world, position, rotation, fine.finer)
-            case.checked = off(made - taken, finer, scale)
+            finer = added - quadrature.hidden(world, position, rotation, fine.finer)
+            case.checked = off(added - hidden, finer, scale)
             case.errors = {a: off(change, finer, scale) for a, change in changes.items()}
         yield case
         if (number + 1) % 10 == 0:
@@ -315,7 +315,7 @@ def untrusted(case: Case) -> list[float]:
 
 
 def table(cases: list[Case]) -> str:
-    """Return error over request, a line per kind and accuracy."""
+    """Return a table of error over request, a line per kind and accuracy."""
     lines = [f"{'kind':<26}{'asked':>8}{'poses':>7}{'median':>9}{'99 %':>9}{'worst':>9}   achieved / asked"]
     kinds = list(dict.fromkeys(case.kind for case in cases))
     for kind in [*kinds, "all"]:
@@ -332,7 +332,7 @@ def table(cases: list[Case]) -> str:
 
 
 def checks(cases: list[Case]) -> str:
-    """Return how good the references were shown to be, a line per kind."""
+    """Return a table of the references' errors, a line per kind."""
     lines = ["reference against itself, twice as fine (in the room a third):"]
     for kind in dict.fromkeys(case.kind for case in cases):
         known = [c.checked for c in cases if c.kind == kind and c.checked is not None]
@@ -342,7 +342,7 @@ def checks(cases: list[Case]) -> str:
 
 
 def plot(cases: list[Case], path: Path) -> None:
-    """Draw achieved against asked, a point a pose."""
+    """Draw achieved error against requested accuracy, one point per pose."""
     kinds = list(dict.fromkeys(case.kind for case in cases))
     figure, axes = plt.subplots(figsize=(9.5, 5.0))
     for i, kind in enumerate(kinds):
@@ -394,9 +394,9 @@ def main(argv: list[str] | None = None) -> int:
     (options.out / "error-at-request.json").write_text(json.dumps([asdict(c) for c in cases], indent=1))
     failed = [c for c in cases if any(e > a and a not in untrusted(c) for a, e in c.errors.items())]
     doubtful = [c for c in cases if untrusted(c)]
-    for title, some in (("errs by more than was asked", failed), ("cannot be judged", doubtful)):
-        print(f"{title}: {len(some)} of {len(cases)} poses")
-        for case in some[:20]:
+    for title, group in (("errs by more than was asked", failed), ("cannot be judged", doubtful)):
+        print(f"{title}: {len(group)} of {len(cases)} poses")
+        for case in group[:20]:
             print(f"  {case}")
     print(f"{time.perf_counter() - start:.0f} s")
     return 1 if failed or doubtful else 0

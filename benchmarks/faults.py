@@ -1,9 +1,9 @@
-"""Faults put into sweeps on purpose: what is lost (nothing) and whether the pixels are those of an undisturbed run.
+"""Inject faults into sweeps: is nothing lost, and are the pixels those of an undisturbed run?
 
-Run: ``python benchmarks/faults.py -o DIR [--kills 200]``, as root where disks are to be full or read-only (a small
-tmpfs is mounted for that). The clock is set back by libfaketime, and the network's file system is `slowfs`, mounted
+Run: ``python benchmarks/faults.py -o DIR [--kills 200]``, as root for full and read-only disks (a small tmpfs is
+mounted for these). The clock is set back by libfaketime, and the network's file system is `slowfs`, mounted
 twice: ``apt-get install faketime fuse3 python3-pyfuse3``. Prints a table, a row per fault, and exits with 1 if a
-picture was lost or differs.
+picture is lost or differs.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ from generator.files.writing import csv_text, write_text
 from generator.sets.dataset import Dataset
 
 SWEEP = ("--poses", "20", "--resolution", "16", "--engine", "patch", "--samples", "64", "--workers", "2")
-"""Some minutes of work in small pieces."""
+"""Options of a sweep that takes some minutes, in small pieces."""
 
 
 def command(*arguments: object) -> list[str]:
@@ -41,29 +41,29 @@ def finished(scene: Path, path: Path) -> subprocess.CompletedProcess[str]:
 
 def children(pid: int) -> list[int]:
     """Return the processes that any thread of a process has started."""
-    found = []
+    pids = []
     for task in Path(f"/proc/{pid}/task").glob("*/children"):
         with contextlib.suppress(OSError):
-            found += [int(n) for n in task.read_text().split()]
-    return found
+            pids += [int(n) for n in task.read_text().split()]
+    return pids
 
 
 def pictures(path: Path) -> int:
-    """Return how many pictures lie on disk."""
+    """Return how many pictures are on disk."""
     return len(list(path.glob("?/[0-9]*.exr")))
 
 
 def killed(scene: Path, path: Path, rng: np.random.Generator, kills: int, whom: str) -> tuple[int, str]:
-    """Kill workers, the coordinator or either at random instants until that many were; return how many, and words."""
+    """Kill workers, the coordinator or either at random times, ``kills`` times; return how many, and words."""
     count = 0
     process: subprocess.Popen[str] | None = None
     runs = 0
     while count < kills:
         if process is None or process.poll() is not None:
-            if pictures(path) >= 180 and process is not None:  # all is there: take some away, and go on
-                made = sorted(path.glob("?/[0-9]*.exr"))
-                for k in rng.choice(len(made), 120, replace=False):
-                    made[k].unlink()
+            if pictures(path) >= 180 and process is not None:  # all are rendered: remove some, and continue
+                files = sorted(path.glob("?/[0-9]*.exr"))
+                for k in rng.choice(len(files), 120, replace=False):
+                    files[k].unlink()
             process = subprocess.Popen(
                 command("sweep", scene, "-o", path, *SWEEP),
                 stdout=subprocess.DEVNULL,
@@ -83,7 +83,7 @@ def killed(scene: Path, path: Path, rng: np.random.Generator, kills: int, whom: 
     assert process is not None
     process.kill()
     process.wait()
-    time.sleep(1.0)  # workers notice that nobody listens
+    time.sleep(1.0)  # until the workers notice that the coordinator is gone
     return count, f"{runs} runs"
 
 
@@ -99,17 +99,17 @@ def small_disk(folder: Path, size: str) -> Iterator[None]:
 
 
 def full_disk(scene: Path, path: Path) -> tuple[int, str]:
-    """Let the disk run full, look at what is said, and give it room again."""
+    """Let the disk run full, check the message, and give it room again."""
     result = finished(scene, path)
     assert result.returncode == 2, (result.returncode, result.stderr)
-    words = result.stderr.strip().splitlines()[-1]
-    assert "No space left" in words, words
+    message = result.stderr.strip().splitlines()[-1]
+    assert "No space left" in message, message
     subprocess.run(["mount", "-o", "remount,size=64m", str(path.parent)], check=True)
-    return 1, words
+    return 1, message
 
 
 def read_only(scene: Path, path: Path) -> tuple[int, str]:
-    """Let the disk become read-only in the middle."""
+    """Make the disk read-only in the middle of the sweep."""
     process = subprocess.Popen(
         command("sweep", scene, "-o", path, *SWEEP), stdout=subprocess.DEVNULL, stderr=subprocess.PIPE, text=True
     )
@@ -125,7 +125,7 @@ def read_only(scene: Path, path: Path) -> tuple[int, str]:
 
 
 def hung(scene: Path, path: Path) -> tuple[int, str]:
-    """Stop a worker in the middle; the coordinator's patience is set to seconds for this."""
+    """Stop the workers in the middle of the sweep; the coordinator's patience is set to seconds for this."""
     script = (
         "import sys; from generator.jobs import workers; from generator.cli.main import main;"
         "workers._PATIENCE = (60.0, 5.0); workers._SLOWER = 1.0;"
@@ -166,7 +166,7 @@ def together(scene: Path, path: Path) -> tuple[int, str]:
 
 
 def lost_manifest(scene: Path, path: Path) -> tuple[int, str]:
-    """Cut the power between a picture's rename and the manifest: the manifest is older than the pictures."""
+    """Imitate a power cut between a picture's rename and the manifest: the manifest is older than the pictures."""
     process = subprocess.Popen(
         command("sweep", scene, "-o", path, *SWEEP), stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL
     )
@@ -180,18 +180,18 @@ def lost_manifest(scene: Path, path: Path) -> tuple[int, str]:
     time.sleep(1.0)
     (path / "poses.csv").write_bytes(old)
     torn = sorted(path.glob("?/[0-9]*.exr"))[:5]
-    for file in torn:  # and of some pictures only a part came to the disk
+    for file in torn:  # some pictures reached the disk only in part
         file.write_bytes(file.read_bytes()[: file.stat().st_size // 2])
     return 1, f"{len(torn)} pictures torn"
 
 
 def clock(scene: Path, path: Path) -> tuple[int, str]:
-    """Set the clock back by days while pictures are rendered, and by a year before a second run goes on."""
-    found = sorted(Path("/usr/lib").glob("*/faketime/libfaketimeMT.so.1"))
-    assert found, "apt-get install faketime"
-    told = path.parent / "clock"
-    told.write_text("+0d\n")
-    fake = {"LD_PRELOAD": str(found[0]), "FAKETIME_TIMESTAMP_FILE": str(told), "FAKETIME_CACHE_DURATION": "1"}
+    """Set the clock back by days while pictures are rendered, and by a year before a second run continues."""
+    libraries = sorted(Path("/usr/lib").glob("*/faketime/libfaketimeMT.so.1"))
+    assert libraries, "apt-get install faketime"
+    stamp = path.parent / "clock"
+    stamp.write_text("+0d\n")
+    fake = {"LD_PRELOAD": str(libraries[0]), "FAKETIME_TIMESTAMP_FILE": str(stamp), "FAKETIME_CACHE_DURATION": "1"}
     environment = {**os.environ, **fake, "FAKETIME_DONT_FAKE_MONOTONIC": "1", "NO_FAKE_STAT": "1"}
     for back, until in (("-3d", 90), ("-365d", 140)):
         process = subprocess.Popen(
@@ -202,9 +202,9 @@ def clock(scene: Path, path: Path) -> tuple[int, str]:
         )
         while pictures(path) < until - 40:
             time.sleep(0.1)
-        told.write_text(f"{back}\n")
-        time.sleep(2.0)  # until that is read
-        os.kill(children(process.pid)[0], signal.SIGKILL)  # which is told in the log, with the time of day
+        stamp.write_text(f"{back}\n")
+        time.sleep(2.0)  # until libfaketime has read it
+        os.kill(children(process.pid)[0], signal.SIGKILL)  # the log records this with the time of day
         while pictures(path) < until:
             time.sleep(0.1)
         process.terminate()
@@ -235,7 +235,7 @@ def network(backing: Path, *mounts: Path) -> Iterator[None]:
 
 
 def shared(scene: Path, path: Path) -> tuple[int, str]:
-    """Render two shares on two machines that share a slow and forgetful file system; kill one of them once."""
+    """Render two shares on two machines that share a slow file system with stale caches; kill one of them once."""
     backing, *mounts = (path.parent / name for name in ("backing", "here", "there"))
     backing.mkdir()
     with network(backing, *mounts):
@@ -256,15 +256,15 @@ def shared(scene: Path, path: Path) -> tuple[int, str]:
         time.sleep(1.0)
         runs[1] = share(1)
         ends = [(run.communicate(timeout=900)[1].decode(), run.returncode) for run in runs]
-        made = pictures(backing / "set")
+        count = pictures(backing / "set")
     assert not any(code for _, code in ends), ends
-    assert made == 180, (made, ends)
+    assert count == 180, (count, ends)
     backing.joinpath("set").rename(path)
     return 1, "two shares, one killed, by two mounts; nothing was left for a third run"
 
 
 def main() -> int:
-    """Put in every fault, finish each sweep, and compare."""
+    """Inject every fault, finish each sweep, and compare."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("-o", "--output", type=Path, required=True)
     parser.add_argument("--kills", type=int, default=200)
@@ -277,7 +277,7 @@ def main() -> int:
     if not Dataset.exists(reference):
         result = finished(scene, reference)
         assert result.returncode == 0, result.stderr
-    wanted = [pose.pixel_hash for pose in Dataset.open(reference).poses]
+    expected = [pose.pixel_hash for pose in Dataset.open(reference).poses]
     rng = np.random.default_rng(0)
     disk = options.output / "disk"
     faults: dict[str, tuple[str, Callable[[Path], tuple[int, str]], str]] = {
@@ -310,10 +310,10 @@ def main() -> int:
             assert result.returncode == 0, (name, result.stderr)
             dataset = Dataset.open(path)
             lost = len(dataset.verify())
-            differ = sum(a != pose.pixel_hash for a, pose in zip(wanted, dataset.poses, strict=True))
-            litter = len(list(path.rglob("*.tmp")))
+            differ = sum(a != pose.pixel_hash for a, pose in zip(expected, dataset.poses, strict=True))
+            leftovers = len(list(path.rglob("*.tmp")))
         bad += lost + differ
-        table.append((name, how, str(times), str(lost), str(differ), str(litter), words))
+        table.append((name, how, str(times), str(lost), str(differ), str(leftovers), words))
         print(" | ".join(table[-1]), flush=True)
         head = ("fault", "how", "times", "pictures lost", "pixels different", "files left over", "")
         write_text(options.output / "faults.csv", csv_text(head, table))

@@ -1,18 +1,18 @@
-"""Coverage-guided fuzzing of what reads files from elsewhere.
+"""Coverage-guided fuzzing of the code that reads files from elsewhere.
 
-Run: ``pip install atheris; python benchmarks/fuzz.py TARGET [-max_total_time=60]`` (libFuzzer's options). Anything
-but a sentence (NlosError) is a find, and so is an input that takes more than 10 s or 1 GiB.
+Run: ``pip install atheris; python benchmarks/fuzz.py TARGET [-max_total_time=60]`` (libFuzzer's options). Any
+exception but NlosError is a fault, and so is an input that takes more than 10 s or 1 GiB.
 
 ========  ==================================================================================
 exr       pictures
 poses     manifests of poses, trajectories' too
 toml      scenes, sweeps, sensors and plans
-dataset   ``dataset.toml``, and all that is asked of it
+dataset   ``dataset.toml``, and all queries of a data set
 features  feature files, as bytes and with their contents changed through HDF5 (`hostile`)
-atlas     atlas files, likewise, and an answer by what could be read
+atlas     atlas files, likewise, and an answer from what could be read
 bulk      simulated sets: ``bulk.toml``, a part, ``set.h5`` and ``world.npz``, likewise
-model     model files: the schema and the arrays inside, and an answer by what could be read
-status    what runs tell of themselves
+model     model files: the schema and the arrays inside, and an answer from what could be read
+status    state files that runs write
 mesh      PLY, OBJ and STL through Blender
 ========  ==================================================================================
 """
@@ -36,7 +36,7 @@ import numpy as np
 sys.path[:0] = [str(Path(__file__).resolve().parents[k]) for k in (0, 1)]
 sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "tests" / "support"))
 
-# What is compiled, numba must see as it was written.
+# numba must see the code that it compiles without instrumentation.
 _COMPILED = {path.stem for path in Path(__file__).parents[1].glob("generator/transport/*.py")} - {"store", "world"}
 with atheris.instrument_imports(
     include=["generator", "classify", "skops"], exclude=[f"generator.transport.{name}" for name in _COMPILED]
@@ -92,20 +92,20 @@ def try_toml(data: bytes) -> None:
 
 
 def read_dataset(data: bytes) -> None:
-    """Open a data set, and ask all that is asked of one."""
+    """Open a data set, and make all queries of it."""
     folder = _FILE.parent / "set"
     folder.mkdir(exist_ok=True)
     chance = atheris.FuzzedDataProvider(data)
     if chance.ConsumeIntInRange(0, 3):
-        plain = hostile.spoilt_json(chance, _SOUND["dataset"].decode())
-        with contextlib.suppress(Exception):  # not all of it can be TOML
-            (folder / MANIFEST).write_text(dump_toml(json.loads(plain)))
+        spoilt = hostile.spoilt_json(chance, _SOUND["dataset"].decode())
+        with contextlib.suppress(Exception):  # not every value can be written as TOML
+            (folder / MANIFEST).write_text(dump_toml(json.loads(spoilt)))
     else:
         (folder / MANIFEST).write_bytes(data[1:])
     (folder / POSES).write_bytes(_SOUND["poses"])
     with contextlib.suppress(NlosError):
-        opened = dataset.Dataset.open(folder, check=False)  # or the seal would stop nearly all of it
-        asks: list[Callable[[], object]] = [
+        opened = dataset.Dataset.open(folder, check=False)  # otherwise the seal would reject nearly every input
+        queries: list[Callable[[], object]] = [
             lambda: opened.grid.labels,
             lambda: opened.settings["engine"],
             lambda: (opened.target_kind, opened.reference_radiance, opened.planned, opened.records),
@@ -114,28 +114,28 @@ def read_dataset(data: bytes) -> None:
             lambda: opened.verify(),
             lambda: journal.words(journal.read(folder)),
         ]
-        for ask in asks:
+        for query in queries:
             with contextlib.suppress(NlosError):
-                ask()
+                query()
 
 
 def read_features(data: bytes) -> None:
     """Read features."""
     _spoil_hdf5("features", data)
     with contextlib.suppress(NlosError):
-        found = feature_table.read(_FILE)
-        feature_table.check_comparable(found, found, ("a", "b"))
-        found.duplicates  # noqa: B018
+        table = feature_table.read(_FILE)
+        feature_table.check_comparable(table, table, ("a", "b"))
+        table.duplicates  # noqa: B018
 
 
 def read_atlas(data: bytes) -> None:
-    """Read an atlas, and locate something by it."""
+    """Read an atlas, and locate an object with it."""
     _spoil_hdf5("atlas", data)
     with contextlib.suppress(NlosError):
-        found = atlas_file.load(_FILE)
-        picture = np.repeat(found.background[..., None] * 1.01, 3, axis=2).astype(np.float32)
+        atlas = atlas_file.load(_FILE)
+        picture = np.repeat(atlas.background[..., None] * 1.01, 3, axis=2).astype(np.float32)
         with np.errstate(all="ignore"):
-            posterior.locate(found, found.code(picture))
+            posterior.locate(atlas, atlas.code(picture))
 
 
 def _spoil_hdf5(kind: str, data: bytes) -> None:
@@ -147,13 +147,13 @@ def _spoil_hdf5(kind: str, data: bytes) -> None:
 
 
 def _bytes_changed(chance: atheris.FuzzedDataProvider, sound: bytes) -> bytes:
-    """Some bytes of a sound file changed, or cut off; more often at its head, where the structure is."""
-    made = bytearray(sound)
+    """Return a sound file with bytes changed or cut off; more often at its head, which holds the structure."""
+    blob = bytearray(sound)
     for _ in range(chance.ConsumeIntInRange(1, 8)):
-        at = chance.ConsumeIntInRange(0, (len(made) if chance.ConsumeBool() else min(len(made), 4096)) - 1)
-        some = chance.ConsumeBytes(chance.ConsumeIntInRange(1, 8))
-        made[at : at + len(some)] = some
-    return bytes(made[: chance.ConsumeIntInRange(0, len(made))] if chance.ConsumeIntInRange(0, 9) == 0 else made)
+        start = chance.ConsumeIntInRange(0, (len(blob) if chance.ConsumeBool() else min(len(blob), 4096)) - 1)
+        replacement = chance.ConsumeBytes(chance.ConsumeIntInRange(1, 8))
+        blob[start : start + len(replacement)] = replacement
+    return bytes(blob[: chance.ConsumeIntInRange(0, len(blob))] if chance.ConsumeIntInRange(0, 9) == 0 else blob)
 
 
 def read_bulk(data: bytes) -> None:
@@ -167,17 +167,17 @@ def read_bulk(data: bytes) -> None:
     name = hostile.pick(
         chance, [bulk_set.MANIFEST, part, part, bulk_set.MASTER, bulk_set.WORLD, bulk_set.WORLD, bulk_set.BACKGROUND]
     )
-    whole = (sound / name).read_bytes()
+    content = (sound / name).read_bytes()
     if name == bulk_set.MANIFEST:
         text = hostile.spoilt_json(chance, json.dumps(read_toml(sound / name)))
-        with contextlib.suppress(Exception):  # not all of it can be TOML
+        with contextlib.suppress(Exception):  # not every value can be written as TOML
             (folder / name).write_text(dump_toml(json.loads(text)))
     elif name.endswith(".h5") and chance.ConsumeIntInRange(0, 3):
-        (folder / name).write_bytes(hostile.spoilt_hdf5(chance, whole, str(_OUTSIDE)))
+        (folder / name).write_bytes(hostile.spoilt_hdf5(chance, content, str(_OUTSIDE)))
     elif name == bulk_set.WORLD and chance.ConsumeIntInRange(0, 3):
-        (folder / name).write_bytes(hostile.spoilt_zip(chance, whole, hostile.spoilt_npy))
+        (folder / name).write_bytes(hostile.spoilt_zip(chance, content, hostile.spoilt_npy))
     else:
-        (folder / name).write_bytes(_bytes_changed(chance, whole))
+        (folder / name).write_bytes(_bytes_changed(chance, content))
     with contextlib.suppress(NlosError):
         worlds.load_world(folder / bulk_set.WORLD)
     with contextlib.suppress(NlosError):
@@ -185,23 +185,23 @@ def read_bulk(data: bytes) -> None:
         try:
             with contextlib.suppress(NlosError):
                 opened.verify()
-            read = simulated.SimulatedSet(opened)
-            read.background()
-            for record in read.records[:: max(1, len(read.records) // 8)]:
-                read.picture(record)
+            simulated_set = simulated.SimulatedSet(opened)
+            simulated_set.background()
+            for record in simulated_set.records[:: max(1, len(simulated_set.records) // 8)]:
+                simulated_set.picture(record)
         finally:
             opened.close()
 
 
 def read_model(data: bytes) -> None:
-    """Read a model, and answer by it."""
+    """Read a model, and get an answer from it."""
     chance = atheris.FuzzedDataProvider(data)
     sound = _SOUND[hostile.pick(chance, [name for name in sorted(_SOUND) if name.startswith("model-")])]
     if chance.ConsumeIntInRange(0, 7):
-        made = hostile.spoilt_zip(chance, sound, _spoilt_member, names=["schema.json"] * 8)
+        spoilt = hostile.spoilt_zip(chance, sound, _spoilt_member, names=["schema.json"] * 8)
     else:
-        made = _bytes_changed(chance, sound)
-    _FILE.write_bytes(made)
+        spoilt = _bytes_changed(chance, sound)
+    _FILE.write_bytes(spoilt)
     with contextlib.suppress(NlosError):
         model = models.load(_FILE)
         model.probabilities(np.full((12, 12, 3), 1e-3, dtype=np.float32))
@@ -214,19 +214,19 @@ def _spoilt_member(chance: atheris.FuzzedDataProvider, name: str, data: bytes) -
 
 
 def read_status(data: bytes) -> None:
-    """Ask for the state of a set whose runs tell nonsense."""
+    """Read the state of a set whose runs have written nonsense."""
     folder = _FILE.parent / "set"
     file = folder / journal.RUNS / "host-1.json"
     file.parent.mkdir(parents=True, exist_ok=True)
     (folder / MANIFEST).write_text(dump_toml(json.loads(_SOUND["dataset"])))
     (folder / POSES).write_bytes(_SOUND["poses"])
     chance = atheris.FuzzedDataProvider(data)
-    whole = chance.ConsumeIntInRange(0, 3) == 0
-    file.write_bytes(data[1:] if whole else hostile.spoilt_json(chance, _SOUND["status"].decode()).encode())
+    raw = chance.ConsumeIntInRange(0, 3) == 0
+    file.write_bytes(data[1:] if raw else hostile.spoilt_json(chance, _SOUND["status"].decode()).encode())
     with contextlib.suppress(NlosError):
-        found = journal.read(folder)
-        json.dumps(found)
-        journal.words(found)
+        state = journal.read(folder)
+        json.dumps(state)
+        journal.words(state)
 
 
 def read_mesh(data: bytes) -> None:
@@ -237,8 +237,8 @@ def read_mesh(data: bytes) -> None:
     file = _FILE.with_suffix(kind)
     file.write_bytes(data[1:])
     with contextlib.suppress(NlosError):
-        made = build._import_mesh(Target(kind="mesh", size=0.0, albedo=0.5, mesh=str(file)))
-        build.bpy.data.batch_remove([made, made.data])
+        obj = build._import_mesh(Target(kind="mesh", size=0.0, albedo=0.5, mesh=str(file)))
+        build.bpy.data.batch_remove([obj, obj.data])
 
 
 TARGETS = {
@@ -256,7 +256,7 @@ TARGETS = {
 
 
 def seeds(target: str, folder: Path) -> None:
-    """Write sound files to begin with."""
+    """Write sound files as the first inputs."""
     folder.mkdir(parents=True, exist_ok=True)
     text = io.StringIO()
     rows = csv.writer(text)
@@ -277,13 +277,13 @@ def seeds(target: str, folder: Path) -> None:
     else:
         _seed_structured(target)
         rng = np.random.default_rng(0)
-        for k in range(50):  # what is drawn from, not what is read
+        for k in range(50):  # random bytes that the changes are drawn from, not files to read
             (folder / f"seed-{k}").write_bytes(rng.bytes(200))
 
 
 def _seed_structured(target: str) -> None:
     """Make the sound files that are changed through their formats' own libraries."""
-    made = {
+    sample = {
         "format": 1,
         "fingerprint": "0" * 16,
         "sweep": {**to_dict(Sweep()), "scene_sha256": "0" * 64},
@@ -291,7 +291,7 @@ def _seed_structured(target: str) -> None:
         "reference_radiance": 1.0,
         "software": {"blender": "none"},
     }
-    _SOUND["dataset"] = json.dumps(made).encode()
+    _SOUND["dataset"] = json.dumps(sample).encode()
     worker = {"pid": 7, "doing": "A/0000.exr", "seconds": 1.0, "done": 3, "memory": 10**8}
     state = journal.State("host", os.getpid(), done=3, total=9, seconds=2.0, failed=["A/0: it"], workers=[worker])
     _SOUND["status"] = json.dumps(vars(state)).encode()
@@ -300,21 +300,21 @@ def _seed_structured(target: str) -> None:
     import classify_helpers
 
     if target in ("features", "model"):
-        described = feature_table.extract(
+        features = feature_table.extract(
             classify_helpers.make_dataset(_FILE.parent / "small", n=4), FeatureSettings()
         )
-        feature_table.write(_FILE, described)
+        feature_table.write(_FILE, features)
         _SOUND["features"] = _FILE.read_bytes()
         for name in ALL if target == "model" else ():
-            model = models.train(described, name, "paper")
+            model = models.train(features, name, "paper")
             if name == "RF":  # a hundred trees take the time of thirty smaller models
                 model.estimator[-1].estimators_ = model.estimator[-1].estimators_[:3]
             models.save(_FILE, model)
             _SOUND[f"model-{name}"] = _FILE.read_bytes()
         return
-    made = classify_helpers.make_bulk(_FILE.parent / "sound-bulk", pictures=80, resolution=(8, 8))
+    sample = classify_helpers.make_bulk(_FILE.parent / "sound-bulk", pictures=80, resolution=(8, 8))
     if target == "atlas":
-        atlas_file.save(_FILE, atlas_build.build(made, Sensor(frames=10)))
+        atlas_file.save(_FILE, atlas_build.build(sample, Sensor(frames=10)))
         _SOUND["atlas"] = _FILE.read_bytes()
 
 
@@ -347,7 +347,7 @@ def main() -> None:
     seeds(target, corpus)
     flags = ["-timeout=10", "-rss_limit_mb=1024", "-max_len=65536"]
     if target not in ("exr", "poses", "toml", "mesh"):
-        flags += ["-reduce_inputs=0", "-len_control=0", "-max_len=400"]  # what is drawn from: shorter is no better
+        flags += ["-reduce_inputs=0", "-len_control=0", "-max_len=400"]  # drawn from: shorter is no better
     atheris.Setup([*sys.argv, *flags, str(corpus)], TARGETS[target])
     atheris.Fuzz()
 

@@ -1,8 +1,8 @@
-"""Sound files of every kind that users hand in, and ways to spoil what is inside them, for the fuzzer.
+"""Ways to spoil the contents of sound files of every kind that users hand in, for the fuzzer.
 
-Raw bytes get nowhere in a format that has checksums, offsets or archives; so what is inside is changed instead, by
-the format's own library. What is claimed stays small, and the limits that it is held against are lowered (`LIMIT`);
-what the fuzzer finds in others' code is told in words, and no file that shows it is kept.
+Raw bytes do not get far in a format that has checksums, offsets or archives, so the contents are changed instead, by
+the format's own library. Sizes that files claim stay small, and the limits on them are lowered (`LIMIT`). Faults that
+the fuzzer finds in others' code are described in words, and no file that shows them is kept.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ import numpy as np
 
 
 class Chance(Protocol):
-    """What draws from the fuzzer's bytes: atheris' FuzzedDataProvider."""
+    """Interface for drawing values from the fuzzer's bytes, such as atheris' FuzzedDataProvider."""
 
     def ConsumeIntInRange(self, low: int, high: int) -> int: ...
     def ConsumeFloat(self) -> float: ...
@@ -29,7 +29,7 @@ class Chance(Protocol):
 
 
 def pick(chance: Chance, some: Sequence[Any]) -> Any:
-    """Return one of some."""
+    """Return one of some items."""
     return some[chance.ConsumeIntInRange(0, len(some) - 1)]
 
 
@@ -60,45 +60,45 @@ def spoilt_json(chance: Chance, text: str) -> str:
 
 
 def _spoilt(chance: Chance, value: Any) -> Any:
-    """A plain value with one of its leaves, or all of it, changed."""
+    """Return a plain value with one of its leaves, or all of it, changed."""
     if isinstance(value, dict) and value and chance.ConsumeIntInRange(0, 9):
         key = pick(chance, sorted(value))
-        what = chance.ConsumeIntInRange(0, 9)
+        action = chance.ConsumeIntInRange(0, 9)
         rest = {k: v for k, v in value.items() if k != key}
-        if what == 0:
+        if action == 0:
             return rest
-        if what == 1:
+        if action == 1:
             return {**rest, chance.ConsumeUnicodeNoSurrogates(4): value[key]}
         return {**value, key: _spoilt(chance, value[key])}
     if isinstance(value, list) and value and chance.ConsumeIntInRange(0, 9):
-        at = chance.ConsumeIntInRange(0, len(value) - 1)
-        what = chance.ConsumeIntInRange(0, 9)
-        if what == 0:
-            return [*value[:at], *value[at + 1 :]]
-        if what == 1:
+        index = chance.ConsumeIntInRange(0, len(value) - 1)
+        action = chance.ConsumeIntInRange(0, 9)
+        if action == 0:
+            return [*value[:index], *value[index + 1 :]]
+        if action == 1:
             return value + value
-        return [*value[:at], _spoilt(chance, value[at]), *value[at + 1 :]]
-    what = chance.ConsumeIntInRange(0, 6)
-    if what == 0:
+        return [*value[:index], _spoilt(chance, value[index]), *value[index + 1 :]]
+    action = chance.ConsumeIntInRange(0, 6)
+    if action == 0:
         return number(chance)
-    if what == 1:
+    if action == 1:
         return chance.ConsumeUnicodeNoSurrogates(8)
-    if what == 2:
+    if action == 2:
         return [value] * chance.ConsumeIntInRange(0, 5)
-    if what == 3:
+    if action == 3:
         return {chance.ConsumeUnicodeNoSurrogates(3): value}
     return pick(chance, [None, True, [], {}, "A", 10**30])
 
 
 def array(chance: Chance, like: tuple[int, ...]) -> Any:
-    """Return an array of any kind."""
+    """Return an array of any kind and shape."""
     shape = pick(chance, [like, like, like[1:], (*like, 1), (0,), (1,), (2, 2), (), like[:1], (3, *like[1:])])
     kind = pick(chance, DTYPES)
-    made = np.zeros(shape, dtype=kind)
-    if made.size and made.dtype.kind in "fiuc":
+    block = np.zeros(shape, dtype=kind)
+    if block.size and block.dtype.kind in "fiuc":
         with np.errstate(all="ignore"):
-            made.flat[chance.ConsumeIntInRange(0, made.size - 1)] = np.float64(number(chance)).astype(made.dtype)
-    return made
+            block.flat[chance.ConsumeIntInRange(0, block.size - 1)] = np.float64(number(chance)).astype(block.dtype)
+    return block
 
 
 def spoil_hdf5(chance: Chance, file: Any, outside: str) -> None:
@@ -109,20 +109,20 @@ def spoil_hdf5(chance: Chance, file: Any, outside: str) -> None:
     chance : Chance
     file : h5py.File
     outside : str
-        Of a file that is none of its business.
+        Path of a file that readers must not touch.
     """
     names = list(file)
     if chance.ConsumeIntInRange(0, 2) == 0 and len(file.attrs):
         name = pick(chance, sorted(file.attrs))
         old = file.attrs[name]
-        what = chance.ConsumeIntInRange(0, 5)
-        if what == 0:
+        action = chance.ConsumeIntInRange(0, 5)
+        if action == 0:
             del file.attrs[name]
-        elif what == 1:
+        elif action == 1:
             file.attrs[name] = array(chance, (2, 2))
-        elif what == 2:
+        elif action == 2:
             file.attrs[name] = h5py.Empty("f8")
-        elif what == 3:
+        elif action == 3:
             file.attrs[name] = number(chance)
         elif isinstance(old, str):
             file.attrs[name] = spoilt_json(chance, old).replace("\x00", "")
@@ -133,56 +133,56 @@ def spoil_hdf5(chance: Chance, file: Any, outside: str) -> None:
         return
     name = pick(chance, names)
     shape = getattr(file.get(name), "shape", None) or (3, 3)
-    if math.prod(shape) > _MANY:  # claimed by an earlier change
+    if math.prod(shape) > _MANY:  # a size claimed by an earlier change
         shape = (3, 3)
     link = pick(chance, names)
-    what = chance.ConsumeIntInRange(0, 15)
-    if what == 15:
-        found = file[name]
-        if not isinstance(found, h5py.Dataset) or found.is_virtual or found.external:
-            return  # lies elsewhere
-        if 0 < found.size < _MANY and found.dtype.kind in "fi":
-            some = found[()]
+    action = chance.ConsumeIntInRange(0, 15)
+    if action == 15:
+        dataset = file[name]
+        if not isinstance(dataset, h5py.Dataset) or dataset.is_virtual or dataset.external:
+            return  # its data are elsewhere
+        if 0 < dataset.size < _MANY and dataset.dtype.kind in "fi":
+            data = dataset[()]
             with np.errstate(all="ignore"):
-                some.flat[chance.ConsumeIntInRange(0, some.size - 1)] = np.float64(number(chance)).astype(some.dtype)
-            file[name][()] = some
+                data.flat[chance.ConsumeIntInRange(0, data.size - 1)] = np.float64(number(chance)).astype(data.dtype)
+            file[name][()] = data
         return
     del file[name]
-    if what == 1:
+    if action == 1:
         file[name] = array(chance, shape)
-    elif what == 2:
+    elif action == 2:
         file[name] = h5py.SoftLink(pick(chance, [f"/{link}", "nowhere"]))
-    elif what == 3:
+    elif action == 3:
         file[name] = h5py.ExternalLink(outside, pick(chance, ["/", "/x", name]))
-    elif what == 4:
+    elif action == 4:
         file[name] = file[link] if link in file else np.zeros(1)
-    elif what == 5:
+    elif action == 5:
         file.create_group(name)
-    elif what == 6:
+    elif action == 6:
         file[name] = np.dtype(pick(chance, DTYPES))
-    elif what == 7:
+    elif action == 7:
         huge = pick(chance, [(2**22,), (2**20, 4), (2**12, 2**10), (0, 2**20), (2**21,)])
         kind = pick(chance, ["f8", "S1", "i1", "f4"])
         file.create_dataset(name, huge, kind, chunks=tuple(max(1, min(64, n)) for n in huge))
-    elif what == 8:
+    elif action == 8:
         rows = [np.arange(chance.ConsumeIntInRange(0, 5)) for _ in range(shape[0] if shape[0] < 99 else 3)]
-        made = file.create_dataset(name, (len(rows),), h5py.vlen_dtype("i4"))
+        ragged = file.create_dataset(name, (len(rows),), h5py.vlen_dtype("i4"))
         for i, row in enumerate(rows):
-            made[i] = row
-    elif what == 9:
+            ragged[i] = row
+    elif action == 9:
         file.create_dataset(name, data=[file.ref], dtype=h5py.ref_dtype)
-    elif what == 10:
+    elif action == 10:
         filters = pick(chance, [{"compression": "gzip"}, {"compression": "lzf"}, {"fletcher32": True}])
         file.create_dataset(name, data=np.zeros(max((1,), shape[:2]), "f8"), **filters)
-    elif what == 11:
+    elif action == 11:
         file.create_dataset(name, shape, "f8", external=[(outside, 0, h5py.h5f.UNLIMITED)])
-    elif what == 12:
+    elif action == 12:
         layout = h5py.VirtualLayout(shape, "f8")
         layout[...] = h5py.VirtualSource(outside, "x", shape)
         file.create_virtual_dataset(name, layout)
-    elif what == 13:
+    elif action == 13:
         file[name] = h5py.Empty("f8")
-    elif what == 14:
+    elif action == 14:
         count = shape[0] if 0 < shape[0] < 99 else 3
         texts = [chance.ConsumeUnicodeNoSurrogates(3).replace("\x00", "") for _ in range(count)]
         file.create_dataset(name, data=texts, dtype=h5py.string_dtype(pick(chance, ["utf-8", "ascii"])))
@@ -208,12 +208,12 @@ def spoilt_zip(
         if not inside:
             break
         name = pick(chance, [*(n for n in names if n in inside), *sorted(inside)])
-        what = chance.ConsumeIntInRange(0, 9)
-        if what == 0:
+        action = chance.ConsumeIntInRange(0, 9)
+        if action == 0:
             del inside[name]
-        elif what == 1:
+        elif action == 1:
             inside[pick(chance, ["out", name + "x", *inside])] = inside.pop(name)
-        elif what == 2:
+        elif action == 2:
             inside[name] = inside[pick(chance, sorted(inside))]
         else:
             inside[name] = spoil(chance, name, inside[name])
@@ -226,26 +226,26 @@ def spoilt_zip(
 
 def spoilt_npy(chance: Chance, name: str, data: bytes) -> bytes:
     """Return a ``.npy`` file of other values, of another kind or shape, or with a header that claims too much."""
-    what = chance.ConsumeIntInRange(0, 3)
-    if what == 0:
+    action = chance.ConsumeIntInRange(0, 3)
+    if action == 0:
         return data[: chance.ConsumeIntInRange(0, len(data))]
-    if what == 1:
-        at = chance.ConsumeIntInRange(0, max(0, len(data) - 1))
-        return data[:at] + chance.ConsumeBytes(4) + data[at + 4 :]
+    if action == 1:
+        offset = chance.ConsumeIntInRange(0, max(0, len(data) - 1))
+        return data[:offset] + chance.ConsumeBytes(4) + data[offset + 4 :]
     image = io.BytesIO()
     try:
         old = np.load(io.BytesIO(data), allow_pickle=False)
     except (ValueError, EOFError, OSError):
         return data
-    if what == 2 and old.size and old.dtype.kind in "fiu":
-        made = old.copy()
+    if action == 2 and old.size and old.dtype.kind in "fiu":
+        new = old.copy()
         with np.errstate(all="ignore"):
-            made.flat[chance.ConsumeIntInRange(0, made.size - 1)] = np.float64(number(chance)).astype(made.dtype)
+            new.flat[chance.ConsumeIntInRange(0, new.size - 1)] = np.float64(number(chance)).astype(new.dtype)
     else:
-        made = array(chance, old.shape)
-    np.save(image, made)
+        new = array(chance, old.shape)
+    np.save(image, new)
     text = image.getvalue()
-    if chance.ConsumeIntInRange(0, 4) == 0:  # claims, in as many bytes
+    if chance.ConsumeIntInRange(0, 4) == 0:  # a false claim, in as many bytes
         start = text.find(b"'shape': (")
         if start > 0:
             end = text.index(b")", start)

@@ -23,7 +23,7 @@ AXES = {"x": "along the wall", "y": "normal to the wall", "z": "along the wall, 
 
 
 def changes(pixels: int, accuracy: float) -> list[tuple[str, float, float, float]]:
-    """Return, motion by motion, its name, and the change of the added light in percent of its peak.
+    """Return for each motion its name, and the change of the added light in percent of its peak.
 
     The change is from the resting pose to the end of the motion that changes more: its largest pixel, its root mean
     square, and the largest per centimetre or degree.
@@ -53,8 +53,8 @@ def changes(pixels: int, accuracy: float) -> list[tuple[str, float, float, float
 
 def _change(ends: list[np.ndarray], rest: np.ndarray, steps: float) -> tuple[float, float, float]:
     differences = [100.0 * np.abs(end - rest) / rest.max() for end in ends]
-    most = max(differences, key=lambda difference: float(difference.max()))
-    return float(most.max()), float(np.sqrt((most**2).mean())), float(most.max() / steps)
+    largest = max(differences, key=lambda difference: float(difference.max()))
+    return float(largest.max()), float(np.sqrt((largest**2).mean())), float(largest.max() / steps)
 
 
 def main() -> None:
@@ -64,8 +64,8 @@ def main() -> None:
     parser.add_argument("--accuracy", type=float, default=1e-4)
     options = parser.parse_args()
     print(f"{'+-2.5 cm or +-7.5 degrees':40s} {'peak':>8s} {'RMS':>8s}   peak per cm or degree")
-    for name, largest, mean, each in changes(options.pixels, options.accuracy):
-        print(f"{name:40s} {largest:7.2f}% {mean:7.2f}%   {each:.3f}%")
+    for name, largest, mean, per_unit in changes(options.pixels, options.accuracy):
+        print(f"{name:40s} {largest:7.2f}% {mean:7.2f}%   {per_unit:.3f}%")
 
 
 if __name__ == "__main__":

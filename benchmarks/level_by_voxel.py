@@ -1,6 +1,6 @@
-"""How well does the mean level alone tell voxels apart? Its 5th, 50th and 95th percentile, voxel by voxel.
+"""How well does the mean level alone tell voxels apart? Prints its 5th, 50th and 95th percentile for each voxel.
 
-Level is the mean of a picture minus that of the background, in thousandths of the background.
+The level is the mean of a picture minus that of the background, in thousandths of the background.
 """
 
 from __future__ import annotations

@@ -2,7 +2,7 @@
 
 Radiance is absolute (W/m^2/sr): nothing is fitted. "spot" traces light from the true lamp and connects it to the
 camera; "patch" traces paths from the camera to the lit patch, a disc whose radiance is a texture of the closed form.
-Mitsuba is no dependency of the project; its LLVM variants need LLVM 17 or later (`apt-get install libllvm19`).
+Mitsuba is not a dependency of the project; its LLVM variants need LLVM 17 or later (`apt-get install libllvm19`).
 """
 
 from __future__ import annotations
@@ -23,21 +23,21 @@ from generator.transport.world import LitPatch, Sphere, Watched, World
 METHODS = ("patch", "spot")
 
 _LANES = 2**22
-"""Paths a call to Mitsuba traces at once: more would not be faster, only take more memory."""
+"""Paths that one call to Mitsuba traces at once: more would not be faster, but take more memory."""
 
 _PER_PIXEL = 1024
-"""Of these a pixel: Mitsuba adds them up in float32, and 16,384 equal ones came out 0.3 % wrong."""
+"""Paths per pixel in one call: Mitsuba adds them up in float32, and the sum of 16,384 equal ones was 0.3 % wrong."""
 
 _PINHOLE = 0.5
 """Distance of the pinhole from the wall, in widths of the picture: at 0.1 light tracing is 0.1 % too dark."""
 
 _TEXELS = (128, 256)
-"""Of the patch's radiance, along the radius and round it: smooth, so that this holds it to 1e-6."""
+"""Texels of the patch's radiance, along the radius and the angle: it is smooth, so that these suffice for 1e-6."""
 
 
 @cache
 def mitsuba(variant: str) -> Any:
-    """Return Mitsuba with a variant set, an LLVM found for it that it can use.
+    """Return Mitsuba with a variant set, after finding an LLVM that it can use.
 
     Raises
     ------
@@ -45,10 +45,10 @@ def mitsuba(variant: str) -> Any:
         Mitsuba is not installed.
     """
     # Dr.Jit takes the first LLVM it finds, and aborts the process if that is version 15 or 16.
-    found = [(int(re.sub(r".*?(\d+)(\.\d+)?$", r"\1", p.name)), p) for p in Path("/usr/lib").glob("*/libLLVM*.so.*")]
-    fit = sorted((version, str(p)) for version, p in found if version >= 17)
-    if fit:
-        os.environ.setdefault("DRJIT_LIBLLVM_PATH", fit[-1][1])
+    llvms = [(int(re.sub(r".*?(\d+)(\.\d+)?$", r"\1", p.name)), p) for p in Path("/usr/lib").glob("*/libLLVM*.so.*")]
+    usable = sorted((version, str(p)) for version, p in llvms if version >= 17)
+    if usable:
+        os.environ.setdefault("DRJIT_LIBLLVM_PATH", usable[-1][1])
     import mitsuba as mi
 
     mi.set_variant(variant)
@@ -67,14 +67,14 @@ class Prepared:
         The target's pose, as in `generator.model.poses`; metres and degrees.
     method : {"patch", "spot"}
     target : bool
-        With the target, or the background.
+        Whether to include the target; if not, the picture is the background.
     variant : str, optional
-        Of Mitsuba; the default is the fastest that holds the world's colours.
+        Variant of Mitsuba; the default is the fastest that can represent the world's colours.
 
     Raises
     ------
     NlosError
-        The world is not one that this reference can show.
+        This reference cannot render the world.
     ImportError
         Mitsuba is not installed.
     """
@@ -93,7 +93,7 @@ class Prepared:
             raise NlosError(f"method {method!r}: there is none; choose from {', '.join(METHODS)}")
         self._mi = mi = mitsuba(variant or ("llvm_ad_mono" if _grey(world) else "llvm_ad_rgb"))
         self.resolution = world.watched.resolution
-        # Mitsuba counts the lamp's own edge too; the patch is one reflection already.
+        # Mitsuba also counts the path segment that starts at the lamp; the patch is one reflection already.
         depth = world.order + 1 if method == "spot" else world.order
         kind = "ptracer" if method == "spot" else "path"
         content: dict[str, Any] = {
@@ -112,17 +112,17 @@ class Prepared:
             content["wall"] = _wall(mi, world, _rectangle(world, patch=False))
         for i, mesh in enumerate(world.room):
             content.update(_meshes(mi, f"room{i}", mesh.triangles, mesh.albedo))
-        turn, at = rotation_matrix(tuple(rotation_degrees)), np.asarray(position, dtype=float)
+        turn, place = rotation_matrix(tuple(rotation_degrees)), np.asarray(position, dtype=float)
         for i, body in enumerate(world.target if target else ()):
             if isinstance(body, Sphere):
                 content[f"target{i}"] = {
                     "type": "sphere",
-                    "center": [float(c) for c in turn @ body.centre + at],
+                    "center": [float(c) for c in turn @ body.centre + place],
                     "radius": float(body.radius),
                     "bsdf": _diffuse(body.albedo),
                 }
             else:
-                content.update(_meshes(mi, f"target{i}", body.triangles @ turn.T + at, body.albedo))
+                content.update(_meshes(mi, f"target{i}", body.triangles @ turn.T + place, body.albedo))
         self._scene = mi.load_dict(content)
 
     def draw(self, spp: int, seed: int) -> np.ndarray:
@@ -131,9 +131,9 @@ class Prepared:
         Parameters
         ----------
         spp : int
-            Paths per pixel: from the camera, or as many in all from the lamp.
+            Paths per pixel from the camera, or the same total number from the lamp.
         seed : int
-            Of the noise. Two worlds that differ in the target alone share the noise of the paths that miss it.
+            Seed of the noise. Worlds that differ only in the target share the noise of the paths that miss it.
         """
         width, height = self.resolution
         most = max(1, min(_PER_PIXEL, _LANES // (width * height)))
@@ -193,9 +193,9 @@ def _axes(watched: Watched) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
 
 
 def _sensor(mi: Any, watched: Watched) -> dict[str, Any]:
-    """A pinhole close before the wall: of a Lambertian wall, only which points a pixel covers matters.
+    """Return a pinhole camera close to the wall: for a Lambertian wall, only the points that a pixel covers matter.
 
-    Mitsuba cannot trace light to an orthographic camera, and so close to the wall nothing gets in the way.
+    Mitsuba cannot trace light to an orthographic camera. So close to the wall, nothing gets in the way.
     """
     corner, right, down = _axes(watched)
     width = float(np.linalg.norm(right))
@@ -221,7 +221,7 @@ def _sensor(mi: Any, watched: Watched) -> dict[str, Any]:
 
 
 def _spot(mi: Any, patch: LitPatch) -> dict[str, Any]:
-    """The true lamp. Where its two angles are the same, Mitsuba's spot has a hard edge, and is in W/sr."""
+    """Return the true lamp. With two equal angles, Mitsuba's spot has a hard edge, and its intensity is in W/sr."""
     if patch.cos_width > 0.0:
         raise NlosError("patch: the lamp must have a hard edge (blend 0)")
     half = math.degrees(math.acos(patch.cos_outer))
@@ -237,7 +237,7 @@ def _spot(mi: Any, patch: LitPatch) -> dict[str, Any]:
 
 
 def _patch(mi: Any, patch: LitPatch) -> dict[str, Any]:
-    """The lit patch as a disc; its texture's axes are the radius and the angle."""
+    """Return the lit patch as a disc; its texture's axes are the radius and the angle."""
     if patch.cos_width > 0.0:
         raise NlosError("patch: the lamp must have a hard edge (blend 0)")
     across, around = ((np.arange(n) + 0.5) / n for n in _TEXELS)
@@ -256,12 +256,12 @@ def _patch(mi: Any, patch: LitPatch) -> dict[str, Any]:
 
 
 def _rectangle(world: World, *, patch: bool) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Middle and half edges of the part of the wall that must be there: the watched part, and the lit patch."""
+    """Return middle and half edges of the needed part of the wall: the watched part and, with ``patch``, the lit."""
     corner, right, down = _axes(world.watched)
     low, high = np.zeros(2), np.ones(2)
     if patch:
         low, high = np.minimum(low, _extent(world)[0]), np.maximum(high, _extent(world)[1])
-    # A ray through the picture's very edge must meet it.
+    # A ray through the very edge of the picture must hit the wall.
     low, high = low - 1e-4, high + 1e-4
     middle = (low + high) / 2.0
     half = (high - low) / 2.0
@@ -269,7 +269,7 @@ def _rectangle(world: World, *, patch: bool) -> tuple[np.ndarray, np.ndarray, np
 
 
 def _extent(world: World) -> tuple[np.ndarray, np.ndarray]:
-    """Range of the lit patch in picture coordinates."""
+    """Return the range of the lit patch in picture coordinates."""
     corner, right, down = _axes(world.watched)
     axes = np.stack([right / (right @ right), down / (down @ down)])
     patch = world.patch
@@ -288,18 +288,18 @@ def _wall(mi: Any, world: World, rectangle: tuple[np.ndarray, np.ndarray, np.nda
     normal = world.watched.normal * math.sqrt(np.linalg.norm(right) * np.linalg.norm(down))
     return {
         "type": "rectangle",
-        # Right-handed: a mirrored rectangle's two frames disagree, and light tracing sees nothing of it.
+        # Right-handed: the two frames of a mirrored rectangle disagree, and light tracing misses it.
         "to_world": _matrix(mi, right, -down, normal, middle),
         "bsdf": _diffuse(world.watched.albedo),
     }
 
 
 def _meshes(mi: Any, name: str, triangles: np.ndarray, albedo: np.ndarray) -> dict[str, Any]:
-    """One mesh for every colour."""
-    made = {}
-    colours, which = np.unique(albedo, axis=0, return_inverse=True)
+    """Return one mesh for every colour."""
+    meshes = {}
+    colours, colour_index = np.unique(albedo, axis=0, return_inverse=True)
     for i, colour in enumerate(colours):
-        corners = triangles[which.reshape(-1) == i].reshape(-1, 3)
+        corners = triangles[colour_index.reshape(-1) == i].reshape(-1, 3)
         properties = mi.Properties()
         properties["bsdf"] = mi.load_dict(_diffuse(colour))
         mesh = mi.Mesh(f"{name}-{i}", len(corners), len(corners) // 3, props=properties)
@@ -307,5 +307,5 @@ def _meshes(mi: Any, name: str, triangles: np.ndarray, albedo: np.ndarray) -> di
         parameters["vertex_positions"] = corners.astype(np.float32).ravel()
         parameters["faces"] = np.arange(len(corners), dtype=np.uint32)
         parameters.update()
-        made[f"{name}_{i}"] = mesh
-    return made
+        meshes[f"{name}_{i}"] = mesh
+    return meshes

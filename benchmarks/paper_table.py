@@ -1,7 +1,7 @@
 """The whole chain from an empty folder to the paper's Table 1: two scenes, two data sets, features, comparison.
 
 `make demo` runs it small; `make results` runs it at the paper's size. Each step is a command that anyone can type,
-and is printed before it runs. Run again, it goes on where it stopped.
+and is printed before it runs. When run again, it resumes where it stopped.
 """
 
 from __future__ import annotations

@@ -1,6 +1,6 @@
-"""What a plan says of a scene, against what happens when that is done: presets, clutter, mirrors, adversarial scenes.
+"""Compare what a plan predicts for a scene with measurements: presets, clutter, mirrors, adversarial scenes.
 
-python benchmarks/planning.py effects -o DIR            each effect, at other poses and in other noise
+python benchmarks/planning.py effects -o DIR            each effect, at other poses and with other noise
 python benchmarks/planning.py random -o DIR --count 50  the planned picture against the full model, random scenes
 """
 
@@ -34,21 +34,21 @@ from generator.model.presets import preset
 from generator.transport import Transport
 
 OTHER = 1
-"""Seed of the poses that a plan is held against; plans are made with seed 0."""
+"""Seed of the poses at which a plan is tested; plans are made with seed 0."""
 
 
 def material(name: str, colour: float, *, mirror: bool = False, rough: float = 0.0) -> bpy.types.Material:
     """Return a grey Lambertian material, or a mirror."""
-    made = bpy.data.materials.new(name)
-    if made.node_tree is None:
-        made.use_nodes = True
-    tree = made.node_tree
+    shade = bpy.data.materials.new(name)
+    if shade.node_tree is None:
+        shade.use_nodes = True
+    tree = shade.node_tree
     tree.nodes.clear()
     shader = tree.nodes.new("ShaderNodeBsdfGlossy" if mirror else "ShaderNodeBsdfDiffuse")
     shader.inputs["Color"].default_value = (colour, colour, colour, 1.0)
     shader.inputs["Roughness"].default_value = rough
     tree.links.new(shader.outputs[0], tree.nodes.new("ShaderNodeOutputMaterial").inputs["Surface"])
-    return made
+    return shade
 
 
 def box(name: str, at: Any, size: Any, made: bpy.types.Material) -> None:
@@ -68,14 +68,14 @@ def room(kind: str = "sphere", **changes: Any) -> bpy.types.Scene:
 
 def _cluttered() -> bpy.types.Scene:
     scene = room()
-    for name, at, size, colour in (
+    for name, location, size, colour in (
         ("Cupboard", (-2.1, 1.2, 0.9), (0.5, 0.8, 1.8), 0.5),
         ("Table", (-1.2, 1.6, 0.4), (0.8, 0.6, 0.05), 0.6),
         ("Shelf", (2.5, 2.4, 1.5), (0.15, 0.8, 0.03), 0.7),
         ("Chest", (1.4, 3.1, 0.25), (0.7, 0.4, 0.5), 0.3),
         ("Lamp shade", (0.6, 2.4, 2.3), (0.3, 0.3, 0.2), 0.9),
     ):
-        box(name, at, size, material(name, colour))
+        box(name, location, size, material(name, colour))
     return scene
 
 
@@ -105,8 +105,8 @@ def _grazing() -> bpy.types.Scene:
 
 
 def _window() -> bpy.types.Scene:
-    wanted = preset("room", "sphere")
-    scene = room(ambient=0.05, room=replace(wanted.room, surfaces=("floor", "back", "left", "right")))
+    base = preset("room", "sphere")
+    scene = room(ambient=0.05, room=replace(base.room, surfaces=("floor", "back", "left", "right")))
     # The ceiling with a hole of 60 cm.
     hole = material("Ceiling", 0.8)
     for k, (x, y) in enumerate(
@@ -118,12 +118,12 @@ def _window() -> bpy.types.Scene:
 
 
 def _preset(name: str) -> Callable[[], bpy.types.Scene]:
-    def made() -> bpy.types.Scene:
+    def build_preset() -> bpy.types.Scene:
         scene = blend_file.new_file()
         build.build(scene, preset(name, "sphere"))
         return scene
 
-    return made
+    return build_preset
 
 
 SCENES: dict[str, Callable[[], bpy.types.Scene]] = {
@@ -140,24 +140,24 @@ SCENES: dict[str, Callable[[], bpy.types.Scene]] = {
 
 
 def saved(scene: bpy.types.Scene, path: Path) -> Path:
-    """Save a scene and return where."""
+    """Save a scene; return its path."""
     bpy.context.view_layer.update()
     blend_file.save_file(path)
     return path
 
 
 def other_poses(source: Path, count: int) -> tuple[Any, Any]:
-    """Return places and turns that the plan has not seen."""
+    """Return positions and rotations that the plan has not used."""
     scene = blend_file.open_file(source)
     described = read_scene(scene)
     sweep, _ = settled(scene, described, {"engine": "patch", "poses": count, "seed": OTHER})
-    made = poses.plan(described.grid, sweep, geometry.hull(scene), clearance(scene, described, engine="patch"))
-    made.sort(key=lambda pose: (pose.index, pose.voxel))
-    return tuple(np.array([getattr(p, name) for p in made]) for name in ("position", "rotation"))
+    planned = poses.plan(described.grid, sweep, geometry.hull(scene), clearance(scene, described, engine="patch"))
+    planned.sort(key=lambda pose: (pose.index, pose.voxel))
+    return tuple(np.array([getattr(p, name) for p in planned]) for name in ("position", "rotation"))
 
 
 def again(source: Path, plan: Plan, most: float) -> dict[str, tuple[float, float, float]]:
-    """Measure a plan's effects once more, at other poses and in other noise, and the plan against Cycles."""
+    """Measure a plan's effects again, at other poses and with other noise, and the plan's error against Cycles."""
     scene = blend_file.open_file(source)
     described = read_scene(scene)
     sweep, _ = settled(scene, described, {"engine": "patch", "poses": paired.ROUNDS[1], "seed": OTHER})
@@ -165,53 +165,53 @@ def again(source: Path, plan: Plan, most: float) -> dict[str, tuple[float, float
     rounds = [[p for p in planned if p.index == k] for k in range(paired.ROUNDS[1])]
     probe = paired.PairedMeasurement(source, "patch", rounds, described.resolution[0] / described.resolution[1])
     pieces = [e.name for e in plan.effects if e.name in simplify.removable_pieces(blend_file.open_file(source))]
-    sky = planning.ambient(source, [p for one in rounds[: scene_plan.POSES] for p in one])
+    sky = planning.ambient(source, [p for round_poses in rounds[: scene_plan.POSES] for p in round_poses])
     pieces = [name for name in pieces if name != simplify.AMBIENT or sky is None]
     orders = [o for o in (4, 5) if any(e.name == paired.order_name(o) for e in plan.effects)]
-    found = paired.measure(probe, pieces, orders=orders, tolerance=plan.tolerance, most=most)
+    measured = paired.measure(probe, pieces, orders=orders, tolerance=plan.tolerance, most=most)
     if sky is not None:
-        found[sky.name] = sky.share
+        measured[sky.name] = sky.share
     if plan.settings["engine"] == "surfel":
         cycles = [name for name in plan.dropped if name in (*pieces, simplify.AMBIENT)]
         variant = planning.variant(source, cycles)
-        every = [e.name for e in plan.effects if not e.note and e.name not in found]
+        names = [e.name for e in plan.effects if not e.note and e.name not in measured]
         places, turns = other_poses(source, scene_plan.POSES)
         exact, _, _ = effects.measure(
             variant,
-            every,
+            names,
             places,
             turns,
             rounds=scene_plan.POSES,
             accuracy=max(budget.FINE, plan.tolerance / 20.0),
             tolerance=0.0,
         )
-        found |= {e.name: e.share for e in exact}
-        found["all of it, against Cycles"] = _against_cycles(probe, variant, plan, most)
-    return found
+        measured |= {e.name: e.share for e in exact}
+        measured["all of it, against Cycles"] = _against_cycles(probe, variant, plan, most)
+    return measured
 
 
 def _against_cycles(probe: Any, variant: Any, plan: Plan, most: float) -> tuple[float, float, float]:
-    """Error of the planned pictures against Cycles' of the whole scene, with Cycles' noise seen through."""
+    """Return the error of the planned pictures against Cycles' of the whole scene, without Cycles' noise."""
     world, shadows = variant(plan.dropped)
-    errors, wholes, begun = [], [], time.monotonic()
+    errors, wholes, start = [], [], time.monotonic()
     for number in range(paired.ROUNDS[1]):
         whole = probe.whole(number)
         size = (paired.PIXELS, whole.shape[2] // paired.PIXELS)
         small = replace(world, watched=replace(world.watched, resolution=size))
         engine = Transport(small, accuracy=plan.settings["accuracy"])
-        made = [
+        planned = [
             engine.difference(p.position, p.rotation, shadows=shadows).mean(axis=2).ravel()
             for p in probe.rounds[number]
         ]
-        errors.append(whole - np.array(made))
+        errors.append(whole - np.array(planned))
         wholes.append(whole)
-        if number >= 3 and time.monotonic() - begun > most:
+        if number >= 3 and time.monotonic() - start > most:
             break
     return paired.share(errors, wholes)
 
 
 def verdict(effect: Effect, measured: tuple[float, float, float], tolerance: float) -> str:
-    """Say whether a prediction held: within a factor of 1.5, or inside one of the two intervals."""
+    """Return whether a prediction held: within a factor of 1.5, or inside one of the two intervals."""
     value, (got, low, high) = effect.share[0], measured
     if math.isnan(value) or math.isnan(got):
         return "not measured"
@@ -223,7 +223,7 @@ def verdict(effect: Effect, measured: tuple[float, float, float], tolerance: flo
 
 
 def run_effects(options: argparse.Namespace) -> None:
-    """Plan every scene, and hold each plan against what happens."""
+    """Plan every scene, and compare each plan with measurements."""
     table = []
     for name in options.scenes or SCENES:
         source = saved(SCENES[name](), options.output / f"{name}.blend")
@@ -254,11 +254,11 @@ def run_effects(options: argparse.Namespace) -> None:
 def random_scene(seed: int) -> bpy.types.Scene:
     """Return a room of random size, albedo and clutter, with a random target."""
     rng = np.random.default_rng([20, seed])
-    wanted = preset("room", str(rng.choice(["sphere", "sheet"])))
+    base = preset("room", str(rng.choice(["sphere", "sheet"])))
     far, back, top = rng.uniform(2.5, 4.0), rng.uniform(3.2, 5.0), rng.uniform(2.4, 3.4)
-    surfaces = [s for s in wanted.room.surfaces if s == "floor" or rng.random() < 0.75]
+    surfaces = [s for s in base.room.surfaces if s == "floor" or rng.random() < 0.75]
     walls = replace(
-        wanted.room,
+        base.room,
         x=(-2.4, far),
         y=(0.0, back),
         z=(0.0, top),
@@ -266,23 +266,23 @@ def random_scene(seed: int) -> bpy.types.Scene:
         surfaces=tuple(surfaces),
     )
     scene = room(
-        wanted.target.kind,
+        base.target.kind,
         resolution=(32, 32),
         room=walls,
-        wall=replace(wanted.wall, x=(-2.4, far), z=(0.0, top), albedo=rng.uniform(0.3, 0.9)),
+        wall=replace(base.wall, x=(-2.4, far), z=(0.0, top), albedo=rng.uniform(0.3, 0.9)),
         partition=replace(
-            wanted.partition, y=(1.3, back), z=(0.0, top), albedo=rng.choice([0.0, rng.uniform(0.0, 0.8)])
+            base.partition, y=(1.3, back), z=(0.0, top), albedo=rng.choice([0.0, rng.uniform(0.0, 0.8)])
         ),
-        target=replace(wanted.target, size=rng.uniform(0.2, 0.45), albedo=rng.uniform(0.2, 1.0)),
-        spot=replace(wanted.spot, half_angle=rng.uniform(0.8, 3.0)),
+        target=replace(base.target, size=rng.uniform(0.2, 0.45), albedo=rng.uniform(0.2, 1.0)),
+        spot=replace(base.spot, half_angle=rng.uniform(0.8, 3.0)),
     )
     for k in range(rng.integers(0, 5)):
         size = rng.uniform(0.05, 0.6, size=3)
         side = rng.random() < 0.5  # left of the partition, or behind the voxels
         low = np.array([-2.3, 0.2, 0.1]) if side else np.array([0.3, 2.0, 0.1])
         high = np.array([-1.6, 2.5, top - 0.1]) if side else np.array([far - 0.1, back - 0.1, top - 0.1])
-        at = rng.uniform(low + size / 2.0, np.maximum(high - size / 2.0, low + size / 2.0 + 1e-3))
-        box(f"Box {k}", at, size, material(f"Box {k}", rng.uniform(0.0, 0.95)))
+        location = rng.uniform(low + size / 2.0, np.maximum(high - size / 2.0, low + size / 2.0 + 1e-3))
+        box(f"Box {k}", location, size, material(f"Box {k}", rng.uniform(0.0, 0.95)))
     return scene
 
 
@@ -301,13 +301,13 @@ def run_random(options: argparse.Namespace) -> None:
         variant = planning.variant(source, [])
         whole, _ = effects.differences(variant, (), places, turns, max(budget.FINE, tolerance / 30.0))
         accuracy = plan.settings["accuracy"]
-        made, _ = effects.differences(variant, plan.dropped, places, turns, accuracy)
-        squares = (((one**2).mean(axis=(1, 2))).reshape(scene_plan.POSES, -1) for one in (made - whole, whole))
+        planned, _ = effects.differences(variant, plan.dropped, places, turns, accuracy)
+        squares = (((light**2).mean(axis=(1, 2))).reshape(scene_plan.POSES, -1) for light in (planned - whole, whole))
         error = relative(*squares)[0]
         ratios = []
-        for _ in range(3):  # in turn
-            both = [effects.differences(variant, some, places, turns, accuracy)[1] for some in ((), plan.dropped)]
-            ratios.append(both[0] / both[1])
+        for _ in range(3):  # both in turn
+            times = [effects.differences(variant, names, places, turns, accuracy)[1] for names in ((), plan.dropped)]
+            ratios.append(times[0] / times[1])
         held += error <= tolerance
         row = (
             str(seed),
@@ -329,7 +329,7 @@ def run_random(options: argparse.Namespace) -> None:
 
 
 def main() -> None:
-    """Run one of the two."""
+    """Run one of the two commands."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("what", choices=["effects", "random"])
     parser.add_argument("-o", "--output", type=Path, required=True)

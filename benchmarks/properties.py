@@ -1,4 +1,4 @@
-"""Edit every property of a scene, one by one: does each engine render what plain Cycles does, or say why not?
+"""Edit every property of a scene, one by one: does each engine render what plain Cycles does, or report why not?
 
 ``python benchmarks/properties.py -o FOLDER`` edits a small scene through Blender's own description of its data
 (``bl_rna``), saves it, opens it, renders it by plain Cycles - a call of its render operator, none of our code - and
@@ -10,11 +10,11 @@ follows
 replaced
     The picture is that of the scene before the edit, to the bit, and the product says that it replaces the setting.
 refused
-    A sentence says what cannot be honoured.
+    A message says what the product cannot follow.
 wrong
-    Anything else: other pixels than Cycles', without a word.
+    Anything else: other pixels than Cycles', without a message.
 
-The folder gets ``edits.csv``, a line an edit, and ``table.md``.
+The folder gets ``edits-N.csv``, a line per edit, and ``table.md``.
 """
 
 from __future__ import annotations
@@ -42,34 +42,34 @@ sys.path[:0] = [str(ROOT), str(ROOT / "benchmarks")]
 
 SIZE = (8, 8)
 SAMPLES = 64
-"""Of the pictures that are compared to the bit."""
+"""Samples of the pictures that are compared to the bit."""
 QUICK, QUICK_REPEATS, QUICK_CRITICAL = 1024, 4, 3.0
-"""Samples, pictures and standard errors of the first look: what lies within is right, to some 10 % of the
-difference picture and 5 % of the background. The noise is the base scene's, known better than by four pictures."""
+"""Samples, pictures and standard errors of the first comparison: a picture within these is right, to some 10 % of the
+difference picture and 5 % of the background. The noise is the base scene's, known better than from four pictures."""
 MANY, REPEATS = 2048, 12
-"""Of the second look, at what the first finds amiss."""
+"""Samples and pictures of the second comparison, where the first finds a difference."""
 RARE = 16 * MANY
-"""Of a third, where not one of plain Cycles' paths met the light in some picture of the second: no spread is told."""
+"""Samples of a third comparison, if some picture of the second has no path that met the light: no known spread."""
 CRITICAL = 7.0
-"""Of Student's t with about 15 degrees of freedom: one false alarm in 100,000 comparisons, of 21 an edit."""
+"""Student's t with about 15 degrees of freedom: one false alarm in 100,000 comparisons, of which an edit has 21."""
 TOLERANCE = {"patch": 3e-3, "surfel": 3e-3}
-"""What engines may differ by beside noise, of the background: their own accuracy, 1e-3 asked for, and rounding."""
+"""Relative difference allowed besides noise: the engines' own accuracy, of which 1e-3 is requested, and rounding."""
 AMBIENT_TOLERANCE = 0.06
-"""That of `surfel` under ambient light, which it follows to a few per cent."""
+"""Tolerance of `surfel` under ambient light, which it computes to a few per cent."""
 ENGINES = ("path", "patch", "surfel")
 PATIENCE = 240.0
-"""Seconds after which a process that edits is taken to hang."""
+"""Seconds after which a process that edits counts as hung."""
 
 
 @dataclass
 class Row:
-    """What became of an edit."""
+    """Result of an edit."""
 
     owner: str
     name: str
     value: str
     plain: str = ""
-    """Of plain Cycles: unchanged, changed, fails."""
+    """Result of plain Cycles: unchanged, changed, fails."""
     path: str = ""
     patch: str = ""
     surfel: str = ""
@@ -111,7 +111,7 @@ NEUTRAL = {
 """Settings of the file that is edited: Cycles without denoiser, clamping or filter, as a sweep renders."""
 
 OWN = {"camera", "filepath", "resolution_x", "resolution_y", "samples", "seed", "threads", "threads_mode", "device"}
-"""What the command line says, or what plays a role, and what is given to plain Cycles here too."""
+"""Settings that the command line sets or that belong to a role, and that plain Cycles is given here too."""
 
 SKIPPED = {
     "name", "rna_type", "tag", "use_fake_user", "name_full", "library", "session_uid", "mode", "select", "hide",
@@ -124,7 +124,7 @@ FACES_ONLY = {
     "use_custom_color", "warning_propagation", "width", "inferred_structure_type", "enabled", "description",
     "hide", "is_expanded", "bl_icon", "bl_static_type", "active_preview", "is_panel_collapsed",
 }  # fmt: skip
-"""Of nodes, sockets and links: how the node editor draws them."""
+"""Properties of nodes, sockets and links that affect only how the node editor draws them."""
 
 
 def base_scene() -> Any:
@@ -146,7 +146,7 @@ def base_scene() -> Any:
 
 
 def base_file() -> Path:
-    """Save the scene that is edited, and return where."""
+    """Build and save the scene that is edited; return its path."""
     import bpy
 
     path = Path(tempfile.mkdtemp(prefix="nlos-properties-")) / "base.blend"
@@ -156,14 +156,14 @@ def base_file() -> Path:
 
 
 def owners() -> dict[str, Callable[[Any], Any]]:
-    """Return ways from a scene to the structures whose properties are edited, by their names in the table."""
+    """Return functions from a scene to the structures whose properties are edited, by their names in the table."""
     import edits
 
     part, material = edits.part, edits.material
-    found: dict[str, Callable[[Any], Any]] = {}
+    accessors: dict[str, Callable[[Any], Any]] = {}
 
     def add(label: str, way: Callable[[Any], Any]) -> None:
-        found[label] = way
+        accessors[label] = way
 
     def below(label: str, way: Callable[[Any], Any], *names: str) -> None:
         for name in names:
@@ -216,14 +216,14 @@ def owners() -> dict[str, Callable[[Any], Any]]:
     for kind in CONSTRAINTS:
         add(f"constraint spot {kind}", lambda s, kind=kind: part(s, "spot").constraints.new(kind))
         add(f"constraint target {kind}", lambda s, kind=kind: part(s, "target").constraints.new(kind))
-    return found
+    return accessors
 
 
 MODIFIERS = (
     "ARRAY", "BEVEL", "BUILD", "CAST", "DECIMATE", "DISPLACE", "EDGE_SPLIT", "MIRROR", "NORMAL_EDIT", "SCREW",
     "SIMPLE_DEFORM", "SMOOTH", "SOLIDIFY", "SUBSURF", "TRIANGULATE", "WAVE", "WEIGHTED_NORMAL", "WELD",
 )  # fmt: skip
-"""Not WIREFRAME: a frame of some hundred faces takes `surfel` minutes an edit."""
+"""Not WIREFRAME: a frame of some hundred faces takes `surfel` minutes per edit."""
 CONSTRAINTS = ("LIMIT_LOCATION", "LIMIT_ROTATION")
 
 
@@ -283,7 +283,7 @@ SHADERS = {
 
 
 def values(struct: Any, prop: Any) -> list[Any]:
-    """Return the values to try for a property: not the one that it has."""
+    """Return the values to try for a property, without its current value."""
     now = getattr(struct, prop.identifier)
     if prop.type == "BOOLEAN":
         if not prop.is_array:
@@ -301,22 +301,22 @@ def values(struct: Any, prop: Any) -> list[Any]:
 
 
 def _numbers(prop: Any, now: Any) -> list[Any]:
-    whole = prop.type == "INT"
+    is_int = prop.type == "INT"
     low, high = (max(prop.hard_min, prop.soft_min), min(prop.hard_max, prop.soft_max))
     first = now
     while hasattr(first, "__len__"):
         first = first[0]
-    # Never far from what it was: counts and levels take gigabytes soon.
-    wanted = [low, 2 * first + 1, first / 2, first + 0.3, first - 0.3, min(high, 8)]
+    # Never far from the current value: large counts and levels soon take gigabytes.
+    candidates = [low, 2 * first + 1, first / 2, first + 0.3, first - 0.3, min(high, 8)]
     tried: list[Any] = []
-    for value in wanted:
+    for value in candidates:
         value = min(max(value, low, first - 4.0), high, max(first + 4.0, 2 * abs(first) + 1.0))
-        value = int(value) if whole else float(value)
+        value = int(value) if is_int else float(value)
         if value != first and value not in tried and math.isfinite(value):
             tried.append(value)
     if not prop.is_array:
         return tried[:2]
-    made: list[Any] = []
+    arrays: list[Any] = []
     flat = np.array(now, dtype=float)
     for number, value in enumerate(tried[:2]):
         new = flat.copy()
@@ -325,12 +325,12 @@ def _numbers(prop: Any, now: Any) -> list[Any]:
         else:
             new += value - first
             new = np.clip(new, low, high)
-        made.append(new.astype(int).tolist() if whole else new.tolist())
-    return made
+        arrays.append(new.astype(int).tolist() if is_int else new.tolist())
+    return arrays
 
 
 def pointers(scene: Any, prop: Any, now: Any) -> dict[str, Callable[[], Any]]:
-    """Return makers of other data for a property that refers to some, by their names in the table."""
+    """Return functions that make other data for a property that refers to data, by their names in the table."""
     import bpy
     import edits
 
@@ -338,10 +338,10 @@ def pointers(scene: Any, prop: Any, now: Any) -> dict[str, Callable[[], Any]]:
         return bpy.data.textures.new("Other", "CLOUDS")
 
     def world() -> Any:
-        made = bpy.data.worlds.new("Other")
-        node = edits.shaded(edits.fresh(made), "ShaderNodeBackground", "ShaderNodeOutputWorld")
+        new_world = bpy.data.worlds.new("Other")
+        node = edits.shaded(edits.fresh(new_world), "ShaderNodeBackground", "ShaderNodeOutputWorld")
         node.inputs["Strength"].default_value = 0.3
-        return made
+        return new_world
 
     kind = prop.fixed_type.identifier
     makers: dict[str, Callable[[], Any]] = {
@@ -353,14 +353,14 @@ def pointers(scene: Any, prop: Any, now: Any) -> dict[str, Callable[[], Any]]:
         "Mesh": lambda: edits.box("Other", 0.3),
         "Scene": lambda: bpy.data.scenes.new("Other"),
     }
-    found = {f"another {kind}": makers[kind]} if kind in makers else {}
+    choices = {f"another {kind}": makers[kind]} if kind in makers else {}
     if now is not None and not prop.is_never_none:
-        found["None"] = lambda: None
-    return found
+        choices["None"] = lambda: None
+    return choices
 
 
 def catalogue() -> list[tuple[str, str, str]]:
-    """Return every edit as owner, property and value in words; prints what is left out and why."""
+    """Return every edit as owner, property and value in words; print how many are left out and why."""
     import edits
 
     from generator.blender.scene import blend_file
@@ -431,9 +431,9 @@ class Plain:
     Parameters
     ----------
     file : Path
-        Is opened.
+        File to open.
     pose : (position, rotation)
-        Of the target, metres and degrees.
+        Pose of the target, metres and degrees.
     """
 
     def __init__(self, file: Path, pose: Pose, folder: Path) -> None:
@@ -454,7 +454,7 @@ class Plain:
         bpy.context.view_layer.update()
         self.wanted = Matrix.LocRotScale(Vector(pose[0]), turn, scale)
         self.nudged = self._off() > 1e-5
-        """Whether the target went to its place through a matrix, which rounds."""
+        """Whether the target was placed by a matrix, which rounds."""
         if self.nudged:
             target.matrix_world = self.wanted
             bpy.context.view_layer.update()
@@ -470,14 +470,14 @@ class Plain:
         self.scene.cycles.device = "CPU"
 
     def _off(self) -> float:
-        """By how much the target is not where it was put."""
+        """Return how far the target is from where it was put."""
         import bpy
 
         got = self.target.evaluated_get(bpy.context.evaluated_depsgraph_get()).matrix_world
         return max(abs(a - b) for r, s in zip(self.wanted, got, strict=True) for a, b in zip(r, s, strict=True))
 
     def stays(self) -> bool:
-        """Whether the target is where it was put, once the animation has had its say."""
+        """Return whether the target is where it was put after the animation is evaluated."""
         self.scene.frame_set(self.scene.frame_current)
         return self._off() <= 1e-5
 
@@ -487,7 +487,7 @@ class Plain:
 
         from generator.blender.scene.quiet import quiet
 
-        made = []
+        pictures = []
         self.scene.cycles.samples, self.scene.cycles.seed = samples, seed
         hidden = [self.target, *(o for o in self.target.children_recursive if o.type != "EMPTY")]
         for part in (None, hidden):
@@ -499,8 +499,8 @@ class Plain:
                 bpy.ops.render.render(write_still=True, scene=self.scene.name)
             for obj, old in before:
                 obj.hide_render = old
-            made.append(read(self._picture))
-        return made[0], made[1]
+            pictures.append(read(self._picture))
+        return pictures[0], pictures[1]
 
 
 def read(path: Path) -> Any:
@@ -531,9 +531,9 @@ class Product:
         self.described = read_scene(self.scene, self.sweep.resolution)
         sweep_worker.doubted(self.scene, self.sweep, force=False)
         self.records = sweep_worker.placed(self.scene, self.described, self.sweep)
-        said = {setting.path.rsplit(".", 1)[-1] for setting in replaced.replaced(self.scene)}
-        unsaid = {s.path.rsplit(".", 1)[-1] for s in (*replaced.OUTPUT, *replaced.SAMPLING) if not s.words}
-        self.replaces = said | unsaid | OWN
+        announced = {setting.path.rsplit(".", 1)[-1] for setting in replaced.replaced(self.scene)}
+        unannounced = {s.path.rsplit(".", 1)[-1] for s in (*replaced.OUTPUT, *replaced.SAMPLING) if not s.words}
+        self.replaces = announced | unannounced | OWN
 
     @property
     def first(self) -> Pose:
@@ -541,7 +541,7 @@ class Product:
         return self.records[0].position, self.records[0].rotation
 
     def may_stand(self, pose: Pose) -> bool:
-        """Whether a sweep might plan a pose: the target is in the voxels, and nothing is in the way."""
+        """Return whether a sweep might plan a pose: the target is in the voxels, and nothing is in the way."""
         from generator.blender.scene import geometry
         from generator.blender.scene.clearance import clearance
         from generator.blender.scene.quiet import Overrides
@@ -556,20 +556,20 @@ class Product:
             return bool(clearance(self.scene, self.described, engine=self.sweep.engine)(position, rotation))
 
     def pairs(self, pose: Pose, shots: Sequence[tuple[int, int]]) -> list[Pair]:
-        """Render with samples and seeds, each with the target and without."""
+        """Render for each (samples, seed) a picture with the target and one without."""
         from generator.blender.engines import renderers
         from generator.blender.engines.surfel import SurfelRenderer
         from generator.blender.scene import posing
 
-        made = []
+        pictures = []
         with renderers.opened(self.scene, self.sweep.engine, **renderers.settings(self.sweep)) as renderer:
             if isinstance(renderer, SurfelRenderer):
                 return [(renderer.at(*pose), renderer.render(target=False))]
             posing.move_target(self.scene, *pose)
             for samples, seed in shots:
                 picture = renderer.render(samples=samples, seed=seed)
-                made.append((picture, renderer.render(samples=samples, seed=seed, target=False)))
-        return made
+                pictures.append((picture, renderer.render(samples=samples, seed=seed, target=False)))
+        return pictures
 
 
 TURN = (15.0, 15.0, 30.0)
@@ -581,15 +581,15 @@ TURN = (15.0, 15.0, 30.0)
 
 
 def figures(pair: Pair) -> Any:
-    """Return what pictures are compared by: of channels and quarters of difference, background, picture."""
+    """Return the 21 quantities to compare: means of channels and quarters of difference, background and picture."""
     picture, background = (np.asarray(p, dtype=np.float64) for p in pair)
-    made = []
+    means = []
     for part in (picture - background, background, picture):
         h, w = part.shape[0] // 2, part.shape[1] // 2
         grey = part.mean(axis=2)
         quarters = [grey[:h, :w], grey[:h, w:], grey[h:, :w], grey[h:, w:]]
-        made += [*part.mean(axis=(0, 1)), *(q.mean() for q in quarters)]
-    return np.array(made)
+        means += [*part.mean(axis=(0, 1)), *(q.mean() for q in quarters)]
+    return np.array(means)
 
 
 def differ(ours: Sequence[Pair], theirs: Sequence[Pair], tolerance: float, noise: Any = None) -> str:
@@ -598,7 +598,7 @@ def differ(ours: Sequence[Pair], theirs: Sequence[Pair], tolerance: float, noise
     Parameters
     ----------
     ours, theirs : sequences of pairs
-        One picture of ours has no noise.
+        A single picture of ours has no noise.
     tolerance : float
         Relative.
     noise : two arrays of shape (21,), optional
@@ -619,8 +619,8 @@ def differ(ours: Sequence[Pair], theirs: Sequence[Pair], tolerance: float, noise
     worst = int(np.argmax(np.abs(gap) / (half + 1e-30)))
     if abs(gap[worst]) <= half[worst]:
         return ""
-    what = ("difference", "background", "picture")[worst // 7]
-    return f"{what} {a[:, worst].mean():.4g}, Cycles {b[:, worst].mean():.4g} +- {half[worst]:.2g}"
+    kind = ("difference", "background", "picture")[worst // 7]
+    return f"{kind} {a[:, worst].mean():.4g}, Cycles {b[:, worst].mean():.4g} +- {half[worst]:.2g}"
 
 
 def levels(figured: Any) -> Any:
@@ -629,18 +629,18 @@ def levels(figured: Any) -> Any:
 
 
 def equal(ours: Pair, theirs: Pair) -> bool:
-    """Whether pictures are equal to the bit."""
+    """Return whether pictures are equal to the bit."""
     return all(np.array_equal(a, b) for a, b in zip(ours, theirs, strict=True))
 
 
 class Judge:
-    """Applies edits to the base scene and says what each engine makes of them."""
+    """Applies edits to the base scene and judges how each engine renders them."""
 
     def __init__(self, folder: Path) -> None:
         self.folder = folder
         self.base = base_file()
         self.instead: tuple[str, Any] | None = None
-        """What plain Cycles is told that a sweep replaces in the file at hand."""
+        """Setting, with its value, that a sweep replaces in the current file and that plain Cycles is given too."""
         self.pose = Product(self.base, "path").first
         if not all(Product(self.base, engine).may_stand(self.pose) for engine in ENGINES):
             raise AssertionError("the pose is none that every engine would plan")
@@ -658,9 +658,9 @@ class Judge:
 
     @staticmethod
     def _noise(pairs: Sequence[Pair]) -> Any:
-        """Relative noise of the figures of a picture of `QUICK` samples, from those of `MANY`."""
-        every = np.array([figures(p) for p in pairs])
-        return every.std(axis=0, ddof=1) / levels(every) * math.sqrt(MANY / QUICK)
+        """Return the relative noise of the quantities of a picture of `QUICK` samples, from pictures of `MANY`."""
+        quantities = np.array([figures(p) for p in pairs])
+        return quantities.std(axis=0, ddof=1) / levels(quantities) * math.sqrt(MANY / QUICK)
 
     def _cycles(self, file: Path, pose: Pose) -> Plain:
         cycles = Plain(file, pose, self.folder)
@@ -669,7 +669,7 @@ class Judge:
         return cycles
 
     def _plain(self, file: Path, samples: int, seeds: Sequence[int], pose: Pose | None = None) -> list[Pair]:
-        # A file opened afresh: Cycles is given nothing to remember.
+        # The file is opened again, so that Cycles has no state of earlier renders.
         cycles = self._cycles(file, pose or self.pose)
         return [cycles.pair(samples, seed) for seed in seeds]
 
@@ -677,13 +677,13 @@ class Judge:
         return Product(file, engine).pairs(self.pose, [(samples, seed) for seed in seeds])
 
     def row(self, owner: str, name: str, value: str) -> Row:
-        """Make an edit, render it every way, and say what became of it."""
+        """Make an edit, render it by plain Cycles and every engine, and return the result."""
         import bpy
         import edits
 
         from generator.blender.scene import blend_file
 
-        begun = time.monotonic()
+        start = time.monotonic()
         row = Row(owner, name, value)
         scene = blend_file.open_file(self.base)
         file = self.folder / "edited.blend"
@@ -696,19 +696,19 @@ class Judge:
         bpy.ops.wm.save_as_mainfile(filepath=str(file), copy=True)
         case = edits.EDITS[name] if owner == "by hand" else None
         self.instead = case.instead if case else None
-        ours = {engine: made for engine in ENGINES if (made := self._asked(row, file, engine))}
-        if ours:  # else plain Cycles need not be asked; of some files it makes no end
+        ours = {engine: rendered for engine in ENGINES if (rendered := self._asked(row, file, engine))}
+        if ours:  # otherwise plain Cycles is not needed; with some files it never ends
             self._judge(row, file, ours, case)
-        row.seconds = time.monotonic() - begun
+        row.seconds = time.monotonic() - start
         return row
 
     def _asked(self, row: Row, file: Path, engine: str) -> tuple[Product, Pose, Pair] | None:
-        """Return what an engine renders of an edit, and at which pose; None after it is taken down as refused."""
+        """Return an engine's pictures of an edit, and their pose; None, recorded in the row, if there are none."""
         from generator.model.errors import NlosError
 
         try:
             product = Product(file, engine)
-            pose = self.pose if product.may_stand(self.pose) else product.first  # where the target is another
+            pose = self.pose if product.may_stand(self.pose) else product.first  # where the target differs
             return product, pose, product.pairs(pose, [(SAMPLES, 7)])[0]
         except NlosError as error:
             setattr(row, engine, "refused")
@@ -719,7 +719,7 @@ class Judge:
         return None
 
     def _judge(self, row: Row, file: Path, ours: dict[str, tuple[Product, Pose, Pair]], case: Any) -> None:
-        """Render an edit by plain Cycles, and take down what each engine makes of it."""
+        """Render an edit by plain Cycles, and record the verdict on each engine."""
         expect = case.expect if case else "cycles"
         plain: dict[Pose, dict[int, list[Pair]]] = {}
         for engine, (product, pose, pair) in ours.items():
@@ -740,7 +740,7 @@ class Judge:
                 row.reason[engine] = why
 
     def _plainly(self, row: Row, file: Path, pose: Pose) -> dict[int, list[Pair]]:
-        """Return plain Cycles' first pictures of an edit; none if it makes none, or its target does not stay."""
+        """Return plain Cycles' first pictures of an edit; empty if there are none. Record if its target moves."""
         try:
             cycles = self._cycles(file, pose)
             pair = cycles.pair(SAMPLES, 7)
@@ -764,7 +764,7 @@ class Judge:
         expect: str,
         name: str,
     ) -> tuple[str, str]:
-        """Return what an engine makes of an edit, and why."""
+        """Return the verdict on an engine's pictures of an edit, and the reason."""
         engine = product.sweep.engine
         base = self.ours[engine][0]
         same = equal(ours, base)
@@ -772,9 +772,9 @@ class Judge:
             same = all(np.allclose(a, b, rtol=3e-6) for a, b in zip(ours, base, strict=True))
         if expect == "base":
             return ("replaced", "") if same else ("wrong", "not as without the edit")
-        said = same and name in product.replaces
+        replaced = same and name in product.replaces
         if SAMPLES not in plain:
-            return ("replaced", "") if said else ("wrong", "Cycles alone makes no picture")
+            return ("replaced", "") if replaced else ("wrong", "Cycles alone makes no picture")
         changed = pose != self.pose or not equal(plain[SAMPLES][0], self.plain[0])
         if equal(ours, plain[SAMPLES][0]) if engine == "path" else same and not changed:
             return "follows", ""
@@ -784,7 +784,7 @@ class Judge:
             )
             if not changed:
                 return "follows", ""
-        if said:
+        if replaced:
             return "replaced", ""
         still = "; as without the edit" if same else ""
         if engine == "path":
@@ -798,12 +798,12 @@ class Judge:
         for samples, repeats, known in looks:
             if samples not in plain:
                 plain[samples] = self._plain(file, samples, range(100, 100 + repeats), pose)
-            every = (
+            pairs = (
                 [ours]
                 if engine == "surfel"
                 else Product(file, engine).pairs(pose, [(samples, seed) for seed in range(500, 500 + repeats)])
             )
-            why = differ(every, plain[samples], tolerance, known)
+            why = differ(pairs, plain[samples], tolerance, known)
             if not why:
                 return "follows", ""
             if samples == MANY and all(background.any() for _, background in plain[samples]):
@@ -811,7 +811,7 @@ class Judge:
         return "wrong", why + still
 
     def _inside(self, solid: Callable[[Any], Any], file: Path, engine: str) -> str:
-        """Return why a planned pose is no pose: the target, a sheet, is in a box; empty if it is not."""
+        """Return why a planned pose is impossible: the target, a sheet, is in a box; empty if it is not."""
         import edits
 
         from generator.model.arrays import rotation_matrix
@@ -843,7 +843,7 @@ def serve() -> None:
     """Judge the edits that come as lines of JSON on standard input; one line of JSON answers each."""
     from generator.model import poses
 
-    poses._TRIES_TURNING = 2000  # an edit that leaves no room is refused in the same words, and sooner
+    poses._TRIES_TURNING = 2000  # an edit that leaves no room is refused with the same message, but sooner
     out = sys.stdout
     with tempfile.TemporaryDirectory(prefix="nlos-properties-") as folder:
         judge = Judge(Path(folder))
@@ -853,7 +853,7 @@ def serve() -> None:
 
 
 class Server:
-    """A process of `serve`."""
+    """A process that runs `serve`."""
 
     def __init__(self, patience: float) -> None:
         self._patience = patience
@@ -863,9 +863,9 @@ class Server:
             raise SystemExit("the base scene cannot be judged; its reason is above")
 
     def _answer(self, patience: float) -> str:
-        """Return the next line that is one of ours; empty if the process ends, or is silent for too long."""
-        ends = time.monotonic() + patience
-        while time.monotonic() < ends:
+        """Return the next line that `serve` wrote; empty if the process ends, or is silent for too long."""
+        deadline = time.monotonic() + patience
+        while time.monotonic() < deadline:
             if select.select([self._process.stdout], [], [], 1.0)[0]:
                 line = self._process.stdout.readline()
                 if not line or line.startswith(("ready", "{")):
@@ -873,7 +873,7 @@ class Server:
         return ""
 
     def judge(self, edit: Sequence[str]) -> Row | None:
-        """Return what became of an edit; None if the process did not live through it."""
+        """Return the result of an edit; None if the process did not survive it."""
         self._process.stdin.write(json.dumps(list(edit)) + "\n")
         self._process.stdin.flush()
         line = self._answer(self._patience)
@@ -886,10 +886,10 @@ class Server:
 
 
 def run(listed: Sequence[Sequence[str]], report: Callable[[Row], None], patience: float = PATIENCE) -> None:
-    """Judge edits in a process of their own, which is started again where Blender ends it."""
+    """Judge edits in a separate process, which is started again after an edit that ends it."""
     server = Server(patience)
     for number, edit in enumerate(listed):
-        if number and number % 400 == 0:  # what Blender keeps of hundreds of files
+        if number and number % 400 == 0:  # frees the memory that Blender keeps of hundreds of files
             server.stop()
             server = Server(patience)
         row = server.judge(edit)
@@ -916,13 +916,13 @@ def table(rows: Sequence[Row], blender: str) -> str:
         "| of | edits | change Cycles' picture | followed | replaced | refused | **wrong** |",
         "|---|--:|--:|--:|--:|--:|--:|",
     ]
-    for name, some in [*groups.items(), ("**all**", judged)]:
+    for name, members in [*groups.items(), ("**all**", judged)]:
         cells = [
-            " / ".join(str(sum(getattr(r, engine) == verdict for r in some)) for engine in ENGINES)
+            " / ".join(str(sum(getattr(r, engine) == verdict for r in members)) for engine in ENGINES)
             for verdict in VERDICTS
         ]
-        changed = sum(r.plain == "changed" for r in some)
-        lines.append(f"| {name} | {len(some)} | {changed} | {' | '.join(cells)} |")
+        changed = sum(r.plain == "changed" for r in members)
+        lines.append(f"| {name} | {len(members)} | {changed} | {' | '.join(cells)} |")
     lines += ["", "Replaced: " + _named(r for r in judged if "replaced" in verdicts(r)) + ".", ""]
     for count, words in ((3, "every engine"), (2, "`patch` and `surfel`"), (1, "`surfel` alone")):
         lines += [
@@ -941,16 +941,16 @@ VERDICTS = ("follows", "replaced", "refused", "wrong")
 
 
 def verdicts(row: Row) -> list[str]:
-    """Return what became of an edit, an engine each."""
+    """Return the verdicts on an edit, one per engine."""
     return [getattr(row, engine) for engine in ENGINES]
 
 
 def _named(rows: Iterable[Row]) -> str:
-    """Return the names of properties, by the line of the table that they belong to."""
+    """Return the names of properties as text, by the line of the table that they belong to."""
     names: dict[str, dict[str, None]] = {}
     for row in rows:
         names.setdefault(group(row.owner), {})[row.name if "[" not in row.owner else row.owner[5:]] = None
-    return "; ".join(f"{of} ({', '.join(some)})" for of, some in names.items()) or "nothing"
+    return "; ".join(f"{line} ({', '.join(members)})" for line, members in names.items()) or "nothing"
 
 
 def stored(path: Path) -> list[Row]:
@@ -1003,12 +1003,12 @@ def main(argv: Sequence[str] | None = None) -> int:
             reasons = {}
             for engine, text in row.reason.items():
                 reasons.setdefault(text, []).append(engine)
-            told = "; ".join(f"{', '.join(names)}: {text}" for text, names in reasons.items())
+            explained = "; ".join(f"{', '.join(names)}: {text}" for text, names in reasons.items())
             verdicts = [getattr(row, engine) for engine in ENGINES]
-            writer.writerow([row.owner, row.name, row.value, row.plain, *verdicts, told, f"{row.seconds:.2f}"])
+            writer.writerow([row.owner, row.name, row.value, row.plain, *verdicts, explained, f"{row.seconds:.2f}"])
             file.flush()
             if "wrong" in verdicts or row.plain == "ends Blender":
-                print(f"{row.label} [{row.plain}]: {' '.join(verdicts)}: {told}", flush=True)
+                print(f"{row.label} [{row.plain}]: {' '.join(verdicts)}: {explained}", flush=True)
 
         run(listed, report, options.patience)
     text = table(rows, bpy.app.version_string)

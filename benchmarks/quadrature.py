@@ -1,14 +1,14 @@
-"""Reference pictures by plain quadrature in double precision, sharing no code with `generator.transport`.
+"""Reference pictures by plain quadrature in double precision, which share no code with `generator.transport`.
 
-The wall is y = 0. Over a flat face the cosine towards w is h(w) / r with h(w) the distance of w from its plane, one
-figure for the whole face, so what is left to integrate is 1 / r^4 and the kinks are straight lines: where the
-plane cuts a pixel the pixel is split along it, and where it cuts the lit patch the ellipse is. Cells of the face, the
-pixels and the patch shrink towards each other, so that none is larger than its distance, down to sizes that carry no
-light. A sphere is integrated, for every wall point, in polar coordinates about the direction of that point, so its
-horizon is a limit of integration; its terminator is a band of small cells in which the patch is cut exactly.
+The wall is y = 0. Over a flat face the cosine towards w is h(w) / r with h(w) the distance of w from its plane, which
+is the same for the whole face. So only 1 / r^4 is left to integrate, and the kinks are straight lines: a pixel that
+the plane cuts is split along it, and so is the ellipse of the lit patch. Cells of the face, the pixels and the patch
+shrink towards each other, so that none is larger than its distance, down to sizes that carry no light. A sphere is
+integrated, for every wall point, in polar coordinates about the direction of that point, so that its horizon is a
+limit of integration; its terminator is a band of small cells in which the patch is cut exactly.
 
-Shadows in a room are convex polygons: half planes cut out of each surface. Light is hidden where target hides a point
-of the surface from w or from q, except where the partition would have done so, by inclusion and exclusion.
+Shadows in a room are convex polygons: half planes cut out of each surface. Light is hidden where the target hides a
+point of the surface from w or from q, except where the partition does so already, by inclusion and exclusion.
 """
 
 from __future__ import annotations
@@ -31,21 +31,21 @@ _compiled = numba.njit(cache=True, error_model="numpy", fastmath={"contract", "r
 _NODES, _LEVELS = 300_000, 400
 _CORNERS = 140
 _FLUSH = 1e-6
-"""A face no higher lies on the wall: no light to speak of gets in between, metres."""
+"""Height, metres, up to which a face lies on the wall: almost no light gets in between."""
 
 
 @dataclass(frozen=True)
 class Fineness:
-    """How fine a reference is.
+    """How fine the cells of a reference are.
 
     Attributes
     ----------
     points : int
-        Gauss points a side of a cell of target and patch; pixels take fewer where they are far.
+        Gauss points along each side of a cell of target and patch; distant pixels take fewer.
     ratio : float
-        Largest diagonal of a cell over its distance from what it exchanges light with.
+        Largest ratio of a cell's diagonal to its distance from what it exchanges light with.
     least : float
-        Diagonal at which pixels are no longer cut, metres; cells of the target end 100 times below.
+        Diagonal, metres, below which pixels are not cut; for cells of the target it is 100 times smaller.
     band : float
         Largest cell of a sphere's terminator, radians.
     sides : int
@@ -60,16 +60,16 @@ class Fineness:
 
     @property
     def doubled(self) -> Fineness:
-        """Everything about twice as fine."""
+        """The fineness with everything about twice as fine."""
         return Fineness(self.points + 2, self.ratio * 0.75, self.least / 4.0, self.band * 0.6, self.sides * 2)
 
     @property
     def finer(self) -> Fineness:
-        """A step finer, where twice as fine would take minutes."""
+        """The fineness one step finer, for cases where twice as fine would take minutes."""
         return Fineness(self.points + 1, self.ratio * 0.8, self.least / 2.0, self.band * 0.8, self.sides * 3 // 2)
 
     def numbers(self) -> tuple[Array, Array, int, float, float, float]:
-        """Gauss rules of up to 16 points on 0 to 1 as rows, and the figures."""
+        """Return nodes and weights of Gauss rules of up to 16 points on 0 to 1, as rows, and the figures."""
         x, w = np.zeros((17, 16)), np.zeros((17, 16))
         for n in range(1, 17):
             nodes, weights = leggauss(n)
@@ -78,7 +78,7 @@ class Fineness:
 
 
 def patch_figures(world: World) -> Array:
-    """Return centre, semi-axes and lamp of the lit patch, its radiance times distance cubed, and its size."""
+    """Return centre, semi-axes and lamp of the lit patch, its radiance times distance cubed, its reach and area."""
     lit = world.patch
     if lit.cos_width:
         raise ValueError("the reference knows hard-edged spots alone")
@@ -90,7 +90,7 @@ def patch_figures(world: World) -> Array:
 
 @_compiled
 def _segment(normal, offset, patch):
-    """The part of the patch with normal . q > offset: end of t, direction in the disc, and height = h + g cos t."""
+    """Return the patch where normal . q > offset: end of t, direction in the disc, and height = h + g cos t."""
     h, a, b = -offset, 0.0, 0.0
     for i in range(3):
         h += normal[i] * patch[i]
@@ -106,9 +106,9 @@ def _segment(normal, offset, patch):
 
 @_compiled
 def _irradiance(x, normal, offset, patch, rule, weight, n, ratio):
-    """Light that arrives at x on the side that normal points to: the ellipse cut along the plane's chord.
+    """Return the light that arrives at x on the side of the normal: the ellipse is cut along the plane's chord.
 
-    A disc's segment is cos t, s sin t with t up to its end and s from -1 to 1: smooth, whatever the end.
+    A disc's segment is (cos t, s sin t) with t up to its end and s from -1 to 1, which is smooth for any end.
     """
     end, e, f, h, g = _segment(normal, offset, patch)
     if end == 0.0 or x[1] <= 0.0:
@@ -157,14 +157,14 @@ def _irradiance(x, normal, offset, patch, rule, weight, n, ratio):
 
 @_compiled
 def _from_patch(x, patch):
-    """Distance of a point from the patch, or a little less."""
+    """Return the distance of a point from the patch, or a little less."""
     aside = max(0.0, math.hypot(x[0] - patch[0], x[2] - patch[2]) - patch[13])
     return math.hypot(aside, x[1])
 
 
 @_compiled
 def _cut(shape, corners, a, b, c, out):
-    """Clip a convex polygon to a u + b v + c >= 0; returns its corners' number."""
+    """Clip a convex polygon to a u + b v + c >= 0; return its number of corners."""
     kept = 0
     for i in range(corners):
         j = i + 1 if i + 1 < corners else 0
@@ -188,7 +188,7 @@ def _wall_point(to_wall, u, v, out):
 
 @_compiled
 def _pieces(to_wall, column, row, width, height, lines, out):
-    """A pixel split along lines into quadrilaterals, triangles having a corner twice; returns how many."""
+    """Split a pixel along lines into quadrilaterals, where a triangle has one corner twice; return how many."""
     shapes, sizes = np.empty((8, 12, 2)), np.zeros(8, np.int64)
     for i in range(4):
         shapes[0, i, 0] = (column + (1 if i in (1, 2) else 0)) / width
@@ -199,23 +199,23 @@ def _pieces(to_wall, column, row, width, height, lines, out):
     for k in range(len(lines)):
         for s in range(count):
             a, b, c = lines[k, 0], lines[k, 1], lines[k, 2]
-            other = _cut(shapes[s], sizes[s], -a, -b, -c, shapes[count])
-            own = _cut(shapes[s], sizes[s], a, b, c, spare)
-            if other and own:
-                sizes[count] = other
+            negative = _cut(shapes[s], sizes[s], -a, -b, -c, shapes[count])
+            positive = _cut(shapes[s], sizes[s], a, b, c, spare)
+            if negative and positive:
+                sizes[count] = negative
                 count += 1
-                shapes[s], sizes[s] = spare, own
-    made = 0
+                shapes[s], sizes[s] = spare, positive
+    n_pieces = 0
     for s in range(count):
         if sizes[s] == 4:
-            out[made] = shapes[s, :4]
-            made += 1
+            out[n_pieces] = shapes[s, :4]
+            n_pieces += 1
             continue
         for i in range(1, sizes[s] - 1):
-            out[made, 0], out[made, 1] = shapes[s, 0], shapes[s, i]
-            out[made, 2] = out[made, 3] = shapes[s, i + 1]
-            made += 1
-    return made
+            out[n_pieces, 0], out[n_pieces, 1] = shapes[s, 0], shapes[s, i]
+            out[n_pieces, 2] = out[n_pieces, 3] = shapes[s, i + 1]
+            n_pieces += 1
+    return n_pieces
 
 
 @_compiled
@@ -236,7 +236,7 @@ def _split(quad, stack, top):
 
 @_compiled
 def _quad_point(quad, a, b):
-    """Picture coordinates in a quadrilateral, and the area that a unit of a times b has there."""
+    """Return picture coordinates in a quadrilateral, and the area that a unit of a times b has there."""
     du0, dv0 = quad[1, 0] - quad[0, 0], quad[1, 1] - quad[0, 1]
     du1, dv1 = quad[2, 0] - quad[3, 0], quad[2, 1] - quad[3, 1]
     lu, lv = quad[0, 0] + a * du0, quad[0, 1] + a * dv0
@@ -247,7 +247,7 @@ def _quad_point(quad, a, b):
 
 @_compiled
 def _face_at(w, face, one_sided, patch, rule, weight, n, ratio, least, boxes, child, known, light, count):
-    """Radiance at w, but for constants, of a face (centre, half edges, normal, offset), whose tree of cells grows."""
+    """Return radiance at w, up to constants, of a face (centre, half edges, normal, offset); its cell tree grows."""
     h = -face[12]
     for i in range(3):
         h += face[9 + i] * w[i]
@@ -310,7 +310,7 @@ def _face_at(w, face, one_sided, patch, rule, weight, n, ratio, least, boxes, ch
 
 @_compiled
 def _from_face(w, face):
-    """Distance of a point from a rectangle."""
+    """Return the distance of a point from a rectangle."""
     along, across, up, rest = 0.0, 0.0, -face[12], 0.0
     e = f = 0.0
     for i in range(3):
@@ -325,7 +325,7 @@ def _from_face(w, face):
 
 @_compiled
 def _sphere_at(w, ball, patch, rule, weight, n, ratio, band, whole):
-    """Radiance at w, but for constants, of a sphere (centre, radius). ``whole``: patch points and their power."""
+    """Return radiance at w, up to constants, of a sphere (centre, radius); ``whole``: patch points, their power."""
     radius = ball[3]
     axis, first = np.empty(3), np.zeros(3)
     for i in range(3):
@@ -400,7 +400,7 @@ def _sphere_at(w, ball, patch, rule, weight, n, ratio, band, whole):
 
 @_compiled
 def _face_picture(to_wall, width, height, face, one_sided, patch, rule, weight, n, ratio, least):
-    """A face's picture, but for constants, and how many cells it took."""
+    """Return a face's picture, up to constants, and how many cells it took."""
     boxes, child = np.zeros((_NODES, 4)), np.zeros(_NODES, np.int64)
     known, light = np.zeros((_NODES, 2), np.bool_), np.empty((_NODES, 2, n * n))
     boxes[0, 0], boxes[0, 1], boxes[0, 2], boxes[0, 3] = -1.0, 1.0, -1.0, 1.0
@@ -410,14 +410,14 @@ def _face_picture(to_wall, width, height, face, one_sided, patch, rule, weight, 
         lines[0, k] = -face[12] * to_wall[3, k]
         for i in range(3):
             lines[0, k] += face[9 + i] * to_wall[i, k]
-    made, stack, quad = np.empty((40, 4, 2)), np.empty((_LEVELS, 4, 2)), np.empty((4, 2))
+    pieces, stack, quad = np.empty((40, 4, 2)), np.empty((_LEVELS, 4, 2)), np.empty((4, 2))
     w, corner, middle = np.empty(3), np.empty(3), np.empty(3)
     out = np.zeros((height, width))
     for row in range(height):
         for column in range(width):
-            top = _pieces(to_wall, column, row, width, height, lines, made)
+            top = _pieces(to_wall, column, row, width, height, lines, pieces)
             for i in range(top):
-                stack[i] = made[i]
+                stack[i] = pieces[i]
             while top:
                 top -= 1
                 quad[:] = stack[top]
@@ -465,7 +465,7 @@ def _sphere_points(points, ball, patch, rule, weight, n, ratio, band, whole):
 
 
 def _sphere_picture(view: Watched, ball: Array, patch: Array, fine: Fineness) -> Array:
-    """A sphere's picture, but for constants: smooth, so panels of pixels are polynomials, integrated exactly."""
+    """Return a sphere's picture, up to constants: smooth, so panels of pixels are polynomials, integrated exactly."""
     rule, weight, n, ratio, _, band = fine.numbers()
     whole = _whole(patch, rule, weight, n)
     width, height = view.resolution
@@ -484,24 +484,24 @@ def _sphere_picture(view: Watched, ball: Array, patch: Array, fine: Fineness) ->
             continue
         uv = np.stack(np.meshgrid(left + wide * rule[m, :m], top + high * rule[m, :m]), axis=-1) / view.resolution
         points = view.points(uv.reshape(-1, 2))
-        found = _sphere_points(points, ball, patch, rule, weight, n, ratio, band, whole).reshape(m, m)
+        values = _sphere_points(points, ball, patch, rule, weight, n, ratio, band, whole).reshape(m, m)
         across, down = (_means(rule[m, :m], weight[m, :m], k) for k in (wide, high))
-        out[top : top + high, left : left + wide] = down @ found @ across.T
+        out[top : top + high, left : left + wide] = down @ values @ across.T
     return out
 
 
 def _means(x: Array, weight: Array, parts: int) -> Array:
-    """From values at Gauss points on 0 to 1 to the means, over equal parts, of their polynomial."""
+    """Return the matrix from values at Gauss points on 0 to 1 to the means of their polynomial over equal parts."""
     n = len(x)
     edges = np.linspace(-1.0, 1.0, parts + 1)
     fitted = (legvander(2.0 * x - 1.0, n - 1) * weight[:, None]).T * (2.0 * np.arange(n) + 1.0)[:, None]
-    whole = np.stack([Legendre.basis(k).integ()(edges) for k in range(n)], axis=1)
-    means: Array = np.diff(whole, axis=0) * parts / 2.0 @ fitted
+    integrals = np.stack([Legendre.basis(k).integ()(edges) for k in range(n)], axis=1)
+    means: Array = np.diff(integrals, axis=0) * parts / 2.0 @ fitted
     return means
 
 
 def _whole(patch: Array, rule: Array, weight: Array, n: int) -> Array:
-    """Points (k, 3) on the whole patch with their power, all in one."""
+    """Return points on the whole patch with their power, (k, 4)."""
     t, s = np.meshgrid(math.pi * rule[n, :n], 2.0 * rule[n, :n] - 1.0, indexing="ij")
     share = np.outer(weight[n, :n], weight[n, :n]) * 2.0 * math.pi * np.sin(t) ** 2
     points = patch[:3] + np.cos(t)[..., None] * patch[3:6] + (np.sin(t) * s)[..., None] * patch[6:9]
@@ -510,29 +510,29 @@ def _whole(patch: Array, rule: Array, weight: Array, n: int) -> Array:
 
 
 def faces(triangles: Array) -> list[Array]:
-    """Return rectangles, two triangles after the other: centre, two half edges, normal (outwards, if any), offset."""
-    found = []
+    """Return a rectangle per two triangles: centre, two half edges, normal (outwards of a closed body), offset."""
+    rectangles = []
     middle = triangles.reshape(-1, 3).mean(axis=0)
     for pair in triangles.reshape(-1, 2, 3, 3):
         a, b, c = pair[0]
-        # The corner that faces the diagonal, which is the longest side.
+        # The corner opposite the diagonal, which is the longest side.
         k = int(np.argmax([np.linalg.norm(c - b), np.linalg.norm(a - c), np.linalg.norm(b - a)]))
         e, f = pair[0][k - 2] - pair[0][k], pair[0][k - 1] - pair[0][k]
         centre = pair[0][k] + (e + f) / 2.0
         normal = np.cross(e, f) / np.linalg.norm(np.cross(e, f))
         if (centre - middle) @ normal < 0.0:
             normal = -normal
-        found.append(np.concatenate([centre, e / 2.0, f / 2.0, normal, [normal @ centre]]))
-    return found
+        rectangles.append(np.concatenate([centre, e / 2.0, f / 2.0, normal, [normal @ centre]]))
+    return rectangles
 
 
 def added(world: World, position: Any, rotation: Any, fine: Fineness) -> Array:
-    """Return what one convex target adds, (height, width), W/m^2/sr, where nothing stands in the way.
+    """Return the light that one convex target adds, (height, width), W/m^2/sr, if nothing stands in the way.
 
     Parameters
     ----------
     world : World
-        Its target a sphere, a rectangle or a closed convex body of rectangles, each two triangles.
+        Its target is a sphere, a rectangle or a closed convex body of rectangles, each of two triangles.
     position, rotation : array-like of shape (3,)
         Metres, degrees.
     fine : Fineness
@@ -549,19 +549,19 @@ def added(world: World, position: Any, rotation: Any, fine: Fineness) -> Array:
     for part in parts:
         if part[1] + abs(part[4]) + abs(part[7]) < _FLUSH:
             continue
-        made, count = _face_picture(view.to_wall, width, height, part, len(parts) > 1, patch, *figures)
+        picture, count = _face_picture(view.to_wall, width, height, part, len(parts) > 1, patch, *figures)
         if count + 4 > _NODES:
             raise RuntimeError(f"pose {position}, {rotation}: the reference needs more than {_NODES} cells")
-        total += made
+        total += picture
     return factor * total
 
 
 @_compiled
 def _sides(eye, shape, surface, out):
-    """Half planes, in a surface's own coordinates, of what a convex polygon hides from a point; returns how many.
+    """Write half planes, in a surface's coordinates, of what a convex polygon hides from a point; return how many.
 
-    A surface is a corner and two edges. One half plane is the far side of the polygon's own plane, and none at all
-    are returned for a point in that plane, from which nothing is hidden.
+    A surface is a corner and two edges. One half plane is the far side of the polygon's own plane. For a point in
+    that plane there are none, since nothing is hidden from it.
     """
     corners = len(shape)
     middle, normal = np.zeros(3), np.zeros(3)
@@ -588,7 +588,7 @@ def _sides(eye, shape, surface, out):
 
 @_compiled
 def _cone(eye, ball, surface, corners, out):
-    """Half planes of what a sphere hides from a point: a pyramid of the same solid angle, nearly, as the cone."""
+    """Write half planes of what a sphere hides from a point: a pyramid of nearly the cone's solid angle."""
     axis, first = ball[:3] - eye, np.zeros(3)
     distance = math.sqrt((axis**2).sum())
     axis /= distance
@@ -609,7 +609,7 @@ def _cone(eye, ball, surface, corners, out):
 
 @_compiled
 def _clip(shape, corners, sides, count, spare):
-    """Clip a polygon, in place, to half planes; returns its corners' number."""
+    """Clip a polygon, in place, to half planes; return its number of corners."""
     for i in range(count):
         if not corners:
             break
@@ -622,7 +622,7 @@ def _clip(shape, corners, sides, count, spare):
 
 @_compiled
 def _exchange(shape, corners, surface, w, q, rule, weight, n, ratio, stack):
-    """Integral over a polygon on a surface of G(q, y) G(y, w), but for the surface's distances from q and w."""
+    """Return the integral of G(q, y) G(y, w) over a polygon on a surface, without its distances from q and w."""
     total = 0.0
     y = np.empty(3)
     for fan in range(1, corners - 1):
@@ -641,21 +641,21 @@ def _exchange(shape, corners, surface, w, q, rule, weight, n, ratio, stack):
             area = abs((a1 - a0) * (b2 - b0) - (a2 - a0) * (b1 - b0))
             if area == 0.0:
                 continue
-            near_w = near_q = one = two = three = 0.0
+            near_w = near_q = side_01 = side_12 = side_20 = 0.0
             for k in range(3):
                 e, f = surface[1, k], surface[2, k]
                 middle = surface[0, k] + (a0 + a1 + a2) / 3.0 * e + (b0 + b1 + b2) / 3.0 * f
                 near_w += (middle - w[k]) ** 2
                 near_q += (middle - q[k]) ** 2
-                one += ((a1 - a0) * e + (b1 - b0) * f) ** 2
-                two += ((a2 - a1) * e + (b2 - b1) * f) ** 2
-                three += ((a0 - a2) * e + (b0 - b2) * f) ** 2
-            if max(one, two, three) > ratio * ratio * min(near_w, near_q) and top < 60:
-                # The longest side in half.
+                side_01 += ((a1 - a0) * e + (b1 - b0) * f) ** 2
+                side_12 += ((a2 - a1) * e + (b2 - b1) * f) ** 2
+                side_20 += ((a0 - a2) * e + (b0 - b2) * f) ** 2
+            if max(side_01, side_12, side_20) > ratio * ratio * min(near_w, near_q) and top < 60:
+                # The longest side is halved.
                 am, bm, ao, bo, ap, bp, ar, br = (a0 + a1) / 2.0, (b0 + b1) / 2.0, a2, b2, a0, b0, a1, b1
-                if two >= max(one, three):
+                if side_12 >= max(side_01, side_20):
                     am, bm, ao, bo, ap, bp, ar, br = (a1 + a2) / 2.0, (b1 + b2) / 2.0, a0, b0, a1, b1, a2, b2
-                elif three >= one:
+                elif side_20 >= side_01:
                     am, bm, ao, bo, ap, bp, ar, br = (a2 + a0) / 2.0, (b2 + b0) / 2.0, a1, b1, a2, b2, a0, b0
                 for part in range(2):
                     stack[top, 0, 0], stack[top, 0, 1], stack[top, 1, 0], stack[top, 1, 1] = am, bm, ao, bo
@@ -679,7 +679,7 @@ def _exchange(shape, corners, surface, w, q, rule, weight, n, ratio, stack):
 
 @_compiled
 def _hidden_at(w, lit, surface, shape, ball, corners, screens, rule, weight, n, ratio):
-    """What is hidden from w of one surface, but for constants: ``lit`` holds patch points and their power."""
+    """Return the light of one surface hidden from w, up to constants; ``lit`` holds patch points and their power."""
     normal = np.cross(surface[1], surface[2])
     area = math.sqrt((normal**2).sum())
     normal /= area
@@ -696,7 +696,7 @@ def _hidden_at(w, lit, surface, shape, ball, corners, screens, rule, weight, n, 
         counts[1] = _sides(q, shape, surface, sides[1]) if len(shape) else _cone(q, ball, surface, corners, sides[1])
         if len(screens):
             counts[3] = _sides(q, screens, surface, sides[3])
-        found = 0.0
+        blocked = 0.0
         # Bits: behind the screen as seen from w, from q; then hidden by the target from w, from q or from both.
         for behind in range(4):
             if (behind & 1 and not counts[2]) or (behind & 2 and not counts[3]):
@@ -720,8 +720,8 @@ def _hidden_at(w, lit, surface, shape, ball, corners, screens, rule, weight, n, 
                         kept = _clip(part, kept, sides[s], counts[s], spare)
                 if kept:
                     value = _exchange(part, kept, surface, w, q, rule, weight, n, ratio, stack)
-                    found += outside * (-1.0 if hides == 3 else 1.0) * value
-        total += found * lit[k, 3] * abs((normal * (q - surface[0])).sum())
+                    blocked += outside * (-1.0 if hides == 3 else 1.0) * value
+        total += blocked * lit[k, 3] * abs((normal * (q - surface[0])).sum())
     return total * from_w * area
 
 
@@ -730,13 +730,13 @@ def _hidden_picture(
     to_wall, width, height, lines, lit, surfaces, albedo, shape, ball, corners, screens, rule, weight, n, m, ratio
 ):
     out = np.zeros((height, width))
-    made, w = np.empty((40, 4, 2)), np.empty(3)
+    pieces, w = np.empty((40, 4, 2)), np.empty(3)
     for row in range(height):
         for column in range(width):
-            for piece in range(_pieces(to_wall, column, row, width, height, lines, made)):
+            for piece in range(_pieces(to_wall, column, row, width, height, lines, pieces)):
                 for i in range(m):
                     for j in range(m):
-                        u, v, area = _quad_point(made[piece], rule[m, i], rule[m, j])
+                        u, v, area = _quad_point(pieces[piece], rule[m, i], rule[m, j])
                         if area == 0.0:
                             continue
                         _wall_point(to_wall, u, v, w)
@@ -754,7 +754,7 @@ def _hidden_picture(
 
 
 def _lit_points(patch: Array, normal: Array | None, offset: float, n: int) -> Array:
-    """Points on the patch with their power, on either side of where a plane cuts it."""
+    """Return points on the patch with their power, on either side of the line where a plane cuts it."""
     x, weight = leggauss(n)
     points = []
     for sign in (1.0, -1.0) if normal is not None else (1.0,):
@@ -764,33 +764,33 @@ def _lit_points(patch: Array, normal: Array | None, offset: float, n: int) -> Ar
             continue
         t, s = np.meshgrid(end * (x + 1.0) / 2.0, x, indexing="ij")
         a, b = np.cos(t), np.sin(t) * s
-        at = patch[:3] + (a * e - b * f)[..., None] * patch[3:6] + (a * f + b * e)[..., None] * patch[6:9]
+        positions = patch[:3] + (a * e - b * f)[..., None] * patch[3:6] + (a * f + b * e)[..., None] * patch[6:9]
         power = np.outer(weight, weight) / 2.0 * end * np.sin(t) ** 2 * patch[12] * patch[14]
-        power = power / np.linalg.norm(at - patch[9:12], axis=-1) ** 3
-        points.append(np.concatenate([at, power[..., None]], axis=-1).reshape(-1, 4))
+        power = power / np.linalg.norm(positions - patch[9:12], axis=-1) ** 3
+        points.append(np.concatenate([positions, power[..., None]], axis=-1).reshape(-1, 4))
     return np.concatenate(points)
 
 
 def hidden(world: World, position: Any, rotation: Any, fine: Fineness) -> Array:
-    """Return what a sheet or a sphere hides of the room's light, (height, width), W/m^2/sr.
+    """Return the room's light that a sheet or a sphere hides, (height, width), W/m^2/sr.
 
     Parameters
     ----------
     world : World
-        In a convex room, each mesh of it a rectangle of two triangles, one of which may stand inside.
+        Its room is convex and each mesh of it a rectangle of two triangles; one rectangle may stand inside.
     position, rotation : array-like of shape (3,)
         Metres, degrees.
     fine : Fineness
     """
     rule, weight, n, ratio, *_ = fine.numbers()
     patch, view, body = patch_figures(world), world.watched, world.target[0]
-    every = np.concatenate([m.triangles.reshape(-1, 3) for m in world.room] + [view.points(np.eye(2))])
+    corners = np.concatenate([m.triangles.reshape(-1, 3) for m in world.room] + [view.points(np.eye(2))])
     surfaces, albedo, screens = [], [], np.zeros((0, 3))
     for mesh in world.room:
         a, b, c, d = mesh.triangles[0, 0], mesh.triangles[0, 1], mesh.triangles[0, 2], mesh.triangles[1, 2]
         surfaces.append(np.stack([a, b - a, d - a]))
         albedo.append(mesh.albedo[0, 0])
-        above = (every - a) @ np.cross(b - a, d - a)
+        above = (corners - a) @ np.cross(b - a, d - a)
         if above.min() < -1e-9 and above.max() > 1e-9:
             if len(screens):
                 raise ValueError("the reference knows one partition")

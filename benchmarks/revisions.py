@@ -1,8 +1,8 @@
-"""Does a revision make the same data as another: pictures, features, atlases, models and answers, to the bit?
+"""Do two revisions make the same data, to the bit: pictures, features, atlases, models and answers?
 
-``python benchmarks/revisions.py BEFORE -o FOLDER`` checks out the revision BEFORE beside this tree, runs the same
-commands with both, and compares what they leave and print. What BEFORE left is then gone on with, and asked, by this
-tree: a data set that was interrupted, an atlas and a model. Exit code 1 if anything differs.
+``python benchmarks/revisions.py BEFORE -o FOLDER`` checks out the revision BEFORE into FOLDER, runs the same commands
+with it and with this tree, and compares their files and output. Then this tree continues and uses files of BEFORE: an
+interrupted data set, an atlas and a model. The exit code is 1 if anything differs.
 """
 
 from __future__ import annotations
@@ -46,7 +46,7 @@ CHAIN = (
     "classify bound room.atlas filled --frames 1 --count 50",
     "classify track room.atlas walk --frames 10",
 )
-"""Without the check at the start of sweeps, which takes as many samples as there is time for."""
+"""Commands to compare, without the check at the start of sweeps, whose samples depend on the time available."""
 LATER = (
     "classify predict model.skops surfel/A/0000.exr --background surfel/background.exr",
     "classify locate room.atlas surfel --frames 1",
@@ -54,43 +54,43 @@ LATER = (
     "generate verify surfel",
     "generate verify bulk",
 )
-"""What this tree asks of what BEFORE has left."""
+"""Commands that this tree runs on the files that BEFORE has written."""
 TIMES = re.compile(r"\d+(?::\d\d)+|[\d.]+(?:e-?\d+)? (?:m?s|min|h|core seconds)\b")
 PROGRESS = re.compile(r"^(?:\d+ of \d+ .*|.* is compiled for this machine .*)\n", re.MULTILINE)
 
 
 def run(tree: Path, folder: Path, line: str) -> str:
-    """Run a command with a tree's sources; return what it prints, but for times and progress."""
+    """Run a command with a tree's sources; return its output without times and progress."""
     kind, *words = line.split()
     package = {"generate": "generator", "classify": "classify"}[kind]
     environment = {**os.environ, "PYTHONPATH": str(tree)}
     command = [sys.executable, "-m", f"{package}.cli", *words]
-    done = subprocess.run(command, cwd=folder, env=environment, capture_output=True, text=True, check=False)
-    if done.returncode:
-        raise SystemExit(f"{tree}: {line}: code {done.returncode}\n{done.stdout}{done.stderr}")
-    return TIMES.sub("(time)", PROGRESS.sub("", done.stdout))
+    result = subprocess.run(command, cwd=folder, env=environment, capture_output=True, text=True, check=False)
+    if result.returncode:
+        raise SystemExit(f"{tree}: {line}: code {result.returncode}\n{result.stdout}{result.stderr}")
+    return TIMES.sub("(time)", PROGRESS.sub("", result.stdout))
 
 
 def tables(path: Path) -> Iterator[tuple[str, Any]]:
-    """Return the arrays and attributes of an HDF5 file by name; versions of software are none of the data."""
+    """Yield the arrays and attributes of an HDF5 file by name, except the versions of software."""
     with h5py.File(path) as file:
-        found: list[str] = []
-        file.visit(found.append)
-        for name in ["/", *found]:
+        names: list[str] = []
+        file.visit(names.append)
+        for name in ["/", *names]:
             if isinstance(file[name], h5py.Dataset):
                 yield name, file[name][()]
             yield from ((f"{name}@{key}", value) for key, value in file[name].attrs.items() if key != "software")
 
 
 def differing(one: Path, other: Path) -> Iterator[str]:
-    """Return what differs between two folders of results."""
+    """Yield descriptions of what differs between two folders of results."""
     names = {p.relative_to(f) for f in (one, other) for p in f.rglob("*") if p.is_file() and ".runs" not in p.parts}
     for name in sorted(names):
         a, b = one / name, other / name
         if not (a.exists() and b.exists()):
             yield f"{name}: is in one only"
         elif name.suffix in (".blend", ".txt", ".png", ".html") or name.name in ("dataset.toml", "bulk.toml"):
-            continue  # Blender's files hold addresses, logs times; what the manifests say is checked by `verify`
+            continue  # Blender's files hold addresses and logs hold times; `verify` checks the manifests
         elif name.suffix == ".exr":
             from generator.files.pictures import read_picture
 
@@ -99,14 +99,14 @@ def differing(one: Path, other: Path) -> Iterator[str]:
         elif name.suffix in (".h5", ".atlas"):
             first, second = dict(tables(a)), dict(tables(b))
             if set(first) != set(second) or not all(np.array_equal(first[k], second[k]) for k in first):
-                wrong = [k for k in first.keys() | second.keys() if not np.array_equal(first.get(k), second.get(k))]
-                yield f"{name}: other {', '.join(sorted(wrong)[:5])}"
+                keys = [k for k in first.keys() | second.keys() if not np.array_equal(first.get(k), second.get(k))]
+                yield f"{name}: other {', '.join(sorted(keys)[:5])}"
         elif name.suffix == ".csv" and untimed(a) != untimed(b):
             yield f"{name}: other rows"
 
 
 def untimed(path: Path) -> list[dict[str, str]]:
-    """Return the rows of a table, without the columns that say how long something took."""
+    """Return the rows of a table, without the columns of durations."""
     with path.open(newline="", encoding="utf-8") as file:
         return [{k: v for k, v in row.items() if "second" not in k} for row in csv.DictReader(file)]
 
@@ -136,12 +136,12 @@ def _compare(tree: Path, output: Path) -> int:
         same = printed[0] == printed[1]
         print(f"{'same' if same else 'DIFFERS'}: {line}", flush=True)
         faults += [] if same else [line]
-        for scene in (output / "before").glob("*.blend"):  # one scene: Blender's files differ from save to save,
-            shutil.copy(scene, output / "after")  # and a sensor's noise follows from the set that it looks at
+        for scene in (output / "before").glob("*.blend"):  # one for both: Blender's files differ from save to save,
+            shutil.copy(scene, output / "after")  # and a sensor's noise follows from the data set
         if not same:
             print("--- before\n" + printed[0] + "--- after\n" + printed[1], flush=True)
-    faults += (found := list(differing(output / "before", output / "after")))
-    print("\n".join(found) or "same: every picture, table, atlas and model")
+    faults += (differences := list(differing(output / "before", output / "after")))
+    print("\n".join(differences) or "same: every picture, table, atlas and model")
     later = output / "later"
     shutil.copytree(output / "before", later)
     for line in LATER:
@@ -151,8 +151,8 @@ def _compare(tree: Path, output: Path) -> int:
     for picture in sorted((later / "patch").glob("?/*.exr"))[::2]:
         picture.unlink()
     run(ROOT, later, "generate sweep room.blend -o patch --no-probe")
-    faults += (found := list(differing(output / "before" / "patch", later / "patch")))
-    print("\n".join(found) or "same: half of a data set of the revision before, rendered by this one")
+    faults += (differences := list(differing(output / "before" / "patch", later / "patch")))
+    print("\n".join(differences) or "same: half of a data set of the revision before, rendered by this one")
     print(f"{len(faults)} differ")
     return int(bool(faults))
 

@@ -2,11 +2,11 @@
 
 Run: ``python benchmarks/scaling.py -o DIR`` (some minutes). Writes ``scaling.png`` and prints the tables:
 
-- pair rate: wall points times surface elements a second, of the loop all pictures are summed by, against how many
-  single-precision divisions a second the same cores can do: a pair needs one division, so unless pairs share them no
-  loop could be faster than that;
+- pair rate: pairs of wall point and surface element per second, in the loop that sums all pictures, against the
+  single-precision divisions per second that the same cores can do: a pair needs one division, so no loop could be
+  faster than that unless pairs share divisions;
 - cost of a picture from 16 x 16 to 1024 x 1024 pixels, of targets of 10 to 100,000 triangles, and of 1 to 100,000
-  poses (a million with ``--long``), with the memory each took at most.
+  poses (a million with ``--long``), with the peak memory of each.
 
 All on the bare wall of the `room` preset; every time is the best of three runs.
 """
@@ -52,7 +52,7 @@ def _pairs(a: np.ndarray, b: np.ndarray, elements: np.ndarray, total: np.ndarray
 
 
 def best(work: Callable[[], object], times: int = 3) -> float:
-    """Return the shortest of some runs, seconds, after one to warm up."""
+    """Return the seconds of the shortest of some runs, after a warm-up run."""
     work()
     taken = []
     for _ in range(times):
@@ -63,7 +63,7 @@ def best(work: Callable[[], object], times: int = 3) -> float:
 
 
 def pair_rate() -> tuple[float, float]:
-    """Return pairs a second of the inner loop, and divisions a second, on all cores, measured in turn."""
+    """Return pairs per second of the inner loop, and divisions per second, on all cores, measured in turn."""
     rng = np.random.default_rng(0)
     cores = numba.get_num_threads()
     x, y = rng.uniform(0.5, 1.0, (2, 512)).astype(np.float32)
@@ -87,16 +87,16 @@ def bare_world(pixels: int) -> World:
 
 
 def ball(triangles: int) -> Mesh:
-    """Return a sphere of radius 0.2 m as about so many triangles, in rings."""
+    """Return a sphere of radius 0.2 m made of about the given number of triangles, in rings."""
     rings = max(2, round(np.sqrt(triangles / 4.0)))
     theta, phi = np.linspace(0.0, np.pi, rings + 1), np.linspace(0.0, 2.0 * np.pi, 2 * rings + 1)
     t, p = np.meshgrid(theta, phi, indexing="ij")
     points = 0.2 * np.stack([np.sin(t) * np.cos(p), np.sin(t) * np.sin(p), np.cos(t)], axis=-1)
     a, b, c, d = points[:-1, :-1], points[1:, :-1], points[1:, 1:], points[:-1, 1:]
-    made = np.concatenate([np.stack([a, b, c], axis=2), np.stack([a, c, d], axis=2)]).reshape(-1, 3, 3)
-    area = np.linalg.norm(np.cross(made[:, 1] - made[:, 0], made[:, 2] - made[:, 0]), axis=1)
-    made = made[area > 1e-9]
-    return Mesh(made, np.full((len(made), 3), 0.9))
+    facets = np.concatenate([np.stack([a, b, c], axis=2), np.stack([a, c, d], axis=2)]).reshape(-1, 3, 3)
+    area = np.linalg.norm(np.cross(facets[:, 1] - facets[:, 0], facets[:, 2] - facets[:, 0]), axis=1)
+    facets = facets[area > 1e-9]
+    return Mesh(facets, np.full((len(facets), 3), 0.9))
 
 
 def _memory() -> float:
@@ -123,7 +123,7 @@ def main() -> None:
     def record(name: str, work: float, seconds: float) -> None:
         series[name].append((work, seconds, _memory()))
 
-    # The memory is the most so far: poses come first, which should take none, and what takes most last.
+    # The memory is the peak so far: poses, which should take none, come first, and what takes most comes last.
     transport = Transport(world, accuracy=options.accuracy)
     rng = np.random.default_rng(1)
     for poses in (1, 10, 100, 1_000, 10_000, 100_000, *([1_000_000] if options.long else [])):
@@ -131,8 +131,8 @@ def main() -> None:
         turns = rng.uniform(-15.0, 15.0, (poses, 3))
 
         def sweep(places: np.ndarray = places, turns: np.ndarray = turns) -> None:
-            for at in range(0, len(places), 2048):
-                transport.pictures(places[at : at + 2048], turns[at : at + 2048])
+            for first in range(0, len(places), 2048):
+                transport.pictures(places[first : first + 2048], turns[first : first + 2048])
 
         record("poses", poses, best(sweep, 3 if poses <= 10_000 else 1))
     for pixels in (16, 32, 64, 128, 256, 512, 1024):
@@ -149,15 +149,15 @@ def main() -> None:
         print(f"\n{name:>10s} {'seconds':>10s} {'us each':>10s} {'MiB so far':>11s}")
         for n, t, memory in rows:
             print(f"{n:10.0f} {t:10.5f} {1e6 * t / n:10.3f} {memory:11.0f}")
-        work, seconds, most = np.array(rows).T
+        work, seconds, peak = np.array(rows).T
         axis.loglog(work, seconds, "o-")
         axis.loglog(work, seconds[-1] * work / work[-1], "k:", label="linear")
         axis.set(xlabel=name, ylabel="seconds")
         axis.legend(loc="upper left")
-        other = axis.twinx()
-        other.plot(work, most, "s-", color="0.6", markersize=3)
-        other.set_ylim(0.0, 1.1 * max(row[2] for each in series.values() for row in each))
-        other.set_ylabel("MiB at most so far", color="0.4")
+        memory_axis = axis.twinx()
+        memory_axis.plot(work, peak, "s-", color="0.6", markersize=3)
+        memory_axis.set_ylim(0.0, 1.1 * max(row[2] for points in series.values() for row in points))
+        memory_axis.set_ylabel("MiB at most so far", color="0.4")
     figure.savefig(options.output / "scaling.png", dpi=120)
     print(f"\n{options.output / 'scaling.png'}")
 

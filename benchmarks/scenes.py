@@ -1,4 +1,4 @@
-"""Worlds by hand, straight from a spec: what the benchmarks render without Blender's help, and independent of it."""
+"""Worlds made by hand from a spec, which the benchmarks render without Blender and independently of it."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ def world_from_spec(scene: Scene, target: tuple[Body, ...] | None = None) -> Wor
     ----------
     scene : Scene
     target : tuple of Sphere or Mesh, optional
-        In place of the spec's own.
+        Bodies in place of the spec's own target.
 
     Raises
     ------
@@ -48,11 +48,10 @@ def world_from_spec(scene: Scene, target: tuple[Body, ...] | None = None) -> Wor
 
 
 def lit_patch(spot: Spot, albedo: np.ndarray) -> LitPatch:
-    """Return where a cone meets the plane y = 0: an ellipse, by Dandelin's theorem of a focus nowhere needed.
+    """Return the ellipse where a cone meets the plane y = 0; Dandelin's theorem on its foci is not needed.
 
-    The plane through lamp, axis and normal holds the major axis. A point of the cone's rim at the same distance along
-    the axis as the ellipse's centre is as far from the axis as the tangent of the half angle says, which gives the
-    minor axis.
+    The plane through lamp, axis and normal contains the major axis. At the depth of the ellipse's centre along the
+    axis, the cone's radius is that depth times the tangent of the half angle, which gives the minor axis.
     """
     lamp, aim = np.array(spot.location), np.array(spot.aim)
     axis = (aim - lamp) / np.linalg.norm(aim - lamp)
@@ -65,11 +64,11 @@ def lit_patch(spot: Spot, albedo: np.ndarray) -> LitPatch:
     ends = [foot + lamp[1] * math.tan(tilt + sign * half) * along for sign in (-1.0, 1.0)]
     centre = (ends[0] + ends[1]) / 2.0
     depth = float((centre - lamp) @ axis)
-    off = float(np.linalg.norm(centre - lamp - depth * axis))
+    offset = float(np.linalg.norm(centre - lamp - depth * axis))
     return LitPatch(
         centre=centre,
         major=(ends[1] - ends[0]) / 2.0,
-        minor=math.sqrt((depth * math.tan(half)) ** 2 - off**2) * np.cross(normal, along),
+        minor=math.sqrt((depth * math.tan(half)) ** 2 - offset**2) * np.cross(normal, along),
         normal=normal,
         lamp=lamp,
         axis=axis,
@@ -106,7 +105,7 @@ def bodies(target: Target) -> tuple[Body, ...]:
 
 
 def box(size: float, albedo: float) -> Mesh:
-    """Return a cube without the face at least y: five sides, which see each other."""
+    """Return a cube without the face at the smallest y: five sides, which see each other."""
     h = (-size / 2.0, size / 2.0)
     sides = [{"x": h, "y": h, "z": h, axis: (end, end)} for axis in "xyz" for end in h if (axis, end) != ("y", h[0])]
     quads = [_quad(side, _albedo(albedo)) for side in sides]
@@ -114,14 +113,14 @@ def box(size: float, albedo: float) -> Mesh:
 
 
 def moved(body: Body, by: tuple[float, float, float]) -> Body:
-    """Return a body elsewhere in the target's frame."""
+    """Return a body shifted in the target's frame."""
     if isinstance(body, Sphere):
         return Sphere(body.centre + by, body.radius, body.albedo)
     return Mesh(body.triangles + np.asarray(by), body.albedo)
 
 
 def icosphere(radius: float, subdivisions: int = 4) -> np.ndarray:
-    """Return triangles (n, 3, 3) of a geodesic sphere, scaled to the true sphere's area, as the stage does."""
+    """Return triangles (n, 3, 3) of a geodesic sphere, scaled to the true sphere's area, as `build` does."""
     golden = (1.0 + math.sqrt(5.0)) / 2.0
     corners = [np.roll((0.0, a, b * golden), k) for k in range(3) for a in (-1.0, 1.0) for b in (-1.0, 1.0)]
     points = np.array(corners)
@@ -147,7 +146,7 @@ def _albedo(value: float | None) -> np.ndarray:
 
 
 def _quad(extent: dict[str, tuple[float, float]], albedo: np.ndarray) -> Mesh:
-    """A rectangle across the two axes along which its extent is not empty."""
+    """Return a rectangle that spans the two axes along which its extent is not empty."""
     flat = next(i for i, axis in enumerate("xyz") if extent[axis][0] == extent[axis][1])
     a, b = (i for i in range(3) if i != flat)
     corners = np.zeros((4, 3))

@@ -1,8 +1,8 @@
-"""Cycles' pictures of a data set beside the engine's at the same poses.
+"""Compare Cycles' pictures of a data set with the engine's pictures at the same poses.
 
 ``python benchmarks/set_against_engine.py DATASET SIMULATED`` takes the scene from a simulated set of the same object
-(``nlos-generate bulk``) and says, voxel by voxel, how much of the engine's difference picture is in Cycles' (the
-projection, 1 if they agree), with its 95 % interval over the poses, and how noisy Cycles' pixels are.
+(``nlos-generate bulk``). For each voxel it prints the projection of Cycles' difference pictures onto the engine's (1
+if they agree), with its 95 % interval over the poses, and the noise of Cycles' pixels.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ from generator.transport import Transport
 
 
 def main() -> None:
-    """Compare, and print a line for each voxel."""
+    """Compare the pictures, and print a line for each voxel."""
     parser = argparse.ArgumentParser(description="Compare a data set by Cycles with the engine, voxel by voxel.")
     parser.add_argument("dataset", type=Path)
     parser.add_argument("simulated", type=Path, help="simulated set of the same scene and object")
@@ -35,13 +35,13 @@ def main() -> None:
         records = [r for r in dataset.records if r.voxel == voxel][: options.poses]
         if len(records) < 2:
             continue
-        theirs = np.array([dataset.picture(r).mean(axis=2, dtype=np.float64) - background for r in records])
-        ours = np.array([engine.difference(r.position, r.rotation).mean(axis=2) for r in records])
-        shares = (theirs * ours).sum(axis=(1, 2)) / (ours**2).sum(axis=(1, 2))
-        half = 1.96 * shares.std(ddof=1) / np.sqrt(len(shares))
-        noise = (theirs - shares[:, None, None] * ours).std() / background.mean()
+        by_cycles = np.array([dataset.picture(r).mean(axis=2, dtype=np.float64) - background for r in records])
+        by_engine = np.array([engine.difference(r.position, r.rotation).mean(axis=2) for r in records])
+        projections = (by_cycles * by_engine).sum(axis=(1, 2)) / (by_engine**2).sum(axis=(1, 2))
+        half_width = 1.96 * projections.std(ddof=1) / np.sqrt(len(projections))
+        noise = (by_cycles - projections[:, None, None] * by_engine).std() / background.mean()
         print(
-            f"{label}: {shares.mean():.4f} +- {half:.4f} over {len(shares)} poses; "
+            f"{label}: {projections.mean():.4f} +- {half_width:.4f} over {len(projections)} poses; "
             f"noise of a pixel {noise:.1e} of the background"
         )
 

@@ -54,7 +54,7 @@ def ply(corners: Sequence[Corner], faces: Sequence[Face]) -> str:
 
 
 def write(folder: Path) -> None:
-    """Write both into a folder."""
+    """Write both shapes into a folder."""
     for name, shape in {"cone": cone(), "chair": chair()}.items():
         write_text(folder / f"{name}.ply", ply(*shape))
 

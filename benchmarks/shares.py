@@ -1,7 +1,7 @@
-"""What looking costs: shares that begin and end one after the other, each looking at its own pictures or at all.
+"""Cost of reading: shares begin and end one after the other, and each reads its own pictures or all of them.
 
-Run: ``python benchmarks/shares.py [--pictures 5000] [--shares 10]``. Nothing is rendered: the pictures are 16 x 16,
-of noise, and put in place between a share's beginning and its end. Prints the pictures that were read, and seconds.
+Run: ``python benchmarks/shares.py [--pictures 5000] [--shares 10]``. Nothing is rendered: the pictures are 16 x 16
+pixels of noise, written between a share's beginning and its end. Prints how many pictures were read, and seconds.
 """
 
 from __future__ import annotations
@@ -24,20 +24,20 @@ from generator.sets.manifest import BACKGROUND
 
 
 def all_of_them(dataset: Dataset, shard: tuple[int, int], own: Sequence[int]) -> None:
-    """Look at every picture, as every share did once."""
+    """Read every picture, as every share did in the past."""
     dataset.gather()
 
 
 def run(
     folder: Path, pictures: int, shares: int, look: Callable[[Dataset, tuple[int, int], Sequence[int]], object]
 ) -> str:
-    """Let every share begin, put its pictures in place, and let it end."""
+    """Let every share begin, write its pictures, and let it end; return the counts as text."""
     scene = preset("room")
     settings = Sweep(poses=-(-pictures // scene.grid.n_voxels), resolution=(16, 16), inside="centre")
     meta = {"sweep": to_dict(settings), "scene": to_dict(scene), "reference_radiance": 1.0, "software": {}}
-    made = Dataset.create(folder, meta, poses.plan(scene.grid, settings, np.zeros((1, 3))))
+    created = Dataset.create(folder, meta, poses.plan(scene.grid, settings, np.zeros((1, 3))))
     pixels = np.random.default_rng(0).random((16, 16, 3)).astype(np.float32)
-    made.write_background(BACKGROUND, pixels, seed=0, samples=1)
+    created.write_background(BACKGROUND, pixels, seed=0, samples=1)
     read, seconds = 0, 0.0
     inspect = Dataset.inspect
 
@@ -50,23 +50,23 @@ def run(
     try:
         for k in range(shares):
             dataset = Dataset.open(folder)
-            own = range(k, dataset.planned, shares)
-            begun = time.perf_counter()
-            look(dataset, (k, shares), own)
-            seconds += time.perf_counter() - begun
-            for position in own:
+            indices = range(k, dataset.planned, shares)
+            start = time.perf_counter()
+            look(dataset, (k, shares), indices)
+            seconds += time.perf_counter() - start
+            for position in indices:
                 dataset.write_pose(dataset.poses[position], pixels, seconds=1.0, samples=1)
-            begun = time.perf_counter()
-            look(dataset, (k, shares), own)
-            seconds += time.perf_counter() - begun
+            start = time.perf_counter()
+            look(dataset, (k, shares), indices)
+            seconds += time.perf_counter() - start
     finally:
         Dataset.inspect = inspect
-    assert len(Dataset.open(folder).records) == made.planned
-    return f"{made.planned} pictures, {shares} shares: {read} read, {seconds:.1f} s"
+    assert len(Dataset.open(folder).records) == created.planned
+    return f"{created.planned} pictures, {shares} shares: {read} read, {seconds:.1f} s"
 
 
 def main() -> None:
-    """Look both ways."""
+    """Measure both ways of reading."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--pictures", type=int, default=5000)
     parser.add_argument("--shares", type=int, default=10)

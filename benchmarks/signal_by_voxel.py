@@ -1,9 +1,9 @@
-"""How faint is it? What the target adds to the picture of the room, voxel by voxel, and how much of that it hides.
+"""How faint is the signal? Prints the light that the target adds in each voxel, and the part that it hides again.
 
 The target stands in the middle of each voxel, unturned. Printed are the mean of the difference picture in the closed
-room; the same without the room's surfaces (what the target adds); the part that it takes away again, because it hides
-surfaces of the room from w1 or from the watched wall; and the noise of one pixel at the given samples, unpaired and
-paired. Each mean carries its 95 % interval over independent renders.
+room; the same without the room's surfaces (the light that the target adds); the part that it removes again, because
+it hides surfaces of the room from w1 or from the watched wall; and the noise of one pixel at the given samples,
+unpaired and paired. Each mean has its 95 % interval over independent renders.
 """
 
 from __future__ import annotations
@@ -20,15 +20,15 @@ from generator.model.scene import Scene
 
 
 def differences(scene: Scene, places: np.ndarray, samples: int, renders: int) -> tuple[np.ndarray, ...]:
-    """Difference pictures (places, renders, pixels), paired; plain pictures and backgrounds of the same shape."""
+    """Return paired difference pictures (places, renders, pixels), and pictures and backgrounds of the same shape."""
     blender = blend_file.new_file()
     build.build(blender, scene)
     plain, empty = [], []
     with renderers.opened(blender, "patch", resolution=scene.resolution) as renderer:
         for place in places:
             posing.move_target(blender, tuple(map(float, place)), (0.0, 0.0, 0.0))
-            for kept, target in ((plain, True), (empty, False)):
-                kept.append(
+            for pictures_of, target in ((plain, True), (empty, False)):
+                pictures_of.append(
                     [renderer.render(samples=samples, seed=s, target=target)[..., 0].ravel() for s in range(renders)]
                 )
     pictures, backgrounds = np.array(plain, dtype=float), np.array(empty, dtype=float)

@@ -1,7 +1,7 @@
-"""A folder as a network file system shows it: renames and flushes take their time, what is seen may be seconds old.
+"""A folder as a network file system shows it: renames and flushes are slow, and attributes may be seconds old.
 
 Run: ``/usr/bin/python3 benchmarks/slowfs.py BACKING MOUNT``, as root, with Debian's python3-pyfuse3 and fuse3. Two
-mounts of one backing folder are two machines: neither sees at once what the other has changed.
+mounts of one backing folder act as two machines: neither sees the other's changes at once.
 """
 
 from __future__ import annotations
@@ -16,13 +16,13 @@ import pyfuse3
 import trio
 
 RENAME, FLUSH = 0.15, 0.05
-"""Mean seconds that they take."""
+"""Mean seconds that a rename and a flush take."""
 STALE = 3.0
-"""Seconds that names and attributes are believed, and that there is no such file: what NFS believes, acregmin."""
+"""Seconds for which names, attributes and the absence of a file are cached, as by NFS (acregmin)."""
 
 
 class Slow(pyfuse3.Operations):
-    """Passes everything on to a backing folder."""
+    """Passes all operations on to a backing folder."""
 
     enable_writeback_cache = False
 
@@ -39,16 +39,16 @@ class Slow(pyfuse3.Operations):
 
     def _attributes(self, path: str) -> pyfuse3.EntryAttributes:
         try:
-            found = os.lstat(path)
+            status = os.lstat(path)
         except OSError as error:
             raise pyfuse3.FUSEError(error.errno) from None
         entry = pyfuse3.EntryAttributes()
         for name in ("st_mode", "st_nlink", "st_uid", "st_gid", "st_rdev", "st_size"):
-            setattr(entry, name, getattr(found, name))
+            setattr(entry, name, getattr(status, name))
         for name in ("st_atime_ns", "st_mtime_ns", "st_ctime_ns"):
-            setattr(entry, name, getattr(found, name))
-        entry.st_ino = found.st_ino
-        entry.st_blksize, entry.st_blocks = 4096, (found.st_size + 511) // 512
+            setattr(entry, name, getattr(status, name))
+        entry.st_ino = status.st_ino
+        entry.st_blksize, entry.st_blocks = 4096, (status.st_size + 511) // 512
         entry.entry_timeout = entry.attr_timeout = STALE
         return entry
 
@@ -58,7 +58,7 @@ class Slow(pyfuse3.Operations):
         return entry
 
     async def lookup(self, parent, name, ctx=None):
-        """Find a name; that there is none is believed for a while too."""
+        """Find a name; its absence is cached for a while too."""
         path = self._path(parent, name)
         if not os.path.lexists(path):
             entry = pyfuse3.EntryAttributes()
@@ -71,7 +71,7 @@ class Slow(pyfuse3.Operations):
         return self._attributes(self._paths[inode])
 
     async def setattr(self, inode, attr, fields, fh, ctx):
-        """Change what of them is ever changed here."""
+        """Change the attributes that are ever changed here: size and mode."""
         path = self._paths[inode]
         if fields.update_size:
             os.truncate(path, attr.st_size)
@@ -136,7 +136,7 @@ class Slow(pyfuse3.Operations):
         return self._try(os.pwrite, fh, data, start)
 
     async def flush(self, fh):
-        """Nothing is kept back."""
+        """Do nothing, since no writes are held back."""
 
     async def fsync(self, fh, datasync):
         """Flush, slowly."""
@@ -152,11 +152,11 @@ class Slow(pyfuse3.Operations):
         os.close(fh)
 
     async def statfs(self, ctx):
-        """Say that there is room."""
-        made, found = pyfuse3.StatvfsData(), os.statvfs(self._paths[pyfuse3.ROOT_INODE])
+        """Return the backing folder's space."""
+        reply, status = pyfuse3.StatvfsData(), os.statvfs(self._paths[pyfuse3.ROOT_INODE])
         for name in ("f_bsize", "f_frsize", "f_blocks", "f_bfree", "f_bavail", "f_files", "f_ffree", "f_favail"):
-            setattr(made, name, getattr(found, name))
-        return made
+            setattr(reply, name, getattr(status, name))
+        return reply
 
     def _try(self, work, *arguments):
         try:

@@ -1,12 +1,13 @@
-"""The check at the start of a sweep, tried: which wrong scenes does it catch, and how often does it stop a right one?
+"""Test the check at the start of a sweep: which wrong scenes does it catch, how often does it stop a right one?
 
 python benchmarks/start_check.py wrong -o DIR --scene room   every edit of `edits.py`, by every engine
 python benchmarks/start_check.py right -o DIR                scenes that are right, checked thousands of times
 python benchmarks/start_check.py table -o DIR                what both have found
 
-A scene is wrong for an engine if it renders it without a word, and either it should have been refused, or a longer
-look than the check's tells plain Cycles' picture from the engine's: in a small scene of little noise (`edits.BASE`),
-whichever scene the check is tried in. Each command goes on where it was stopped.
+A scene is wrong for an engine if the engine renders it without a message, and either it should have been refused, or
+a longer comparison than the check's finds that plain Cycles' picture differs from the engine's. That comparison uses
+a small scene of little noise (`edits.BASE`), whichever scene the check is tried in. Each command resumes where it was
+stopped.
 """
 
 from __future__ import annotations
@@ -34,11 +35,11 @@ from generator.model.presets import preset
 
 ENGINES = ("path", "patch", "surfel")
 LOOK = 6.0
-"""Seconds of the longer look."""
+"""Seconds of the longer comparison."""
 
 
 def built(name: str, edit: Any, folder: Path) -> Path:
-    """Build a scene, edit and save it."""
+    """Build a scene, edit it and save it; return the file."""
     import bpy
     import edits
 
@@ -54,39 +55,39 @@ def built(name: str, edit: Any, folder: Path) -> Path:
 
 
 def tried(source: Path, folder: Path, engine: str, poses: int = 1) -> tuple[str, str, float]:
-    """Plan a sweep with the check; return what became of it, the words, and the seconds that the check took."""
+    """Plan a sweep with the check; return the outcome, its message, and the seconds that the check took."""
     from generator.blender import sweep_worker
     from generator.blender.scene import blend_file
 
-    begun = time.perf_counter()
+    start = time.perf_counter()
     settings = {"engine": engine, "poses": poses, **({} if engine == "surfel" else {"samples": 64})}
     try:
         dataset = sweep_worker.plan(blend_file.open_file(source), source, folder / engine, settings, reference=source)
     except NlosError as error:
         words = str(error)
         kind = "stopped" if "does not render what Cycles makes of this file" in words else "refused"
-        return kind, words.replace(str(folder), ""), time.perf_counter() - begun
-    except Exception as error:  # what ends in a traceback is no silent fault
-        return "failed", repr(error), time.perf_counter() - begun
-    found = dataset.meta["start_check"]
-    return "passed", found["words"], found["seconds"]
+        return kind, words.replace(str(folder), ""), time.perf_counter() - start
+    except Exception as error:  # a traceback is not a silent fault
+        return "failed", repr(error), time.perf_counter() - start
+    outcome = dataset.meta["start_check"]
+    return "passed", outcome["words"], outcome["seconds"]
 
 
 def looked(source: Path, folder: Path, engine: str) -> bool:
-    """Whether a longer look tells the engine's picture from plain Cycles'."""
+    """Return whether a longer comparison finds that the engine's picture differs from plain Cycles'."""
     from generator.blender import start_check
 
-    before = start_check.LIMITS, start_check.PRECISE, start_check.TOLERANCES, start_check._COPIES, agreement.SURE
+    saved = start_check.LIMITS, start_check.PRECISE, start_check.TOLERANCES, start_check._COPIES, agreement.SURE
     start_check.LIMITS, start_check.PRECISE, start_check.TOLERANCES = (LOOK,) * 3, (1e-3, 1e-2), (0.005, 0.02)
     start_check._COPIES, agreement.SURE = 24, 5.0
     try:
         return tried(source, folder, engine)[0] == "stopped"
     finally:
-        start_check.LIMITS, start_check.PRECISE, start_check.TOLERANCES, start_check._COPIES, agreement.SURE = before
+        start_check.LIMITS, start_check.PRECISE, start_check.TOLERANCES, start_check._COPIES, agreement.SURE = saved
 
 
 def inside(planned: Path, case: Any, source: Path) -> bool:
-    """Whether the target is planned in a solid: no picture of it is wrong, but it cannot be there."""
+    """Return whether a pose is planned inside a solid: its picture is not wrong, but the target cannot be there."""
     from generator.blender.scene import blend_file
     from generator.sets.dataset import Dataset
 
@@ -98,7 +99,7 @@ def inside(planned: Path, case: Any, source: Path) -> bool:
 
 
 def one(task: tuple[str, str, str]) -> list[Any]:
-    """Try one edit by one engine, in a process of its own."""
+    """Try one edit by one engine; runs in a separate process."""
     import edits
 
     scene, name, engine = task
@@ -109,9 +110,9 @@ def one(task: tuple[str, str, str]) -> list[Any]:
             source = built(scene, case.edit, folder)
             kind, words, seconds = tried(source, folder, engine, 1 if scene == "base" else 100)
             expect = case.expect
-            wrong = kind in ("passed", "stopped") and scene != "base"  # which is tried where it was found to be
+            wrong = kind in ("passed", "stopped") and scene != "base"  # tried only if wrong in the base scene
             if kind in ("passed", "stopped") and scene == "base":
-                # `path` is held against plain Cycles to the bit as it is.
+                # The check itself compares `path` with plain Cycles to the bit.
                 seen = kind == "stopped" if engine == "path" else looked(source, folder / "longer", engine)
                 wrong = seen or (kind == "passed" and (expect == "refuse" or inside(folder / engine, case, source)))
         except NlosError as error:
@@ -127,14 +128,14 @@ def wrong(options: argparse.Namespace) -> None:
     import edits
 
     file = options.output / "wrong.csv"
-    done = {(row["scene"], row["edit"], row["engine"]) for row in rows(file)}
+    finished = {(row["scene"], row["edit"], row["engine"]) for row in rows(file)}
     tasks = [
         (options.scene, name, engine)
-        for name in sorted(edits.EDITS, key=lambda name: hashlib.sha256(name.encode()).digest())  # some stand for all
+        for name in sorted(edits.EDITS, key=lambda name: hashlib.sha256(name.encode()).digest())  # in random order
         for engine in options.engines
-        if (options.scene, name, engine) not in done
+        if (options.scene, name, engine) not in finished
     ]
-    if options.scene != "base":  # where it was right, or refused, in the small scene, there is nothing to catch
+    if options.scene != "base":  # an edit that was right or refused in the small scene leaves nothing to catch
         known = {(row["edit"], row["engine"]) for row in rows(file) if row["scene"] == "base" and row["wrong"] == "1"}
         tasks = [task for task in tasks if task[1:] in known]
     run(tasks, one, file, COLUMNS, options)
@@ -143,15 +144,15 @@ def wrong(options: argparse.Namespace) -> None:
 def run(
     tasks: list[Any], work: Callable[[Any], list[Any]], file: Path, columns: list[str], options: argparse.Namespace
 ) -> None:
-    """Do tasks in processes of their own, a line of a table each."""
+    """Run each task in a separate process; each adds a line to a table."""
     file.parent.mkdir(parents=True, exist_ok=True)
-    late = time.monotonic() + 60.0 * options.minutes
+    deadline = time.monotonic() + 60.0 * options.minutes
     if not file.exists():
         file.write_text(",".join(columns) + "\n")
-    # Blender puts folders there that hold a module bpy of another kind, and the new processes would find that one.
+    # Blender adds folders with a different module bpy, which the new processes would import.
     sys.path[:] = [folder for folder in sys.path if f"bpy{os.sep}" not in folder]
     for number, task in enumerate(tasks):
-        if time.monotonic() > late:
+        if time.monotonic() > deadline:
             print(f"{len(tasks) - number} left")
             return
         with multiprocessing.get_context("spawn").Pool(1) as pool:
@@ -177,39 +178,39 @@ def rows(file: Path) -> list[dict[str, str]]:
 # --------------------------------------------------------------------------------------------------------------------
 
 UNIT = 256
-"""Samples of a picture by plain Cycles; a check adds several."""
+"""Samples of one picture by plain Cycles; a check adds up several."""
 DRAWN = 8
-"""Engine pictures of `patch`, each with other noise."""
+"""Number of engine pictures by `patch`, each with different noise."""
 BUDGETS = (6, 20, 60)
-"""Units that a check has time for: on a busy machine, in a short sweep, in a long one."""
+"""Pictures of `UNIT` samples that a check has time for: on a busy machine, in a short sweep, in a long one."""
 
 
 def right_scenes() -> dict[str, Callable[[], Any]]:
-    """Return scenes that every engine renders right."""
+    """Return scenes that every engine renders correctly, by name."""
     import planning
 
     from generator.blender.scene import blend_file, build
 
     def of_preset(name: str, kind: str) -> Callable[[], Any]:
-        def made() -> Any:
+        def build_preset() -> Any:
             scene = blend_file.new_file()
             build.build(scene, preset(name, kind))
             return scene
 
-        return made
+        return build_preset
 
     presets = {
         f"{name}, {kind}": of_preset(name, kind)
         for name in ("room", "tabletop", "corridor")
         for kind in ("sheet", "sphere")
     }
-    some = {name: planning.SCENES[name] for name in ("cluttered", "white board", "window", "mirror panel")}
-    random = {f"random {seed}": (lambda seed=seed: planning.random_scene(seed)) for seed in range(6)}
-    return presets | some | random
+    planned = {name: planning.SCENES[name] for name in ("cluttered", "white board", "window", "mirror panel")}
+    random_rooms = {f"random {seed}": (lambda seed=seed: planning.random_scene(seed)) for seed in range(6)}
+    return presets | planned | random_rooms
 
 
 def pool(task: tuple[str, str, Path, int]) -> list[Any]:
-    """Render a pool of pictures of one scene, by an engine and by plain Cycles, and check with draws from it."""
+    """Render a pool of pictures of one scene, by an engine and by plain Cycles; simulate checks that draw from it."""
     import bpy
 
     from generator.blender import start_check, sweep_worker
@@ -228,7 +229,7 @@ def pool(task: tuple[str, str, Path, int]) -> list[Any]:
             blend_file.save_file(source)
             settings = {"engine": engine, "poses": 1}
             try:
-                made = sweep_worker.plan(blend_file.open_file(source), source, folder / "set", settings, probe=False)
+                plan = sweep_worker.plan(blend_file.open_file(source), source, folder / "set", settings, probe=False)
             except NlosError as error:
                 return [name, engine, 0, 0, f"{error}"[:80]]
             known = links.of_dataset({}, folder / "set")
@@ -236,17 +237,17 @@ def pool(task: tuple[str, str, Path, int]) -> list[Any]:
                 folder / "set" / "scene.blend",
                 source,
                 known,
-                made.meta,
-                made.sweep,
-                made.poses[0],
+                plan.meta,
+                plan.sweep,
+                plan.poses[0],
                 sweep_worker.render,
             )
             widths = checked.plain().widths()
             engines: list[list[Array]] = []
             views: list[Any] = []
             for seed in range(1 if engine == "surfel" else DRAWN):
-                again = replace(checked, sweep=replace(checked.sweep, seed=seed))
-                views, _ = again._by_engine(widths)
+                reseeded = replace(checked, sweep=replace(checked.sweep, seed=seed))
+                views, _ = reseeded._by_engine(widths)
                 engines.append([view.engine for view in views])
             plain = checked.plain()
             narrow = plain.spot.data.spot_size
@@ -258,18 +259,18 @@ def pool(task: tuple[str, str, Path, int]) -> list[Any]:
                     empty = plain.render(UNIT, seed, target=False)
                     both = [plain.render(UNIT, seed) - empty] if len(view.engine) > 1 else []
                     drawn[k].append(np.array([empty, *both]) * view.dark)
-            arrays = {f"plain{k}": np.array(some, np.float32) for k, some in enumerate(drawn)}
+            arrays = {f"plain{k}": np.array(pictures, np.float32) for k, pictures in enumerate(drawn)}
             arrays |= {f"engine{k}": np.array([e[k] for e in engines]) for k in range(len(views))}
             np.savez_compressed(file, peaks=[v.peak for v in views], tolerances=checked.tolerances, **arrays)
     return [name, engine, *simulated(file, CHECKS), ""]
 
 
 CHECKS = 400
-"""Simulated checks of each scene, engine and time."""
+"""Simulated checks of each scene, engine and budget."""
 
 
 def simulated(file: Path, checks: int) -> tuple[int, int, float]:
-    """Return how many checks were made of a pool, how many stopped, and the farthest that any figure went."""
+    """Return how many checks were simulated from a pool, how many stopped, and the largest excess of any figure."""
     from generator.blender import start_check
 
     data = np.load(file)
@@ -277,47 +278,47 @@ def simulated(file: Path, checks: int) -> tuple[int, int, float]:
     plain = [data[f"plain{k}"].astype(np.float64) for k in range(len(peaks))]
     engine = [data[f"engine{k}"] for k in range(len(peaks))]
     rng = np.random.default_rng(0)
-    made, stops, farthest = 0, 0, 0.0
+    total, stops, farthest = 0, 0, 0.0
     for budget in BUDGETS:
         for _ in range(checks):
             pick = rng.integers(len(engine[0]))
-            stop, most = check(
+            stop, excess = check(
                 [rng.choice(p, budget) for p in plain], [e[pick] for e in engine], peaks, tolerances, start_check
             )
-            made, stops, farthest = made + 1, stops + stop, max(farthest, most)
-    return made, stops, round(farthest, 2)
+            total, stops, farthest = total + 1, stops + stop, max(farthest, excess)
+    return total, stops, round(farthest, 2)
 
 
 def check(
     plain: list[Array], engine: list[Array], peaks: Array, tolerances: tuple[float, ...], startcheck: Any
 ) -> tuple[bool, float]:
-    """One check as `startcheck` makes it, with looks after each round; whether it stops, and its farthest figure."""
+    """Check as `startcheck` does, comparing after each round; return whether it stops and its largest excess."""
     budget = len(plain[0])
     step = max(1, round(budget / startcheck._ROUNDS))
-    most = 0.0
+    largest = 0.0
     for used in (1, *range(1 + step, budget + 1, step)):
-        found = [
+        comparisons = [
             agreement.compare(p[:used].mean(axis=0), e, samples=UNIT * used, peak=peak, tolerances=tolerances)
             for p, e, peak in zip(plain, engine, peaks, strict=True)
         ]
-        most = max(most, *(agreement.worst(figures).excess for figures in found))
-        if most > agreement.SURE:
-            return True, most
-        if all(f.precision < p for f, p in zip(found[-1][:2], startcheck.PRECISE, strict=True)):
+        largest = max(largest, *(agreement.worst(figures).excess for figures in comparisons))
+        if largest > agreement.SURE:
+            return True, largest
+        if all(f.precision < p for f, p in zip(comparisons[-1][:2], startcheck.PRECISE, strict=True)):
             break
-    return False, most
+    return False, largest
 
 
 def right(options: argparse.Namespace) -> None:
-    """Check right scenes."""
+    """Simulate checks of scenes that are right."""
     file = options.output / "right.csv"
-    done = {(row["scene"], row["engine"]) for row in rows(file)}
-    engines = [engine for engine in options.engines if engine != "path"]  # has no noise of its own
+    finished = {(row["scene"], row["engine"]) for row in rows(file)}
+    engines = [engine for engine in options.engines if engine != "path"]  # `path` has no noise of its own
     tasks = [
         (name, engine, options.output, options.count)
         for name in sorted(right_scenes(), key=lambda name: hashlib.sha256(name.encode()).digest())
         for engine in engines
-        if (name, engine) not in done
+        if (name, engine) not in finished
     ]
     run(tasks, pool, file, ["scene", "engine", "checks", "stopped", "farthest", "note"], options)
 
@@ -336,14 +337,14 @@ def share(part: int, whole: int) -> str:
 
 
 def table(options: argparse.Namespace) -> None:
-    """Print what was found, as Markdown."""
-    found = rows(options.output / "wrong.csv")
-    scenes = list(dict.fromkeys(row["scene"] for row in found))
-    base = [row for row in found if row["scene"] == scenes[0]]
+    """Print the results as Markdown."""
+    results = rows(options.output / "wrong.csv")
+    scenes = list(dict.fromkeys(row["scene"] for row in results))
+    base = [row for row in results if row["scene"] == scenes[0]]
     print(f"{len(base)} edits and engines: {dict(Counter(row['became'] for row in base))}\n")
     for scene in scenes:
-        some = [row for row in found if row["scene"] == scene]
-        bad = [row for row in some if row["wrong"] == "1"]
+        in_scene = [row for row in results if row["scene"] == scene]
+        bad = [row for row in in_scene if row["wrong"] == "1"]
         print(f"### {scene}\n\n| kind | path | patch | surfel | all |\n|---|---|---|---|---|")
         for kind in [*sorted({row["kind"] for row in bad}, key=int), ""]:
             cells = []
@@ -352,28 +353,28 @@ def table(options: argparse.Namespace) -> None:
                 caught = sum(r["became"] == "stopped" for r in group)
                 cells.append((f"{caught} of {len(group)}" if kind else share(caught, len(group))) if group else "")
             print(f"| {kind or 'all'} | {' | '.join(cells)} |")
-        for words, which in (
+        for words, cases in (
             ("missed", [r for r in bad if r["became"] != "stopped"]),
             (
                 "stopped, and a longer look sees nothing",
-                [r for r in some if r["became"] == "stopped" and r not in bad],
+                [r for r in in_scene if r["became"] == "stopped" and r not in bad],
             ),
         ):
-            print(f"\n{words}: {', '.join('{edit} ({engine})'.format(**r) for r in which) or 'none'}")
-        if seconds := [float(r["seconds"]) for r in some if r["became"] == "passed"]:
+            print(f"\n{words}: {', '.join('{edit} ({engine})'.format(**r) for r in cases) or 'none'}")
+        if seconds := [float(r["seconds"]) for r in in_scene if r["became"] == "passed"]:
             print(
                 f"\nseconds of a check that passes: {np.median(seconds):.1f} (median), {max(seconds):.1f} at most\n"
             )
-    held = [row for row in rows(options.output / "right.csv") if int(row["checks"])]
+    checked = [row for row in rows(options.output / "right.csv") if int(row["checks"])]
     print("| scene | engine | checks | stopped | farthest, standard errors |\n|---|---|---|---|---|")
-    for row in held:
+    for row in checked:
         print(f"| {row['scene']} | {row['engine']} | {row['checks']} | {row['stopped']} | {row['farthest']} |")
-    checks, stopped = (sum(int(row[name]) for row in held) for name in ("checks", "stopped"))
+    checks, stopped = (sum(int(row[name]) for row in checked) for name in ("checks", "stopped"))
     print(f"\n{share(stopped, checks)}")
 
 
 def main() -> None:
-    """Run one of the three."""
+    """Run one of the three commands."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("what", choices=["wrong", "right", "table"])
     parser.add_argument("-o", "--output", type=Path, required=True)

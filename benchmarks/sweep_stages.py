@@ -1,14 +1,14 @@
-"""Where the seconds of a sweep go, stage by stage: 900 poses at 64 x 64 by surfel, and the same by `patch`.
+"""Time that each stage of a sweep takes: 900 poses at 64 x 64 by surfel, and the same by `patch`.
 
-Run: ``python benchmarks/sweep_stages.py -o DIR`` (some minutes). Each sweep is the command line's own, in a process
-of its own, of the room preset with its sheet, with as many workers as there are cores. The package is copied to DIR
-first, so the first sweep finds no compiled code; the sweeps after it find what it left. `patch` renders with the
-default samples, 9 and then 27 poses: the time of as many as surfel makes follows from what one more pose takes.
+Run: ``python benchmarks/sweep_stages.py -o DIR`` (some minutes). Each sweep runs the command line in a separate
+process, on the room preset with its sheet, with as many workers as there are cores. The package is copied to DIR
+first, so that the first sweep finds no compiled code; later sweeps find what it left. `patch` renders 9 and then 27
+poses with the default samples: its time for as many poses as surfel renders follows from the time of one more pose.
 
 The stages are timed from outside: named functions of the product are wrapped, in the coordinator and in its workers,
-and the time of a function is its own, without that of the wrapped functions that it calls. What a stage adds to the
-whole is its time in the coordinator, in the worker that plans and in the one that comes first (where the background
-needs a worker to itself), and its mean over the workers that run side by side.
+and the time of a function excludes that of the wrapped functions that it calls. A stage's part of the whole is its
+time in the coordinator, in the worker that plans and in the first worker (where the background needs a worker to
+itself), plus its mean over the workers that run in parallel.
 """
 
 from __future__ import annotations
@@ -29,12 +29,12 @@ from pathlib import Path
 from typing import Any
 
 LOGS, STARTED = "NLOS_STAGES_LOGS", "NLOS_STAGES_STARTED"
-"""Environment: where a worker tells its times, and when it was started."""
+"""Environment variables: folder in which a worker writes its times, and time when it was started."""
 
 START, WAIT, REST = "start the process and import", "talk and wait for work", "rest of Python"
 OTHERS, IDLE = "(wait for other threads)", "(nothing)"
 THREADED = ("render poses", "background")
-"""Stages that wait for threads of their own."""
+"""Stages that wait for threads which they started."""
 STAGES = {
     START: [],
     "Blender: open, read, save the scene": [
@@ -81,7 +81,7 @@ STAGES = {
 
 
 class _Thread(threading.local):
-    """What a thread is at, from the inside out, and since when."""
+    """Nested stages that a thread is in, innermost last, and the time up to which they are counted."""
 
     def __init__(self) -> None:
         self.main = threading.current_thread() is threading.main_thread()
@@ -90,9 +90,9 @@ class _Thread(threading.local):
 
 
 class Clock:
-    """Own time of nested stages: what runs inside another stage counts for that one alone.
+    """Exclusive time of nested stages: time inside an inner stage counts for the inner stage alone.
 
-    Time that the main thread waits for others is shared among the stages in proportion to what those spent on them.
+    Time that the main thread waits for others is shared among stages in proportion to the others' time in them.
     """
 
     def __init__(self) -> None:
@@ -101,7 +101,7 @@ class Clock:
         self._thread = _Thread()
 
     def turn(self) -> None:
-        """Count what has passed for the stage at hand."""
+        """Count the time since the last call for the current stage."""
         thread, now = self._thread, time.perf_counter()
         with self._lock:
             self._seconds[thread.main][thread.stack[-1]] += now - thread.last
@@ -109,7 +109,7 @@ class Clock:
 
     @contextlib.contextmanager
     def stage(self, name: str) -> Iterator[None]:
-        """Count what is done inside for a stage."""
+        """Count the time inside the context for a stage."""
         self.turn()
         self._thread.stack.append(name)
         try:
@@ -122,13 +122,13 @@ class Clock:
         """Return the main thread's seconds by stage."""
         self.turn()
         with self._lock:
-            spent, aside = dict(self._seconds[True]), dict(self._seconds[False])
-        aside.pop(IDLE, None)
-        waited = spent.pop(OTHERS, 0.0) / (sum(aside.values()) or 1.0)
-        return {name: spent.get(name, 0.0) + waited * aside.get(name, 0.0) for name in spent.keys() | aside.keys()}
+            spent, others = dict(self._seconds[True]), dict(self._seconds[False])
+        others.pop(IDLE, None)
+        waited = spent.pop(OTHERS, 0.0) / (sum(others.values()) or 1.0)
+        return {name: spent.get(name, 0.0) + waited * others.get(name, 0.0) for name in spent.keys() | others.keys()}
 
     def wrap(self, name: str, function: Callable[..., Any]) -> Callable[..., Any]:
-        """Return the function, its time counted for a stage."""
+        """Return the function, wrapped so that its time counts for a stage."""
 
         def timed(*arguments: Any, **options: Any) -> Any:
             if name == OTHERS and self._thread.stack[-1] in THREADED:
@@ -144,21 +144,21 @@ class Clock:
             for target in targets:
                 module, path = target.split(":")
                 if module not in sys.modules:
-                    continue  # the coordinator knows neither Blender nor numba
-                *owners, last = path.split(".")
+                    continue  # the coordinator imports neither Blender nor numba
+                *owners, attribute = path.split(".")
                 owner: Any = importlib.import_module(module)
                 for step in owners:
                     owner = getattr(owner, step)
-                function = getattr(owner, last)
+                function = getattr(owner, attribute)
                 timed = self.wrap(name, function)
-                setattr(owner, last, timed)
-                for other in [m for key, m in sys.modules.items() if key.startswith("generator.")]:
-                    for key in [k for k, v in vars(other).items() if v is function]:
-                        setattr(other, key, timed)
+                setattr(owner, attribute, timed)
+                for importer in [m for key, m in sys.modules.items() if key.startswith("generator.")]:
+                    for key in [k for k, v in vars(importer).items() if v is function]:
+                        setattr(importer, key, timed)
 
 
 def as_worker(arguments: list[str]) -> int:
-    """Be a worker that tells in a file where its time went: before each answer, for it may be ended after any."""
+    """Run a worker that writes its times to a file before each answer, since it may be ended after any answer."""
     began, clock = time.time(), Clock()
     with clock.stage(START):
         from generator.blender import worker
@@ -168,8 +168,8 @@ def as_worker(arguments: list[str]) -> int:
     clock.watch()
 
     def answered(**fields: Any) -> None:
-        told = {"role": role, "generator": worker.__file__, "before": before, "seconds": clock.told()}
-        write_text(Path(os.environ[LOGS], f"{os.getpid()}.json"), json.dumps(told))
+        log = {"role": role, "generator": worker.__file__, "before": before, "seconds": clock.told()}
+        write_text(Path(os.environ[LOGS], f"{os.getpid()}.json"), json.dumps(log))
         answer(**fields)
 
     def given() -> Iterator[Any]:
@@ -188,7 +188,7 @@ def as_worker(arguments: list[str]) -> int:
 
 
 def as_coordinator(arguments: list[str]) -> int:
-    """Run the command line, its workers replaced by those that tell their times."""
+    """Run the command line, with its workers replaced by ones that write their times."""
     began, clock = time.time(), Clock()
     with clock.stage(START):
         from generator.cli import main as cli
@@ -199,27 +199,27 @@ def as_coordinator(arguments: list[str]) -> int:
     clock.watch()
 
     def started(command: list[str], **options: Any) -> Any:
-        own = [command[0], __file__, "--as-worker", *command[3:]]  # python -m generator.blender.worker ...
+        worker_command = [command[0], __file__, "--as-worker", *command[3:]]  # python -m generator.blender.worker ...
         options["env"] = {**options["env"], STARTED: repr(time.time())}
-        return start(own, **options)
+        return start(worker_command, **options)
 
     subprocess.Popen = started  # type: ignore[misc,assignment]
     local.planned_notes = clock.wrap("(workers)", local.planned_notes)  # type: ignore[attr-defined]
     WorkerPool.work = clock.wrap("(workers)", WorkerPool.work)  # type: ignore[method-assign]
     code = int(cli.main(arguments))
-    told = {"role": "coordinator", "generator": local.__file__, "before": before, "seconds": clock.told()}
-    write_text(Path(os.environ[LOGS], "coordinator.json"), json.dumps(told))
+    log = {"role": "coordinator", "generator": local.__file__, "before": before, "seconds": clock.told()}
+    write_text(Path(os.environ[LOGS], "coordinator.json"), json.dumps(log))
     return code
 
 
 def sweep(home: Path, name: str, *options: str) -> tuple[float, list[dict[str, Any]]]:
-    """Run one sweep with the package at ``home``; return its wall clock and what each process tells."""
-    logs, made = home / f"logs-{name}", home / name
-    for folder in (logs, made):
+    """Run one sweep with the package at ``home``; return its wall-clock time and the log of each process."""
+    logs, dataset = home / f"logs-{name}", home / name
+    for folder in (logs, dataset):
         shutil.rmtree(folder, ignore_errors=True)
     logs.mkdir()
     environment = {**os.environ, "PYTHONPATH": str(home), LOGS: str(logs), STARTED: repr(time.time())}
-    command = ["sweep", str(home / "room.blend"), "-o", str(made), *options]
+    command = ["sweep", str(home / "room.blend"), "-o", str(dataset), *options]
     began = time.perf_counter()
     subprocess.run(
         [sys.executable, str(Path(__file__).resolve()), "--as-coordinator", *command],
@@ -229,10 +229,10 @@ def sweep(home: Path, name: str, *options: str) -> tuple[float, list[dict[str, A
         stdout=subprocess.DEVNULL,
     )
     wall = time.perf_counter() - began
-    told = [json.loads(log.read_text()) for log in logs.glob("*.json")]
-    strangers = {log["generator"] for log in told if not Path(log["generator"]).is_relative_to(home)}
-    assert not strangers, f"another generator was measured: {strangers}"
-    return wall, told
+    process_logs = [json.loads(log.read_text()) for log in logs.glob("*.json")]
+    foreign = {log["generator"] for log in process_logs if not Path(log["generator"]).is_relative_to(home)}
+    assert not foreign, f"another generator was measured: {foreign}"
+    return wall, process_logs
 
 
 def table(wall: float, told: list[dict[str, Any]], poses: int) -> str:
@@ -242,24 +242,24 @@ def table(wall: float, told: list[dict[str, Any]], poses: int) -> str:
     seconds: dict[str, dict[str, float]] = {s: dict.fromkeys(roles, 0.0) for s in STAGES if s != OTHERS}
     for log in told:
         for stage, spent in [(START, log["before"]), *log["seconds"].items()]:
-            if stage in seconds:  # what the coordinator waits for is in its workers' own times
+            if stage in seconds:  # the coordinator's waiting is contained in the times of its workers
                 seconds[stage][log["role"]] += spent / (crew if log["role"] == "crew" else 1)
     lines = [
         "".join([f"{'seconds':36s}", *(f"{role:>12s}" for role in roles), f"{'all':>9s}{'ms/pose':>9s}{'share':>7s}"])
     ]
     known = 0.0
     for stage, by_role in seconds.items():
-        whole = sum(by_role.values())
-        known += whole
+        total = sum(by_role.values())
+        known += total
         columns = "".join(f"{by_role[role]:12.2f}" for role in roles)
-        lines.append(f"{stage:36s}{columns}{whole:9.2f}{1e3 * whole / poses:9.3f}{whole / wall:7.0%}")
-    for stage, whole in (("ends of processes, uneven workers", wall - known), ("wall clock", wall)):
-        lines.append(f"{stage:36s}{'':48s}{whole:9.2f}{1e3 * whole / poses:9.3f}{whole / wall:7.0%}")
+        lines.append(f"{stage:36s}{columns}{total:9.2f}{1e3 * total / poses:9.3f}{total / wall:7.0%}")
+    for stage, total in (("ends of processes, uneven workers", wall - known), ("wall clock", wall)):
+        lines.append(f"{stage:36s}{'':48s}{total:9.2f}{1e3 * total / poses:9.3f}{total / wall:7.0%}")
     return "\n".join(lines) + f"\n(crew: mean of {crew} workers)"
 
 
 def main() -> int:
-    """Measure and print."""
+    """Measure the stages and print the tables."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("-o", "--output", type=Path, required=True)
     parser.add_argument("--poses-per-voxel", type=int, default=100)
@@ -281,16 +281,16 @@ def main() -> int:
     print(f"surfel, {poses} poses, 64 x 64, accuracy {options.accuracy}; load {os.getloadavg()[0]:.1f}\n")
     cold = sweep(home, "cold", *surfel)
     print(f"nothing compiled yet:\n{table(*cold, poses)}\n", flush=True)
-    wall, told = min((sweep(home, f"warm-{k}", *surfel) for k in range(options.runs)), key=lambda run: run[0])
-    print(f"compiled before, quickest of {options.runs}:\n{table(wall, told, poses)}\n", flush=True)
+    wall, process_logs = min((sweep(home, f"warm-{k}", *surfel) for k in range(options.runs)), key=lambda run: run[0])
+    print(f"compiled before, quickest of {options.runs}:\n{table(wall, process_logs, poses)}\n", flush=True)
     if options.no_patch:
         return 0
     few, more = (
         sweep(home, f"patch-{n}", "--engine", "patch", "--resolution", "64", "--poses", str(n))[0] for n in (1, 3)
     )
-    each = (more - few) / 18
-    scaled = few + (poses - 9) * each
-    print(f"patch, default samples: 9 poses {few:.1f} s, 27 poses {more:.1f} s: {each:.2f} s for each more")
+    per_pose = (more - few) / 18
+    scaled = few + (poses - 9) * per_pose
+    print(f"patch, default samples: 9 poses {few:.1f} s, 27 poses {more:.1f} s: {per_pose:.2f} s for each more")
     print(f"patch, {poses} poses at that rate: {scaled:.0f} s; surfel is {scaled / wall:.0f} times as fast, all told")
     print(f"({scaled / cold[0]:.1f} times where nothing is compiled yet)")
     return 0

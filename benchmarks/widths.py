@@ -1,9 +1,9 @@
-"""What float32 and fast mathematics cost the engine `surfel` in digits, at the far ends of what it is asked.
+"""Loss of accuracy of the engine `surfel` by float32 and fast mathematics, in extreme scenes.
 
-Run: ``python benchmarks/widths.py -o DIR``; the engine is compiled thrice. Every picture is drawn in
-float32 and float64, by code that is compiled without any of fastmath, with contraction only (as the engine is), and
-with all of it; the error is relative to float64 without fastmath at the same accuracy, root mean square over the
-pixels of the difference picture.
+Run: ``python benchmarks/widths.py -o DIR``; the engine is compiled three times. Every picture is rendered in
+float32 and float64, by code that is compiled without fastmath, with contraction only (as the engine is), and
+with all of fastmath; the error is relative to float64 without fastmath at the same accuracy, root mean square over
+the pixels of the difference picture.
 """
 
 from __future__ import annotations
@@ -24,20 +24,20 @@ from generator.files.writing import csv_text, write_text
 MODES: dict[str, Any] = {"none": set(), "contract": {"contract"}, "all": True}
 WIDTHS = ("float64", "float32")
 ACCURACY = 5e-3
-"""The engine takes float32 by itself unless asked for more than 5e-5."""
+"""Accuracy of the pictures. The engine uses float32 by default unless an accuracy finer than 5e-5 is requested."""
 _FAR = np.array([1000.0, 0.0, 1000.0])
 
 
 def cases() -> list[tuple[str, Any, Any, Any]]:
-    """Return name, world, position and rotation of every extreme."""
+    """Return name, world, position and rotation of every extreme case."""
     import scenes
 
     from generator.model.presets import preset
     from generator.transport.world import Sphere
 
     def bare(kind: str = "sphere", pixels: int = 32, **changes: Any) -> Any:
-        wanted = replace(preset("room", kind), room=None, partition=None, resolution=(pixels, pixels), **changes)
-        return scenes.world_from_spec(wanted)
+        spec = replace(preset("room", kind), room=None, partition=None, resolution=(pixels, pixels), **changes)
+        return scenes.world_from_spec(spec)
 
     def ball(radius: float) -> Any:
         return replace(bare(), target=(Sphere(np.zeros(3), radius, np.ones(3)),))
@@ -73,7 +73,7 @@ def cases() -> list[tuple[str, Any, Any, Any]]:
         )
 
     place, still = (1.2, 1.0, 1.3), (0.0, 0.0, 0.0)
-    whole = scenes.world_from_spec(replace(preset("room", "sphere"), resolution=(32, 32)))
+    in_room = scenes.world_from_spec(replace(preset("room", "sphere"), resolution=(32, 32)))
     lit_at, seen_at = np.array(preset("room").spot.aim), np.array([-0.45, 0.0, 1.3])
 
     def edge_on(point: Any) -> tuple[float, float, float]:
@@ -84,12 +84,12 @@ def cases() -> list[tuple[str, Any, Any, Any]]:
     return [
         ("sphere at 1 m", bare(), place, still),
         ("sheet at 1 m", bare("sheet"), place, (10.0, 5.0, 30.0)),
-        ("sphere in a room", whole, place, still),
+        ("sphere in a room", in_room, place, still),
         ("sphere touching the wall", bare(), (1.2, 0.2, 1.3), still),
         ("sphere 1 mm from it", bare(), (1.2, 0.201, 1.3), still),
         ("sheet edge-on to w1", bare("sheet"), place, edge_on(lit_at)),
         ("sheet edge-on to w2", bare("sheet"), place, edge_on(seen_at)),
-        ("sphere in the partition's shadow", whole, (2.2, 3.1, 1.3), still),
+        ("sphere in the partition's shadow", in_room, (2.2, 3.1, 1.3), still),
         ("sphere bigger than its voxel", ball(0.7), place, still),
         ("radiance times 1e-20", lit(1e-20), place, still),
         ("radiance times 1e20", lit(1e20), place, still),
@@ -102,7 +102,7 @@ def cases() -> list[tuple[str, Any, Any, Any]]:
 
 
 def child(mode: str, out: Path) -> None:
-    """Draw all in one mode, and leave the pictures in a file."""
+    """Render all cases in one mode, and write the pictures to a file."""
     import numba
 
     from generator.transport import compiled
@@ -110,29 +110,29 @@ def child(mode: str, out: Path) -> None:
     compiled._njit = functools.partial(numba.njit, error_model="numpy", fastmath=MODES[mode])  # type: ignore[assignment]
     from generator.transport import Transport, fields
 
-    made = {}
+    pictures = {}
     seconds = {width: [] for width in WIDTHS}
     for name, world, place, turn in cases():
         for width in WIDTHS:
             fields._SINGLE = 0.0 if width == "float32" else 1.0
-            made[f"{name}|{width}"] = Transport(world, accuracy=ACCURACY).difference(place, turn).mean(axis=2)
+            pictures[f"{name}|{width}"] = Transport(world, accuracy=ACCURACY).difference(place, turn).mean(axis=2)
     engines = {}
     name, world, place, turn = cases()[0]
     for width in WIDTHS:
         engines[width] = Transport(world, accuracy=ACCURACY)
-    for _ in range(200):  # in turn
+    for _ in range(200):  # both widths in turn
         for width in WIDTHS:
             fields._SINGLE = 0.0 if width == "float32" else 1.0
-            begun = time.perf_counter()
+            start = time.perf_counter()
             engines[width].difference(place, turn)
-            seconds[width].append(time.perf_counter() - begun)
+            seconds[width].append(time.perf_counter() - start)
     for width in WIDTHS:
-        made[f"seconds|{width}"] = np.array(np.median(seconds[width]))
-    np.savez(out, **made)
+        pictures[f"seconds|{width}"] = np.array(np.median(seconds[width]))
+    np.savez(out, **pictures)
 
 
 def main() -> None:
-    """Draw everything, print the table and write it."""
+    """Render everything, print the table and write it."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("-o", "--output", type=Path, required=True)
     parser.add_argument("--child", choices=list(MODES), help=argparse.SUPPRESS)
@@ -141,27 +141,27 @@ def main() -> None:
     if options.child:
         child(options.child, options.output / f"{options.child}.npz")
         return
-    made = {}
+    output = {}
     for mode in MODES:
         command = [sys.executable, __file__, "-o", str(options.output), "--child", mode]
         subprocess.run(command, check=True)
-        made[mode] = dict(np.load(options.output / f"{mode}.npz"))
+        output[mode] = dict(np.load(options.output / f"{mode}.npz"))
     columns = [(width, mode) for width in WIDTHS for mode in MODES if (width, mode) != ("float64", "none")]
     table = []
     for name, *_ in cases():
-        wanted = made["none"][f"{name}|float64"]
-        scale = float(np.sqrt((wanted**2).mean()))
+        reference = output["none"][f"{name}|float64"]
+        scale = float(np.sqrt((reference**2).mean()))
         row = [name]
         for width, mode in columns:
-            error = float(np.sqrt(((made[mode][f"{name}|{width}"] - wanted) ** 2).mean()))
+            error = float(np.sqrt(((output[mode][f"{name}|{width}"] - reference) ** 2).mean()))
             row.append(f"{error / scale:.1e}" if scale else "dark" if error == 0.0 else "LIGHT")
         table.append(row)
         print(" | ".join(row), flush=True)
     write_text(options.output / "widths.csv", csv_text(["", *map(", fastmath ".join, columns)], table))
-    base = float(made["contract"]["seconds|float64"])
+    base = float(output["contract"]["seconds|float64"])
     for mode in MODES:
         for width in WIDTHS:
-            print(f"{width}, fastmath {mode}: {float(made[mode][f'seconds|{width}']) / base:.3g} times the seconds")
+            print(f"{width}, fastmath {mode}: {float(output[mode][f'seconds|{width}']) / base:.3g} times the seconds")
 
 
 if __name__ == "__main__":

@@ -1,6 +1,6 @@
-"""The Blender extension: what one clicks. It sets and shows; `generator` builds, reads and renders.
+"""The Blender extension: panels and operators. They set and show; `generator` builds, reads and renders.
 
-`bpy` is imported on registration only, so that `build` runs without it.
+`bpy` is imported only on registration, so that `packaging.build` runs without it.
 """
 
 from typing import Any
@@ -24,6 +24,6 @@ def register() -> None:
 
 
 def unregister() -> None:
-    """Take them out again."""
+    """Remove the settings, operators and panels from Blender."""
     for module in reversed(_modules()):
         module.unregister()

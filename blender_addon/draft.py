@@ -1,4 +1,4 @@
-"""Settings of the panels, as descriptions of scenes and sweeps."""
+"""Conversion between the settings of the panels (the draft) and descriptions of scenes and sweeps."""
 
 import math
 from dataclasses import replace
@@ -20,7 +20,7 @@ ROOM = preset("room")
 
 
 def sweep_of(settings: Any) -> dict[str, Any]:
-    """Return what the draft says of a sweep: fields of `Sweep`, those that mean something to its engine."""
+    """Return the sweep settings of the draft: those fields of `Sweep` that its engine uses."""
     chosen = {
         "engine": settings.engine,
         "samples": settings.samples,
@@ -37,34 +37,34 @@ def sweep_of(settings: Any) -> dict[str, Any]:
 
 
 def wished(settings: Any) -> dict[str, float]:
-    """Return the time and error that decide on a data set, as `SweepRequest` takes them; nothing if none does."""
+    """Return the time (s) or the error that decides on a data set, as in `SweepRequest`; empty if neither does."""
     if settings.quality == "time":
         return {"budget": 60.0 * settings.minutes}
     return {"accuracy": settings.error / 100.0} if settings.quality == "error" else {}
 
 
 def resolved_sweep(scene: Any) -> Sweep:
-    """Return the sweep that the draft describes, as far as it decides the poses.
+    """Return the sweep that the draft describes, as far as it determines the poses.
 
     Raises
     ------
     NlosError
-        The scene cannot be read, or a figure cannot be.
+        The scene or one of the settings cannot be read.
     """
     chosen = sweep_of(scene.nlos)
-    if chosen["engine"] == "auto":  # which it will be decides nothing about them
+    if chosen["engine"] == "auto":  # the choice of engine does not affect the poses
         chosen["engine"] = "patch"
-    made: Sweep = from_dict(Sweep, with_defaults(read_scene(scene), chosen), "")
-    return made
+    sweep: Sweep = from_dict(Sweep, with_defaults(read_scene(scene), chosen), "")
+    return sweep
 
 
 def spec_of(settings: Any) -> Scene:
-    """Return the scene that the draft describes: the preset with the draft's figures in place of its own.
+    """Return the scene that the draft describes: the preset with its values replaced by the draft's.
 
     Raises
     ------
     NlosError
-        The figures contradict each other, or a mesh target has no file.
+        The values contradict each other, or a mesh target has no file.
     """
     kind, mesh = settings.target_kind, ""
     if kind == "mesh":
@@ -72,7 +72,7 @@ def spec_of(settings: Any) -> Scene:
             raise NlosError("target: choose a mesh file (OBJ, PLY or STL)")
         mesh = Target.named(bpy.path.abspath(settings.target_mesh)).mesh
     base = preset(settings.preset)
-    wanted = replace(
+    scene = replace(
         base,
         target=Target(kind=kind, size=short(settings.target_size), albedo=short(settings.target_albedo), mesh=mesh),
         spot=replace(base.spot, power=short(settings.light_power), half_angle=half_angle(settings)),
@@ -80,7 +80,7 @@ def spec_of(settings: Any) -> Scene:
         reflection_order=settings.reflection_order,
         resolution=tuple(settings.resolution),
     )
-    return wanted.with_ambient(short(settings.ambient_radiance) if settings.use_ambient else 0.0)
+    return scene.with_ambient(short(settings.ambient_radiance) if settings.use_ambient else 0.0)
 
 
 def grid_of(settings: Any) -> VoxelGrid:
@@ -89,7 +89,7 @@ def grid_of(settings: Any) -> VoxelGrid:
     Raises
     ------
     NlosError
-        A corner is not below the other.
+        The lower corner is not below the upper one.
     """
     return VoxelGrid(lo=vector(settings.grid_lo), hi=vector(settings.grid_hi), shape=tuple(settings.grid_counts))
 
@@ -100,19 +100,19 @@ def half_angle(settings: Any) -> float:
 
 
 def fill(settings: Any, scene: Scene, *, target: bool = True) -> None:
-    """Set the draft to a scene's figures; what it says on rendering stays.
+    """Set the draft to a scene's values; its settings for rendering are kept.
 
     Parameters
     ----------
     settings : NlosSettings
     scene : Scene
-        A preset of no known name and albedos of None leave the draft's own.
+        An unknown preset name or an albedo of None leaves the draft's value unchanged.
     target : bool
-        The target's figures too.
+        Whether to copy the target's values too.
     """
     known = scene.preset in PRESETS
     if known and settings.preset != scene.preset:
-        settings.preset = scene.preset  # fills in the preset's figures, so it comes first
+        settings.preset = scene.preset  # also sets the preset's values, so it comes first
     if target:
         settings.target_kind = scene.target.kind
         settings.target_size = scene.target.size

@@ -1,4 +1,4 @@
-"""What happens when another file is opened."""
+"""Handlers that run when another file is opened."""
 
 from typing import Any
 
@@ -11,7 +11,7 @@ from .view import images, live, overlay
 
 @persistent  # type: ignore[untyped-decorator]
 def _before(*_: Any) -> None:
-    """Nothing that follows a scene may outlive it."""
+    """Switch off the live picture and the overlay: nothing that follows a scene may outlive it."""
     manager = bpy.context.window_manager
     live.switch(False)
     overlay.switch(False)
@@ -21,7 +21,7 @@ def _before(*_: Any) -> None:
 
 @persistent  # type: ignore[untyped-decorator]
 def _after(*_: Any) -> None:
-    background.drop()  # what they would find is not true of this file
+    background.drop()  # results of the running tasks would not apply to this file
     images.captions.clear()
     state.forget()
     session = bpy.context.window_manager.nlos
@@ -30,12 +30,12 @@ def _after(*_: Any) -> None:
 
 
 def register() -> None:
-    """Watch files being opened."""
+    """Add the handlers."""
     bpy.app.handlers.load_pre.append(_before)
     bpy.app.handlers.load_post.append(_after)
 
 
 def unregister() -> None:
-    """Watch no more."""
+    """Remove the handlers."""
     bpy.app.handlers.load_post.remove(_after)
     bpy.app.handlers.load_pre.remove(_before)

@@ -1,1 +1,1 @@
-"""Operators: thin, one file a panel."""
+"""Operators: thin wrappers around `generator`, grouped by panel."""

@@ -1,4 +1,4 @@
-"""Asks a trained model in which voxel the object stands: in a Python of its own, for Blender's lacks scikit-learn."""
+"""Asks a trained model for the object's voxel, in a separate Python process: Blender's own lacks scikit-learn."""
 
 # mypy: disable-error-code="valid-type,misc"
 
@@ -24,17 +24,17 @@ from ..session import background, state
 from ..view import overlay
 
 _PATIENCE = 120.0
-"""Seconds for a Python to start, import what it needs, and answer."""
+"""Seconds within which a Python process must start, import its modules and answer."""
 
 _TEST = "import classify.classifiers.models, sys; print('.'.join(map(str, sys.version_info[:3])))"
 
 
 _EXTENSION = (__package__ or "nlos_lab.operators").rpartition(".")[0]
-"""Preferences bear the name of the extension itself."""
+"""Name of the extension, under which Blender keeps its preferences."""
 
 
 class NlosPreferences(bpy.types.AddonPreferences):
-    """What depends on the machine, not on the scene."""
+    """Settings that depend on the machine, not on the scene."""
 
     bl_idname = _EXTENSION
 
@@ -46,7 +46,7 @@ class NlosPreferences(bpy.types.AddonPreferences):
     )
 
     def draw(self, context: Any) -> None:
-        """Draw the path and its test."""
+        """Draw the path of the Python and the button that tests it."""
         layout = self.layout
         layout.use_property_split = True
         layout.prop(self, "python")
@@ -58,18 +58,18 @@ class NlosPreferences(bpy.types.AddonPreferences):
 
 
 def named() -> str:
-    """Return what the preferences name; empty if nothing."""
+    """Return the path of the Python in the preferences; empty if none is set."""
     addon = bpy.context.preferences.addons.get(_EXTENSION)
     return str(bpy.path.abspath(addon.preferences.python)) if addon else ""
 
 
 def python() -> str:
-    """Return the Python that the preferences name.
+    """Return the path of the Python in the preferences.
 
     Raises
     ------
     NlosError
-        They name none, or one that is not there.
+        No path is set, or it is not that of a file.
     """
     path = named()
     if not path:
@@ -77,21 +77,21 @@ def python() -> str:
             "Answers need a Python with NLOS Lab's command line: make one with 'make setup' in its folder, "
             "and name its .venv/bin/python in Preferences > Add-ons > NLOS Lab"
         )
-    if not os.path.isfile(path):  # of a name that no file can have, too
+    if not os.path.isfile(path):  # false as well for a name that no file can have
         raise NlosError(f"{path} (Preferences > Add-ons > NLOS Lab) is no file; name the Python of an environment")
     return path
 
 
 def run(arguments: list[str], stop: threading.Event) -> str:
-    """Run that Python, away from Blender's own modules, and return what it prints; end it when asked to stop.
+    """Run a Python command, isolated from Blender's modules, and return its output; kill it once ``stop`` is set.
 
     Raises
     ------
     NlosError
-        It cannot be started, takes too long, or fails; with its last words.
+        The command cannot be started, takes too long, or fails; then with the last line of its error output.
     """
     try:
-        # -E: Blender's PYTHONPATH and PYTHONHOME are not for it. -P would keep the current folder out, but is young.
+        # -E ignores Blender's PYTHONPATH and PYTHONHOME. -P would exclude the current folder, but needs Python 3.11.
         process = subprocess.Popen(
             [arguments[0], "-E", *arguments[1:]],
             stdin=subprocess.DEVNULL,
@@ -103,27 +103,27 @@ def run(arguments: list[str], stop: threading.Event) -> str:
         )
     except OSError as error:
         raise NlosError(f"{arguments[0]} cannot be run ({error.strerror or error})") from None
-    late = time.monotonic() + _PATIENCE
-    while not stop.is_set() and time.monotonic() < late:
+    deadline = time.monotonic() + _PATIENCE
+    while not stop.is_set() and time.monotonic() < deadline:
         with contextlib.suppress(subprocess.TimeoutExpired):
-            said, complaints = process.communicate(timeout=0.2)
+            output, errors = process.communicate(timeout=0.2)
             break
     else:
         process.kill()
         process.communicate()
         raise NlosError(f"{arguments[0]} did not answer within {_PATIENCE:.0f} seconds")
     if process.returncode:
-        lines = [line for line in complaints.splitlines() if line.strip()]
+        lines = [line for line in errors.splitlines() if line.strip()]
         raise NlosError(lines[-1].removeprefix("error: ") if lines else f"exit code {process.returncode}")
-    return said
+    return output
 
 
 def _probabilities(said: str) -> dict[str, float]:
-    """Voxels and their probabilities, of what the command line printed."""
+    """Return the probability of each voxel, by label, from the output of the command line."""
     try:
-        found = {str(label): float(p) for label, p in json.loads(said)["probability"].items()}
-        if found and all(0.0 <= p <= 1.0 for p in found.values()):
-            return found
+        probabilities = {str(label): float(p) for label, p in json.loads(said)["probability"].items()}
+        if probabilities and all(0.0 <= p <= 1.0 for p in probabilities.values()):
+            return probabilities
         raise ValueError
     except (ValueError, KeyError, TypeError, AttributeError):
         raise NlosError(f"the Python in the preferences printed no answer but {said.strip()[:80]!r}") from None
@@ -136,7 +136,7 @@ class NLOS_OT_test_environment(bpy.types.Operator):
     bl_label = "Test"
 
     def execute(self, context: Any) -> set[str]:
-        """Start it, away from Blender's thread."""
+        """Start the test in a background thread."""
         try:
             interpreter = python()
         except NlosError as error:
@@ -146,12 +146,12 @@ class NLOS_OT_test_environment(bpy.types.Operator):
         state.environment_words = "Testing ..."
 
         def then(task: background.Task) -> None:
-            works = f"It works: Python {str(task.result).strip()} can read trained models"
-            lacks = f"It cannot read trained models: {task.error}"
-            state.environment_words = lacks if task.error else works
+            success = f"It works: Python {str(task.result).strip()} can read trained models"
+            failure = f"It cannot read trained models: {task.error}"
+            state.environment_words = failure if task.error else success
 
-        asked = [interpreter, "-c", _TEST]
-        background.Task(lambda task: run(asked, task.stop), then, topic="environment").settle()
+        command = [interpreter, "-c", _TEST]
+        background.Task(lambda task: run(command, task.stop), then, topic="environment").settle()
         return {"FINISHED"}
 
 
@@ -162,7 +162,7 @@ class NLOS_OT_answer(bpy.types.Operator):
     bl_label = "Where Is It?"
 
     def execute(self, context: Any) -> set[str]:
-        """Write the picture, ask, and show the answer when it comes."""
+        """Write the picture, ask the model in a background thread, and show its answer when it arrives."""
         settings = context.scene.nlos
         try:
             interpreter = python()
@@ -192,8 +192,8 @@ class NLOS_OT_answer(bpy.types.Operator):
                 state.answer_words = f"Voxel {label}, with a probability of {state.answer[label]:.0%}"
             overlay.changed()
 
-        asked = [interpreter, *arguments, "--json"]
-        background.Task(lambda task: _probabilities(run(asked, task.stop)), then, topic="answer").settle()
+        command = [interpreter, *arguments, "--json"]
+        background.Task(lambda task: _probabilities(run(command, task.stop)), then, topic="answer").settle()
         return {"FINISHED"}
 
 
@@ -204,7 +204,7 @@ class NLOS_OT_forget_answer(bpy.types.Operator):
     bl_label = "Clear"
 
     def execute(self, context: Any) -> set[str]:
-        """Forget."""
+        """Remove the probabilities and the answer's text."""
         state.answer.clear()
         state.answer_words = ""
         overlay.changed()

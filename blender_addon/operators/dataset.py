@@ -1,4 +1,4 @@
-"""Renders a data set in Blenders without windows, while this one stays free."""
+"""Renders a data set in background Blender processes, while this Blender stays usable."""
 
 # mypy: disable-error-code="misc"
 
@@ -26,20 +26,20 @@ from ..session import background, state
 
 
 class Job:
-    """The sweep that is going on, or went on last.
+    """The running sweep, or the last one that ran.
 
     Attributes
     ----------
     path : Path
-        Of the data set.
+        Folder of the data set.
     done, total : int
-        Pictures of this run.
+        Pictures of this run, finished and in all.
     words : str
-        How it ended; empty while it goes on.
+        How the sweep ended; empty while it runs.
     left : float, optional
-        Seconds that it still takes, once that can be told.
+        Estimated seconds until its end; None until they can be estimated.
     told : list of str
-        What was settled on, and what the check at the start found.
+        The settings that were chosen, and the findings of the check at the start.
     """
 
     def __init__(self, request: SweepRequest) -> None:
@@ -58,27 +58,27 @@ class Job:
 
     @property
     def running(self) -> bool:
-        """Whether it goes on."""
+        """Whether the sweep is still running."""
         return not self.words
 
     def cancel(self) -> None:
-        """End it; what is rendered stays."""
+        """Stop the sweep; finished pictures are kept."""
         self._cancelled = True
         self._task.stop.set()
 
     def status(self) -> str:
-        """Return how far it is, in a line."""
+        """Return the progress, or how the sweep ended, in one line."""
         if not self.running:
             return self.words
         if not self.total:
-            rehearses = self._measures and not self.told
-            return "Rendering a few pictures, to learn what they take" if rehearses else "Planning the poses"
+            measuring = self._measures and not self.told
+            return "Rendering a few pictures, to learn what they take" if measuring else "Planning the poses"
         if not self.done:
             return f"Rendering the background, then {self.total} pictures"
         left = "" if self.left is None else f", {clock(self.left)} left"
         return f"{self.done} of {self.total} pictures{left}"
 
-    def _told(self, done: int, total: int) -> None:  # in the crew's threads
+    def _told(self, done: int, total: int) -> None:  # called in the workers' threads
         self.left = self._remaining.told(done, total)
         self.done, self.total = done, total
 
@@ -92,13 +92,13 @@ class Job:
             self.words = task.error
             return
         outcome = task.result
-        state_words = f"{outcome.dataset.planned - outcome.remaining} of {outcome.dataset.planned} pictures"
+        progress = f"{outcome.dataset.planned - outcome.remaining} of {outcome.dataset.planned} pictures"
         if self._cancelled:
-            self.words = f"Cancelled with {state_words} done; Resume goes on from there"
+            self.words = f"Cancelled with {progress} done; Resume goes on from there"
         elif outcome.failed:
-            self.words = f"{state_words}; {len(outcome.failed)} failed, the first: {outcome.failed[0]}"
+            self.words = f"{progress}; {len(outcome.failed)} failed, the first: {outcome.failed[0]}"
         else:
-            self.words = f"Finished: {state_words}"
+            self.words = f"Finished: {progress}"
 
 
 job: Job | None = None
@@ -107,17 +107,17 @@ _written: set[str] = set()
 
 
 def _status_bar(text: str | None) -> None:
-    """Write into the status bar of every workspace that is shown; None clears all that were."""
-    shown = {window.workspace.name: window for window in bpy.context.window_manager.windows}
+    """Write a text into the status bar of every visible workspace; None clears it wherever it was written."""
+    windows = {window.workspace.name: window for window in bpy.context.window_manager.windows}
     if text is None:
-        first = next(iter(shown.values()), None)
-        shown |= dict.fromkeys(_written - set(shown), first) if first else {}
+        first = next(iter(windows.values()), None)
+        windows |= dict.fromkeys(_written - set(windows), first) if first else {}
         _written.clear()
     else:
-        _written.update(shown)
-    for name, window in shown.items():
+        _written.update(windows)
+    for name, window in windows.items():
         if (workspace := bpy.data.workspaces.get(name)) is not None:
-            # A timer has no window for a moment after a file was opened, and without one Blender 5.2 crashes here.
+            # For a moment after a file is opened a timer has no window, and Blender 5.2 crashes here without one.
             with bpy.context.temp_override(window=window):
                 workspace.status_text_set(text)
 
@@ -128,14 +128,14 @@ def folder(scene: Any) -> Path:
     Raises
     ------
     NlosError
-        None is named, or it is relative to a file that is not saved.
+        No folder is named, it is relative to a file that is not saved, or its path cannot be used.
     """
-    named = scene.nlos.dataset
-    if not named:
+    name = scene.nlos.dataset
+    if not name:
         raise NlosError("Name a folder for the data set")
-    if named.startswith("//") and not bpy.data.filepath:
+    if name.startswith("//") and not bpy.data.filepath:
         raise NlosError("Save the file first, or name the data set's folder in full: it lies beside the file")
-    path = Path(bpy.path.abspath(named)).absolute()
+    path = Path(bpy.path.abspath(name)).absolute()
     try:
         path.exists()
     except OSError as error:
@@ -146,12 +146,12 @@ def folder(scene: Any) -> Path:
 class _Running:
     @classmethod
     def poll(cls: Any, context: Any) -> bool:
-        """Only one at a time."""
+        """Return whether no other data set is being rendered."""
         cls.poll_message_set("A data set is being rendered")
         return job is None or not job.running
 
     def execute(self: Any, context: Any) -> set[str]:
-        """Start the job, or say why not."""
+        """Start the job, or report why it cannot start."""
         global job
         try:
             job = self.begin(context.scene)
@@ -173,18 +173,18 @@ class NLOS_OT_sweep_start(_Running, bpy.types.Operator):
     )
 
     def invoke(self: Any, context: Any, event: Any) -> set[str]:
-        """Ask first where the check, short of rendering, finds an error."""
-        found = misgivings.look(context.scene)
-        if not found.errors:
+        """Ask for confirmation if the checks that need no rendering find an error."""
+        doubts = misgivings.look(context.scene)
+        if not doubts.errors:
             return cast("set[str]", self.execute(context))
-        self.force = True  # if the answer is yes
+        self.force = True  # takes effect only if the user confirms
         answer: set[str] = context.window_manager.invoke_confirm(
-            self, event, title="Render in spite of this?", message=found.first, confirm_text="Render"
+            self, event, title="Render in spite of this?", message=doubts.first, confirm_text="Render"
         )
         return answer
 
     def begin(self, scene: Any) -> Job:
-        """Start anew."""
+        """Begin a new data set."""
         path = folder(scene)
         if Dataset.exists(path):
             raise NlosError(f"{path} holds a data set already: resume it, or name another folder")
@@ -202,7 +202,7 @@ class NLOS_OT_sweep_start(_Running, bpy.types.Operator):
                 accuracy=limits.get("accuracy", 0.0),
                 workers=settings.workers,
                 force=self.force,
-                trust_links=True,  # Blender has followed the links of what is open in it
+                trust_links=True,  # Blender has already followed the links of the open file
             )
         )
 
@@ -214,7 +214,7 @@ class NLOS_OT_sweep_resume(_Running, bpy.types.Operator):
     bl_label = "Resume"
 
     def begin(self, scene: Any) -> Job:
-        """Go on."""
+        """Continue the data set in the folder."""
         path = folder(scene)
         if not Dataset.exists(path):
             raise NlosError(f"{path} holds no data set to go on with")
@@ -229,12 +229,12 @@ class NLOS_OT_sweep_cancel(bpy.types.Operator):
 
     @classmethod
     def poll(cls: Any, context: Any) -> bool:
-        """Only while it goes on."""
+        """Return whether a data set is being rendered."""
         cls.poll_message_set("No data set is being rendered")
         return job is not None and job.running
 
     def execute(self: Any, context: Any) -> set[str]:
-        """Ask the workers to end."""
+        """Ask the workers to stop."""
         assert job is not None
         job.cancel()
         self.report({"INFO"}, "The data set's rendering ends; what is rendered stays")
@@ -248,7 +248,7 @@ class NLOS_OT_open_folder(bpy.types.Operator):
     bl_label = "Open Folder"
 
     def execute(self: Any, context: Any) -> set[str]:
-        """Open it, if it is there."""
+        """Open the folder, if it exists."""
         try:
             path = folder(context.scene)
             if not os.path.isdir(path):
@@ -270,7 +270,7 @@ def register() -> None:
 
 
 def unregister() -> None:
-    """Take them away, and forget the job."""
+    """Remove the operators, and forget the job."""
     global job
     job = None
     _status_bar(None)

@@ -1,4 +1,4 @@
-"""Operators: each calls `generator` and says what came of it."""
+"""Operators of the scene: each calls `generator` and reports the result."""
 
 # mypy: disable-error-code="misc"
 
@@ -31,13 +31,13 @@ _ROLE_WORDS = {
 
 
 class _Task:
-    """What the operators have in common: work that reports itself, or tells bad input in one sentence."""
+    """Base of the operators: reports what ``work`` returns, or bad input in one sentence."""
 
     bl_options = frozenset({"REGISTER", "UNDO"})
 
     @classmethod
     def poll(cls: Any, context: Any) -> bool:
-        """Only in Object Mode: in Edit Mode the meshes are out of reach. And not while Blender renders."""
+        """Return whether to enable: in Object Mode, since Edit Mode locks the meshes, and not during a render."""
         if state.rendering_now():
             cls.poll_message_set("Wait for the render to end")
             return False
@@ -45,7 +45,7 @@ class _Task:
         return bool(context.mode == "OBJECT")
 
     def execute(self: Any, context: Any) -> set[str]:
-        """Do the work, or report why not and cancel."""
+        """Do the work; on bad input, report the reason and cancel."""
         try:
             kind, message = self.work(context.scene)
         except NlosError as error:
@@ -63,17 +63,17 @@ class NLOS_OT_build_scene(_Task, bpy.types.Operator):
     bl_label = "Build Scene"
 
     def work(self, scene: Any) -> tuple[str, str]:
-        """Build; return what to report."""
-        wanted = spec_of(scene.nlos)
-        build.build(scene, wanted)
-        done = f"Built the {wanted.preset} with {wanted.grid.n_voxels} voxels"
-        others = roles.others(scene)
-        if others:  # such as the cube and the lamp that Blender starts with
+        """Build the scene; return the kind and the text of the report."""
+        spec = spec_of(scene.nlos)
+        build.build(scene, spec)
+        message = f"Built the {spec.preset} with {spec.grid.n_voxels} voxels"
+        extra_objects = roles.others(scene)
+        if extra_objects:  # such as the cube and the lamp that Blender starts with
             return (
                 "WARNING",
-                f"{done}. Also rendered: {', '.join(others)}; delete what is not meant",
+                f"{message}. Also rendered: {', '.join(extra_objects)}; delete what is not meant",
             )
-        return "INFO", done
+        return "INFO", message
 
 
 class NLOS_OT_apply(_Task, bpy.types.Operator):
@@ -83,7 +83,7 @@ class NLOS_OT_apply(_Task, bpy.types.Operator):
     bl_label = "Apply to Scene"
 
     def work(self, scene: Any) -> tuple[str, str]:
-        """Apply; return what to report."""
+        """Write the settings into the scene; return the kind and the text of the report."""
         settings = scene.nlos
         grid, lamp = grid_of(settings), roles.find(scene, "spot")
         if lamp.type != "LIGHT" or lamp.data.type != "SPOT":
@@ -92,7 +92,7 @@ class NLOS_OT_apply(_Task, bpy.types.Operator):
         roles.limit_reflections(scene, settings.reflection_order)
         scene.render.resolution_x, scene.render.resolution_y = settings.resolution
         scene.render.resolution_percentage = 100
-        # The lamp may have a colour or an exposure of its own, which the power in watts includes.
+        # The power in watts includes any colour and exposure that the lamp has.
         lamp.data.energy = 1.0
         lamp.data.energy = settings.light_power / (lamp_power(lamp.data) or 1.0)
         lamp.data.spot_size = 2.0 * settings.light_half_angle
@@ -106,10 +106,10 @@ class NLOS_OT_read_scene(_Task, bpy.types.Operator):
     bl_label = "Read from Scene"
 
     def work(self, scene: Any) -> tuple[str, str]:
-        """Read; return what to report."""
-        found = read_scene(scene)
-        fill(scene.nlos, found)
-        if found.target.albedo is None:
+        """Read the scene; return the kind and the text of the report."""
+        described = read_scene(scene)
+        fill(scene.nlos, described)
+        if described.target.albedo is None:
             return "WARNING", "The target's material is not plainly diffuse, so its albedo was not read"
         return "INFO", "Read the scene"
 
@@ -130,19 +130,19 @@ class NLOS_OT_adopt(_Task, bpy.types.Operator):
         return _ROLE_WORDS["" if properties.role == "none" else properties.role][1]
 
     def work(self, scene: Any) -> tuple[str, str]:
-        """Assign; return what to report."""
+        """Assign the role; return the kind and the text of the report."""
         role = "" if self.role == "none" else self.role
-        chosen = bpy.context.selected_objects
+        objects = bpy.context.selected_objects
         active = bpy.context.active_object
-        if role in roles.SINGLE_ROLES and active in chosen:
-            chosen = [active]  # as everywhere in Blender, the active one of many is the one that is meant
-        adopt.assign(scene, role, chosen)
-        done = f"{', '.join(o.name for o in chosen)}: {_ROLE_WORDS[role][0].lower()}"
-        complete = all(roles.players(scene, each) for each in roles.SINGLE_ROLES)
+        if role in roles.SINGLE_ROLES and active in objects:
+            objects = [active]  # as elsewhere in Blender, the active object is the one that is meant
+        adopt.assign(scene, role, objects)
+        message = f"{', '.join(o.name for o in objects)}: {_ROLE_WORDS[role][0].lower()}"
+        complete = all(roles.players(scene, single) for single in roles.SINGLE_ROLES)
         if complete and roles.GRID_SHAPE not in scene:
             grid = adopt.fit_grid(scene)
-            done += f". Voxels {grid.labels[0]} to {grid.labels[-1]} were laid around the target"
-        return "INFO", done
+            message += f". Voxels {grid.labels[0]} to {grid.labels[-1]} were laid around the target"
+        return "INFO", message
 
 
 class NLOS_OT_check(_Task, bpy.types.Operator):
@@ -152,22 +152,22 @@ class NLOS_OT_check(_Task, bpy.types.Operator):
     bl_label = "Check Scene"
 
     def work(self, scene: Any) -> tuple[str, str]:
-        """Find; return what to report."""
+        """Run the checks without rendering, start those that render; return the kind and the text of the report."""
         _forget_checks()
         state.findings[:] = check.findings(scene, engine=scene.nlos.engine)
-        worst = [f for f in state.findings if f.level == ERROR]
-        if worst:
-            return "WARNING", worst[0].text
+        errors = [f for f in state.findings if f.level == ERROR]
+        if errors:
+            return "WARNING", errors[0].text
         state.checking = True
         request = CheckScene(
             scene=background.snapshot("check.blend"), chosen=sweep_of(scene.nlos), trust_links=True
-        )  # Blender has followed the links of what is open in it
+        )  # Blender has already followed the links of the open file
         background.ask(request, _checked, "check").settle()
         return "INFO", "Nothing stands in the way of a sweep; signal and noise are being measured"
 
 
 def _forget_checks() -> None:
-    """What an earlier check has still to say is true of an earlier scene."""
+    """Discard a running check: its results would describe an earlier scene."""
     background.drop("check")
     state.checking = False
 
@@ -189,7 +189,7 @@ class NLOS_OT_fix(_Task, bpy.types.Operator):
     fix: StringProperty(options={"SKIP_SAVE"})  # type: ignore[valid-type]
 
     def work(self, scene: Any) -> tuple[str, str]:
-        """Mend, and look again."""
+        """Apply the fix, and repeat the checks without rendering."""
         _forget_checks()
         check.mend(scene, self.fix)
         state.findings[:] = check.findings(scene, engine=scene.nlos.engine)
@@ -205,13 +205,13 @@ class NLOS_OT_select(_Task, bpy.types.Operator):
     name: StringProperty(options={"SKIP_SAVE"})  # type: ignore[valid-type]
 
     def work(self, scene: Any) -> tuple[str, str]:
-        """Select."""
+        """Select the object; return the kind and the text of the report."""
         obj = scene.objects.get(self.name)
         layer = bpy.context.view_layer
         if obj is None or obj.name not in layer.objects:
             raise NlosError(f"there is no object {self.name!r} in this view layer; check again")
-        for other in bpy.context.selected_objects:
-            other.select_set(False)
+        for selected in bpy.context.selected_objects:
+            selected.select_set(False)
         obj.hide_set(False)
         obj.select_set(True)
         layer.objects.active = obj
@@ -225,9 +225,9 @@ class NLOS_OT_render_wall(_Task, bpy.types.Operator):
     bl_label = "Render Wall"
 
     def work(self, scene: Any) -> tuple[str, str]:
-        """Start; return what to report."""
+        """Start the render; return the kind and the text of the report."""
         settings = scene.nlos
-        described = read_scene(scene)  # what is wrong is said now, not by the other Blender later
+        described = read_scene(scene)  # reports bad input now, not later from the other Blender
         roles.refuse_hidden(scene)
         chosen = {name: value for name, value in sweep_of(settings).items() if name not in ("poses", "inside")}
         difference, reference = settings.difference, described.reference_radiance
@@ -246,19 +246,19 @@ class NLOS_OT_render_wall(_Task, bpy.types.Operator):
             if task.error:
                 state.rendering = task.error
                 return
-            wall, without = (read_picture(folder / f"{name}.exr")[0] for name in ("wall", "background"))
-            state.shown = state.Shown(wall, without)
+            wall, empty = (read_picture(folder / f"{name}.exr")[0] for name in ("wall", "background"))
+            state.shown = state.Shown(wall, empty)
             images.store(images.WALL, wall)
             state.rendering = f"Mean radiance {wall.mean():.4g} W/m²/sr"
             if difference:
-                shown = wall - without
-                images.store(images.DIFFERENCE, shown)
-                images.show(images.coloured(images.PREVIEW, shown, reference, width))
+                change = wall - empty
+                images.store(images.DIFFERENCE, change)
+                images.show(images.coloured(images.PREVIEW, change, reference, width))
                 if wall.any():
-                    state.rendering += f", of which the object adds {shown.mean() / wall.mean():.2%}"
+                    state.rendering += f", of which the object adds {change.mean() / wall.mean():.2%}"
             else:
                 images.show(images.preview(wall))
-            state.remember("Render Wall")  # else the next undo takes the pictures away
+            state.remember("Render Wall")  # otherwise the next undo would remove the pictures
 
         state.rendering = "Rendering ..."
         task = background.ask(request, then, "picture").settle()
@@ -278,12 +278,12 @@ class NLOS_OT_experiment(_Task, bpy.types.Operator):
     @classmethod
     def description(cls, context: Any, properties: Any) -> str:
         """Return the tooltip of one experiment."""
-        done = ("A sphere is moved along x, y and z", "A square sheet is moved along x, y and z")
+        moves = ("A sphere is moved along x, y and z", "A square sheet is moved along x, y and z")
         turned = "The sheet is turned about x, y and z"
-        return f"{(*done, turned)[properties.number - 1]}: a row of difference pictures for each axis"
+        return f"{(*moves, turned)[properties.number - 1]}: a row of difference pictures for each axis"
 
     def work(self, scene: Any) -> tuple[str, str]:
-        """Start; return what to report."""
+        """Start the experiment; return the kind and the text of the report."""
         reference, number = read_scene(scene).reference_radiance, self.number
         file = background.folder() / "experiment.exr"
         source = background.snapshot("experiment.blend")
@@ -312,23 +312,23 @@ class NLOS_OT_open_image_editor(bpy.types.Operator):
 
     @classmethod
     def poll(cls: Any, context: Any) -> bool:
-        """Only in a 3D view that does not fill the window."""
+        """Return whether the area is a 3D view that does not fill the window."""
         cls.poll_message_set("Needs a 3D view that is not maximised")
         inside = context.area is not None and context.area.type == "VIEW_3D"
         return bool(inside and bpy.ops.screen.area_split.poll())
 
     def execute(self: Any, context: Any) -> set[str]:
         """Split the area."""
-        before = set(context.screen.areas)
+        old_areas = set(context.screen.areas)
         bpy.ops.screen.area_split(direction="VERTICAL", factor=0.4)
-        [made] = set(context.screen.areas) - before or [None]
-        if made is None:
+        [area] = set(context.screen.areas) - old_areas or [None]
+        if area is None:
             self.report({"ERROR"}, "The 3D view is too small to be split")
             return {"CANCELLED"}
-        made.type = "IMAGE_EDITOR"
-        shown = next((i for n in (images.LOOK, images.PREVIEW) if (i := bpy.data.images.get(n))), None)
-        if shown is not None:
-            made.spaces.active.image = shown
+        area.type = "IMAGE_EDITOR"
+        image = next((i for n in (images.LOOK, images.PREVIEW) if (i := bpy.data.images.get(n))), None)
+        if image is not None:
+            area.spaces.active.image = image
         return {"FINISHED"}
 
 
@@ -340,12 +340,12 @@ class NLOS_OT_new_room(bpy.types.Operator):
 
     @classmethod
     def poll(cls: Any, context: Any) -> bool:
-        """Not while Blender renders, and not without Cycles: the file that is open would be lost for nothing."""
+        """Return whether to enable: not during a render or without Cycles, as the open file would be lost in vain."""
         cls.poll_message_set("Wait for the render to end, and enable Cycles")
         return hasattr(context.scene, "cycles") and not state.rendering_now()
 
     def invoke(self: Any, context: Any, event: Any) -> set[str]:
-        """Ask before what is not saved is lost."""
+        """Ask for confirmation if there are unsaved changes."""
         if bpy.data.is_dirty:
             answer: set[str] = context.window_manager.invoke_confirm(
                 self, event, title="Start a new room?", message="What is not saved is lost.", confirm_text="New Room"
@@ -354,7 +354,7 @@ class NLOS_OT_new_room(bpy.types.Operator):
         return cast("set[str]", self.execute(context))
 
     def execute(self: Any, context: Any) -> set[str]:
-        """Open Blender's own start-up file, empty it and build."""
+        """Open Blender's own start-up file, empty it and build the room."""
         bpy.ops.wm.read_homefile(app_template="")
         scene = bpy.context.scene
         for obj in list(scene.objects):

@@ -1,8 +1,8 @@
 """Builds the extension: ``python -m blender_addon.packaging.build -o DIST``.
 
-Blender has no pip, so the zip carries the modules of `generator` that the add-on needs. An extension must not reach
-for top-level names, so imports of `generator` become relative on the way. Blender's own extension tool, from the bpy
-wheel, makes the zip and checks it. The same sources give the same zip, byte by byte, wherever it is built.
+Blender has no pip, so the zip carries the modules of `generator` that the add-on needs. An extension must not import
+top-level packages, so its imports of `generator` are made relative. Blender's own extension tool, from the bpy wheel,
+makes the zip and checks it. The same sources give the same zip, byte by byte, wherever it is built.
 """
 
 from __future__ import annotations
@@ -22,16 +22,16 @@ from pathlib import Path
 from . import sbom
 
 _HERE = Path(__file__).resolve().parent
-"""What builds stays out of what is built."""
+"""This folder is left out of the extension."""
 _ADDON = _HERE.parent
 _ROOT = _ADDON.parent
 _RUN_BY_NAME = Path("generator", "blender", "worker.py")
-"""Imported by no module: it runs in a Blender of its own."""
+"""A module that no other imports: it is run by name, in a separate Blender process."""
 _IMPORT = re.compile(r"^(\s*)from generator((?:\.\w+)*) import ", re.MULTILINE)
 
 
 class BuildError(Exception):
-    """The extension cannot be built, and why."""
+    """Raised with the reason why the extension cannot be built."""
 
 
 def build(folder: Path) -> Path:
@@ -40,12 +40,12 @@ def build(folder: Path) -> Path:
     Parameters
     ----------
     folder : Path
-        Where the zip goes; made if need be.
+        Folder for the zip; created if it is missing.
 
     Returns
     -------
     Path
-        The zip.
+        Path of the zip.
 
     Raises
     ------
@@ -56,19 +56,19 @@ def build(folder: Path) -> Path:
     tool = _extension_tool()
     folder.mkdir(parents=True, exist_ok=True)
     with tempfile.TemporaryDirectory(prefix="nlos-extension-") as temporary:
-        assembled, made = Path(temporary, "nlos_lab"), Path(temporary, "zip")
-        made.mkdir()
+        assembled, output = Path(temporary, "nlos_lab"), Path(temporary, "zip")
+        output.mkdir()
         assemble(assembled)
-        _run(tool, "build", "--source-dir", str(assembled), "--output-dir", str(made))
-        [loose] = made.glob("*.zip")
-        package = folder / loose.name
-        _settle(loose, package)
+        _run(tool, "build", "--source-dir", str(assembled), "--output-dir", str(output))
+        [built] = output.glob("*.zip")
+        package = folder / built.name
+        _settle(built, package)
         _run(tool, "validate", str(package))
         return package
 
 
 def assemble(folder: Path) -> None:
-    """Write the extension's files, imports made relative, into a new folder."""
+    """Write the extension's files, with their imports made relative, into a new folder."""
     folder.mkdir(parents=True)
     shutil.copy(_ADDON / "blender_manifest.toml", folder)
     shutil.copy(_licence(), folder)
@@ -76,16 +76,16 @@ def assemble(folder: Path) -> None:
     for source in sorted(_ADDON.rglob("*.py")):
         if source.parent != _HERE:
             needed |= _copy(source, folder, source.relative_to(_ADDON))
-    done: set[Path] = set()
-    while needed - done:
-        module = min(needed - done)
+    copied: set[Path] = set()
+    while needed - copied:
+        module = min(needed - copied)
         needed |= _copy(_ROOT / module, folder, module)
-        done.add(module)
+        copied.add(module)
     (folder / sbom.NAME).write_text(sbom.extension(folder), encoding="utf-8")
 
 
 def _licence() -> Path:
-    """Return the licence's text: beside the sources, or where the wheel has put it."""
+    """Return the path of the licence: in the source tree, or where the wheel has installed it."""
     if (_ROOT / "LICENSE").is_file():
         return _ROOT / "LICENSE"
     try:
@@ -99,29 +99,29 @@ def _licence() -> Path:
 
 
 def _settle(loose: Path, package: Path) -> None:
-    """Write a zip anew without what differs between two builds: order, dates and permissions of its files."""
+    """Rewrite a zip with fixed order, dates and permissions of its files, which would differ between two builds."""
     with zipfile.ZipFile(loose) as old, zipfile.ZipFile(package, "w", zipfile.ZIP_DEFLATED, compresslevel=9) as new:
         for name in sorted(old.namelist()):
-            entry = zipfile.ZipInfo(name)  # of 1980
+            entry = zipfile.ZipInfo(name)  # dated 1980 by default
             entry.external_attr = 0o100644 << 16
             entry.compress_type = zipfile.ZIP_DEFLATED
             new.writestr(entry, old.read(name))
 
 
 def _copy(source: Path, folder: Path, place: Path) -> set[Path]:
-    """Copy a module to its place in a folder, `generator` imported by a relative name.
+    """Copy a module to its place in a folder, with its imports of `generator` made relative.
 
     Returns
     -------
     set of Path
-        Files of `generator` that it imports, relative to the project; the packages that they lie in too.
+        Files of `generator` that it imports, and those of the packages that contain them, relative to the project.
     """
     text = source.read_text(encoding="utf-8")
     tree = ast.parse(text)
-    typing = [
+    type_checking = [
         node for node in ast.walk(tree) if isinstance(node, ast.If) and ast.unparse(node.test) == "TYPE_CHECKING"
     ]
-    idle = {inner for node in typing for inner in ast.walk(node)}  # for the type checker's eyes only
+    idle = {inner for node in type_checking for inner in ast.walk(node)}  # imports for the type checker only
     needed: set[Path] = set()
     for node in ast.walk(tree):
         if not isinstance(node, ast.ImportFrom) or node.level or node in idle:
@@ -143,32 +143,32 @@ def _copy(source: Path, folder: Path, place: Path) -> set[Path]:
 def _files(source: Path, node: ast.ImportFrom) -> set[Path]:
     """Return the files of `generator` that an import reads, relative to the project."""
     parts = str(node.module).split(".")
-    found = {Path(*parts[:depth], "__init__.py") for depth in range(1, len(parts))}
+    package_files = {Path(*parts[:depth], "__init__.py") for depth in range(1, len(parts))}
     package = Path(*parts)
     if (_ROOT / package).is_dir():
         modules = {package / f"{alias.name}.py" for alias in node.names}
         packages = {package / alias.name / "__init__.py" for alias in node.names}
-        inside = {file for file in modules | packages if (_ROOT / file).is_file()}
-        return found | inside | {package / "__init__.py"}
+        imported = {file for file in modules | packages if (_ROOT / file).is_file()}
+        return package_files | imported | {package / "__init__.py"}
     if not (_ROOT / package.with_suffix(".py")).is_file():
         raise BuildError(f"{source}: there is no module {node.module}, but the add-on needs it")
-    return found | {package.with_suffix(".py")}
+    return package_files | {package.with_suffix(".py")}
 
 
 def _extension_tool() -> Path:
-    found = importlib.util.find_spec("bpy")  # does not import it
-    if found is None or found.origin is None:
+    spec = importlib.util.find_spec("bpy")  # does not import it
+    if spec is None or spec.origin is None:
         raise BuildError("the bpy wheel is not installed; its extension tool makes the zip: pip install bpy")
-    tools = sorted(Path(found.origin).parent.glob("*/scripts/addons_core/bl_pkg/cli/blender_ext.py"))
+    tools = sorted(Path(spec.origin).parent.glob("*/scripts/addons_core/bl_pkg/cli/blender_ext.py"))
     if not tools:
-        raise BuildError(f"the bpy wheel at {found.origin} has no extension tool (addons_core/bl_pkg)")
+        raise BuildError(f"the bpy wheel at {spec.origin} has no extension tool (addons_core/bl_pkg)")
     return tools[-1]
 
 
 def _run(tool: Path, *arguments: str) -> None:
-    done = subprocess.run([sys.executable, str(tool), *arguments], capture_output=True, text=True, check=False)
-    if done.returncode:
-        raise BuildError(f"blender_ext.py {arguments[0]} failed:\n{done.stdout}{done.stderr}".rstrip())
+    result = subprocess.run([sys.executable, str(tool), *arguments], capture_output=True, text=True, check=False)
+    if result.returncode:
+        raise BuildError(f"blender_ext.py {arguments[0]} failed:\n{result.stdout}{result.stderr}".rstrip())
 
 
 def main() -> int:

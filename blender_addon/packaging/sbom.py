@@ -1,8 +1,8 @@
 """Bills of materials: ``python -m blender_addon.packaging.sbom [-o FILE]``.
 
-A bill of the extension says what its zip holds, one of an environment which packages are installed, each with
-version, licence and where it is from. The format is CycloneDX's JSON, without the serial number and the time that it
-allows: the same content gives the same bill.
+The bill of the extension lists the contents of its zip; that of an environment lists the installed packages, each
+with version, licence and origin. The format is CycloneDX JSON without its optional serial number and time stamp, so
+that the same content gives the same bill.
 """
 
 from __future__ import annotations
@@ -20,20 +20,20 @@ from pathlib import Path
 from typing import Any
 
 NAME = "sbom.cdx.json"
-"""Of the extension's bill, inside its zip."""
+"""File name of the extension's bill, inside its zip."""
 
 _APPROVED = "License :: OSI Approved :: "
 _SHORT = 80
-"""Some packages put the whole text of their licence where its name belongs."""
+"""Length limit of a licence's name: some packages put the whole licence text in its place."""
 
 
 def extension(folder: Path) -> str:
-    """Return the bill of an extension.
+    """Return the bill of materials of an extension.
 
     Parameters
     ----------
     folder : Path
-        Its files, ``blender_manifest.toml`` among them. Wheels are listed as the packages that they are.
+        Files of the extension, including ``blender_manifest.toml``. Wheels are listed as packages.
 
     Returns
     -------
@@ -42,7 +42,7 @@ def extension(folder: Path) -> str:
     """
     manifest = tomllib.loads((folder / "blender_manifest.toml").read_text(encoding="utf-8"))
     [licence] = manifest["license"]
-    whole = {
+    component = {
         "type": "application",
         "bom-ref": manifest["id"],
         "name": manifest["id"],
@@ -50,18 +50,18 @@ def extension(folder: Path) -> str:
         "licenses": [{"expression": licence.removeprefix("SPDX:")}],
     }
     files = sorted(path for path in folder.rglob("*") if path.is_file() and path != folder / NAME)
-    return _bill(whole, [_file(path, path.relative_to(folder).as_posix()) for path in files])
+    return _bill(component, [_file(path, path.relative_to(folder).as_posix()) for path in files])
 
 
 def environment(found: Iterable[Distribution], whole: str = "nlos-lab") -> str:
-    """Return the bill of what is installed.
+    """Return the bill of materials of the installed packages.
 
     Parameters
     ----------
     found : iterable of Distribution
-        The packages.
+        Installed packages.
     whole : str, default: "nlos-lab"
-        Which of them the others are there for.
+        Name of the main package, which the others are installed for.
 
     Returns
     -------
@@ -74,7 +74,7 @@ def environment(found: Iterable[Distribution], whole: str = "nlos-lab") -> str:
 
 
 def table(bill: str) -> str:
-    """Return a bill's packages as text for people: name, version and licence, a line each."""
+    """Return a bill's packages as readable text: name, version and licence, one line per package."""
     rows = [(part["name"], part.get("version", ""), _words(part)) for part in json.loads(bill)["components"]]
     widths = [max((len(row[column]) for row in rows), default=0) for column in (0, 1)]
     return "".join(f"{a:<{widths[0]}}  {b:<{widths[1]}}  {c}\n" for a, b, c in rows)
@@ -96,8 +96,8 @@ def _file(path: Path, name: str) -> dict[str, Any]:
     if path.suffix != ".whl":
         return {"type": "file", "name": name, "hashes": hashes}
     with zipfile.ZipFile(path) as archive:
-        [inside] = {entry.partition("/")[0] for entry in archive.namelist() if ".dist-info/" in entry}
-        return {**_package(PathDistribution(zipfile.Path(archive, f"{inside}/"))), "hashes": hashes}
+        [dist_info] = {entry.partition("/")[0] for entry in archive.namelist() if ".dist-info/" in entry}
+        return {**_package(PathDistribution(zipfile.Path(archive, f"{dist_info}/"))), "hashes": hashes}
 
 
 def _package(found: Distribution) -> dict[str, Any]:
@@ -109,27 +109,27 @@ def _package(found: Distribution) -> dict[str, Any]:
 
 
 def _licences(found: Distribution) -> list[dict[str, Any]]:
-    """Return a package's licences as it tells them: by name, or else as the text that comes with it."""
-    told: Any = found.metadata
-    if expression := told.get("License-Expression"):
+    """Return the licences that a package's metadata state: by name, or else as the text in the package."""
+    metadata: Any = found.metadata
+    if expression := metadata.get("License-Expression"):
         return [{"expression": expression}]
-    lines = (told.get("License") or "").strip().splitlines()
+    lines = (metadata.get("License") or "").strip().splitlines()
     if len(lines) == 1 and lines[0] != "UNKNOWN" and len(lines[0]) < _SHORT:
         return [{"license": {"name": lines[0]}}]
-    approved = [c.removeprefix(_APPROVED) for c in told.get_all("Classifier") or [] if c.startswith(_APPROVED)]
+    approved = [c.removeprefix(_APPROVED) for c in metadata.get_all("Classifier") or [] if c.startswith(_APPROVED)]
     if approved:
         return [{"license": {"name": name}} for name in approved]
-    inside = [file for file in found.files or [] if ".dist-info" in file.parts[0] and "licen" in file.name.lower()]
-    texts = [(file.name, found.read_text("/".join(file.parts[1:]))) for file in inside]
+    files = [file for file in found.files or [] if ".dist-info" in file.parts[0] and "licen" in file.name.lower()]
+    texts = [(file.name, found.read_text("/".join(file.parts[1:]))) for file in files]
     return [{"license": {"name": name, "text": {"content": text}}} for name, text in texts if text]
 
 
 def _words(part: Mapping[str, Any]) -> str:
-    named = []
-    for one in part.get("licenses", []):
-        licence = one.get("license", {})
-        named.append(f"see its {licence['name']}" if "text" in licence else one.get("expression") or licence["name"])
-    return ", ".join(named) or "not told"
+    names = []
+    for item in part.get("licenses", []):
+        licence = item.get("license", {})
+        names.append(f"see its {licence['name']}" if "text" in licence else item.get("expression") or licence["name"])
+    return ", ".join(names) or "not told"
 
 
 def main() -> int:

@@ -1,1 +1,1 @@
-"""What the extension knows while Blender runs: its state and its processes."""
+"""State and background processes of the extension while Blender runs."""

@@ -1,4 +1,4 @@
-"""Work beside Blender's own: threads that never touch bpy, and Blenders without a window that do."""
+"""Background work: threads that never use bpy, and Blender processes without a window, which do."""
 
 from __future__ import annotations
 
@@ -23,32 +23,32 @@ from . import state
 
 _CHILD = Path(__file__).with_name("child.py")
 _EVERY = 0.2
-"""Seconds between two looks at what the threads have done."""
+"""Seconds between two polls of the threads."""
 
 
 class Task:
-    """Something that a thread does, and what Blender's own thread makes of it.
+    """Work that a thread does, and a function that handles its result in Blender's main thread.
 
     Parameters
     ----------
     work : callable
-        Is called in a thread, with this task; must not touch bpy.
+        Called in a thread, with this task; must not use bpy.
     then : callable
-        Is called in Blender's thread when that is done, with this task; may.
+        Called in Blender's main thread when the work is done, with this task; may use bpy.
     tick : callable, optional
-        Is called in Blender's thread every now and then meanwhile.
+        Called in Blender's main thread at intervals while the work runs, with this task.
     topic : str
-        What it is about: a newer task about the same ends this one, and so does another file that is opened. Empty if
-        nothing does.
+        Subject of the task: a newer task on the same topic ends this one, and so does opening another file. Empty if
+        neither should.
 
     Attributes
     ----------
     result : object
-        What ``work`` returned.
+        Value that ``work`` returned.
     error : str
-        Why it did not; empty if it did.
+        Message of the error that ended ``work``; empty if there was none.
     stop : threading.Event
-        Asks ``work`` to end early.
+        Set to ask ``work`` to end early.
     """
 
     def __init__(
@@ -79,7 +79,7 @@ class Task:
             self.result = self._work(self)
         except NlosError as error:
             self.error = str(error)
-        except Exception as error:  # a thread that dies in silence would leave the panel waiting for ever
+        except Exception as error:  # a thread that ends without a message would leave the panel waiting for ever
             self.error = f"{type(error).__name__}: {error}"
 
     @property
@@ -88,7 +88,7 @@ class Task:
         return not self._thread.is_alive()
 
     def settle(self) -> Task:
-        """Finish here and now where Blender has no window, for there it has no event loop; return the task."""
+        """Wait for the end if Blender has no window and thus no event loop; return the task."""
         if bpy.app.background:
             self._thread.join()
             _tasks.remove(self)
@@ -96,7 +96,7 @@ class Task:
         return self
 
     def end(self) -> None:
-        """Ask the thread to end, and wait for it a while."""
+        """Ask the thread to end, and wait up to 10 s for it."""
         self.stop.set()
         self._thread.join(10.0)
 
@@ -105,7 +105,7 @@ _tasks: list[Task] = []
 
 
 def drop(topic: str | None = None) -> None:
-    """End the task about a topic, or about any, whatever it would have found: the question is no longer asked."""
+    """Stop and discard the task on a topic, or all that have a topic if None: the result is no longer needed."""
     for task in [t for t in _tasks if t.topic and topic in (None, t.topic)]:
         task.stop.set()
         _tasks.remove(task)
@@ -118,7 +118,7 @@ def _poll() -> float | None:
             if task.done:
                 _tasks.remove(task)
                 task.then(task)
-        except Exception:  # one that fails must not leave the others waiting for ever
+        except Exception:  # a task that fails must not leave the others waiting for ever
             traceback.print_exc()
             state.rendering = "What was asked for in the background could not be shown; the system console says why"
             if task in _tasks and task.done:
@@ -134,19 +134,19 @@ def _kill_when(stop: threading.Event, worker: Worker) -> None:
 
 
 def launcher() -> Launch:
-    """Return what starts a worker in a Blender without a window, the same as this one."""
-    binary = bpy.app.binary_path  # to be asked in Blender's own thread
-    # The bpy module has no Blender beside it, but Python can import it.
-    before = [binary, "--background", "--factory-startup", "-noaudio", "--python"] if binary else [sys.executable]
+    """Return a function that gives the command to start a worker in the same Blender as this, without a window."""
+    binary = bpy.app.binary_path  # may be read only in Blender's main thread
+    # The bpy module comes without a Blender executable, but Python can import it.
+    prefix = [binary, "--background", "--factory-startup", "-noaudio", "--python"] if binary else [sys.executable]
 
     def launch(arguments: Sequence[str]) -> list[str]:
-        return [*before, str(_CHILD), "--", *arguments]
+        return [*prefix, str(_CHILD), "--", *arguments]
 
     return launch
 
 
 def ask(request: Request, then: Callable[[Task], None], topic: str) -> Task:
-    """Run a worker that answers once; ``then`` finds the answer's fields as the task's result."""
+    """Run a worker that answers once; ``then`` gets the fields of the answer as the task's result."""
     launch = launcher()
 
     def work(task: Task) -> dict[str, Any]:
@@ -165,7 +165,7 @@ _folder: tempfile.TemporaryDirectory[str] | None = None
 
 
 def folder() -> Path:
-    """Return the session's own folder, which goes when Blender does."""
+    """Return the temporary folder of the session, which is removed when Blender ends."""
     global _folder
     if _folder is None:
         try:
@@ -176,14 +176,14 @@ def folder() -> Path:
 
 
 def snapshot(name: str) -> Path:
-    """Save the scene as it stands under a temporary name, for another Blender to open; return the file."""
+    """Save the current scene to a temporary file, for another Blender to open; return its path."""
     path = folder() / name
     blend_file.save_file(path)
     return path
 
 
 def end() -> None:
-    """End everything that is going on, and remove what it left."""
+    """End all tasks, and remove the temporary folder."""
     global _folder
     for task in list(_tasks):
         task.end()
@@ -195,12 +195,12 @@ def end() -> None:
 
 
 def register() -> None:
-    """Have everything end with Blender."""
+    """Make all tasks end when Blender ends."""
     atexit.register(end)
 
 
 def unregister() -> None:
-    """End everything."""
+    """End all tasks, and stop polling."""
     end()
     atexit.unregister(end)
     if bpy.app.timers.is_registered(_poll):

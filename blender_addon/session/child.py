@@ -1,8 +1,8 @@
-"""Runs a worker of the extension in a Blender of its own.
+"""Runs a worker of the extension in a separate Blender process.
 
 ``blender -b -P child.py -- generator.blender.worker ARGUMENTS``.
 
-The extension is not enabled there, so its package is loaded from where this file lies.
+The extension is not enabled there, so its package is loaded from the folder that contains this file.
 """
 
 from __future__ import annotations
@@ -33,4 +33,4 @@ if __name__ == "__main__":
     code = main()
     sys.stdout.flush()
     sys.stderr.flush()
-    os._exit(code)  # what Blender does on its way out is no part of the work, and has been seen to crash
+    os._exit(code)  # skips Blender's own shutdown, which the work does not need and which has been seen to crash

@@ -1,4 +1,4 @@
-"""What the session knows and no file keeps: what was found, asked, answered last. No reference to Blender's data."""
+"""State that no file stores: the session's last findings, messages and answers. No references to Blender's data."""
 
 from __future__ import annotations
 
@@ -14,14 +14,14 @@ from generator.files.pictures import Picture
 
 @dataclass
 class Shown:
-    """The picture that was made last: what a trained model is asked about.
+    """The picture that was rendered last, which a trained model is asked about.
 
     Attributes
     ----------
     wall : ndarray of shape (height, width, 3)
         Radiance, W/m^2/sr.
     background : ndarray of shape (height, width, 3)
-        Without the hidden object.
+        Radiance without the hidden object, W/m^2/sr.
     """
 
     wall: Picture
@@ -39,7 +39,7 @@ environment_words: str = ""
 
 
 def forget() -> None:
-    """Another file is open: nothing known of the last one is true of it."""
+    """Reset the state, since another file was opened and nothing known of the last one applies to it."""
     global checking, experiment, rendering, shown, answer_words
     findings.clear()
     answer.clear()
@@ -47,12 +47,12 @@ def forget() -> None:
 
 
 def rendering_now() -> bool:
-    """Whether Blender renders or bakes: reading a scene then would crash it, or be seen in the picture."""
+    """Return whether Blender renders or bakes: reading a scene would then crash it or show in the picture."""
     return any(bpy.app.is_job_running(job) for job in ("RENDER", "OBJECT_BAKE"))
 
 
 def remember(message: str) -> None:
-    """Make what was just put into the file a step of its own for undo."""
+    """Add an undo step for what was just put into the file."""
     manager: Any = bpy.context.window_manager
     if bpy.app.background or not manager.windows:
         return
@@ -61,7 +61,7 @@ def remember(message: str) -> None:
 
 
 def redraw(*kinds: str) -> None:
-    """Let areas of some kinds (all, if none is named) draw themselves again."""
+    """Redraw the areas of the given kinds; all areas if none is given."""
     manager: Any = bpy.context.window_manager
     for window in manager.windows if manager else ():
         for area in window.screen.areas:
@@ -70,6 +70,6 @@ def redraw(*kinds: str) -> None:
 
 
 def once(function: Callable[[], Any], after: float = 0.0) -> None:
-    """Call a function from the event loop, unless it is about to be called already; also when a file opens before."""
+    """Call a function from the event loop, unless that is already scheduled; opening a file does not cancel it."""
     if not bpy.app.timers.is_registered(function):
         bpy.app.timers.register(function, first_interval=after, persistent=True)

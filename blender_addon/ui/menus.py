@@ -1,4 +1,4 @@
-"""The NLOS menu of the 3D view's header, by which F3 and the keyboard find the operators; and the user's presets."""
+"""The NLOS menu of the 3D view's header, through which F3 and the keyboard find the operators; user presets."""
 
 # mypy: disable-error-code="misc"
 
@@ -8,14 +8,14 @@ import bpy
 from bl_operators.presets import AddPresetBase
 
 PRESETS = "nlos_lab/scene"
-"""Folder of the user's presets, below Blender's own."""
+"""Folder of the user's presets, inside Blender's folder of presets."""
 
 _KEPT = (
     *("preset", "target_kind", "target_size", "target_albedo", "target_mesh", "light_power", "light_half_angle"),
     *("use_ambient", "ambient_radiance", "grid_counts", "grid_lo", "grid_hi", "reflection_order", "engine"),
     *("samples", "accuracy", "resolution", "seed", "difference", "denoise", "poses", "inside"),
 )
-"""In this order: a preset's name fills in its figures, so it comes first."""
+"""Settings that a user preset stores; the scene preset comes first, since setting it sets the others too."""
 
 
 class NLOS_OT_preset_add(AddPresetBase, bpy.types.Operator):
@@ -24,7 +24,7 @@ class NLOS_OT_preset_add(AddPresetBase, bpy.types.Operator):
     bl_idname = "nlos.preset_add"
     bl_label = "Add NLOS Preset"
     preset_menu = "NLOS_PT_presets"
-    # In full: where Blender's Python is 3.13, a definition made for them is not found by older Blenders.
+    # Full paths: older Blenders whose Python is 3.13 do not find a name that is defined for them in `preset_defines`.
     preset_values = tuple(f"bpy.context.scene.nlos.{name}" for name in _KEPT)
     preset_subdir = PRESETS
 
@@ -88,7 +88,7 @@ def register() -> None:
 
 
 def unregister() -> None:
-    """Take them away."""
+    """Remove the menus."""
     bpy.types.TOPBAR_MT_file_new.remove(_in_new)
     bpy.types.VIEW3D_MT_editor_menus.remove(_in_header)
     _unregister()

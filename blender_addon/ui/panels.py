@@ -18,7 +18,7 @@ from . import menus
 
 _ICONS = {GOOD: "CHECKMARK", NOTE: "INFO", WARNING: "ERROR", ERROR: "CANCEL"}
 _LETTER = 6.3
-"""Width of a letter, on average and at Blender's own scale, pixels."""
+"""Mean width of a letter at a user interface scale of 1, pixels."""
 
 
 class _Tab:
@@ -33,7 +33,7 @@ def _split(layout: Any) -> None:
 
 
 def _sentence(context: Any, layout: Any, text: str, icon: str = "NONE") -> None:
-    """Draw a sentence over as many lines as it takes: labels do not wrap."""
+    """Draw a sentence on as many lines as it needs, since labels do not wrap."""
     letters = context.region.width / (_LETTER * context.preferences.system.ui_scale)
     longest = max(16, int(letters) - (8 if icon == "NONE" else 12))
     column = layout.column(align=True)
@@ -57,7 +57,7 @@ class NLOS_PT_presets(PresetPanel, bpy.types.Panel):
 
 
 class NLOS_PT_scene(_Tab, bpy.types.Panel):
-    """What to build, and who plays which part."""
+    """Preset of the scene, and the operators that build, read and apply it."""
 
     bl_label = "Scene"
 
@@ -66,7 +66,7 @@ class NLOS_PT_scene(_Tab, bpy.types.Panel):
         NLOS_PT_presets.draw_panel_header(self.layout)
 
     def draw(self, context: Any) -> None:
-        """Draw the preset and what to do with it."""
+        """Draw the preset, its operators and the switch of the overlay."""
         layout, settings = self.layout, context.scene.nlos
         _split(layout)
         layout.prop(settings, "preset")
@@ -99,20 +99,20 @@ class NLOS_PT_overlay(bpy.types.Panel):
 
 
 class NLOS_PT_roles(_Tab, bpy.types.Panel):
-    """Who plays which part."""
+    """Objects that play the roles of the experiment."""
 
     bl_label = "Adopt My Objects"
     bl_parent_id = "NLOS_PT_scene"
     bl_options = {"DEFAULT_CLOSED"}  # noqa: RUF012
 
     def draw(self, context: Any) -> None:
-        """Draw each part with its player."""
+        """Draw each role with its object."""
         layout = self.layout
         for role in roles.SINGLE_ROLES:
             players = roles.players(context.scene, role)
             row = layout.row(align=True)
-            words = role.replace("_", " ").title()
-            row.operator("nlos.adopt", text=words).role = role
+            label = role.replace("_", " ").title()
+            row.operator("nlos.adopt", text=label).role = role
             if len(players) == 1:
                 row.operator(
                     "nlos.select", text=players[0].name, translate=False, icon="RESTRICT_SELECT_OFF"
@@ -125,13 +125,13 @@ class NLOS_PT_roles(_Tab, bpy.types.Panel):
 
 
 class NLOS_PT_target(_Tab, bpy.types.Panel):
-    """What hides."""
+    """The hidden object."""
 
     bl_label = "Target"
     bl_options = {"DEFAULT_CLOSED"}  # noqa: RUF012
 
     def draw(self, context: Any) -> None:
-        """Draw the target's figures."""
+        """Draw the target's settings."""
         layout, settings = self.layout, context.scene.nlos
         _split(layout)
         layout.prop(settings, "target_kind")
@@ -142,13 +142,13 @@ class NLOS_PT_target(_Tab, bpy.types.Panel):
 
 
 class NLOS_PT_light(_Tab, bpy.types.Panel):
-    """What shines."""
+    """The spot lamp."""
 
     bl_label = "Light"
     bl_options = {"DEFAULT_CLOSED"}  # noqa: RUF012
 
     def draw(self, context: Any) -> None:
-        """Draw the spot's figures."""
+        """Draw the spot's settings."""
         layout, settings = self.layout, context.scene.nlos
         _split(layout)
         layout.prop(settings, "light_power")
@@ -156,7 +156,7 @@ class NLOS_PT_light(_Tab, bpy.types.Panel):
 
 
 class NLOS_PT_ambient(_Tab, bpy.types.Panel):
-    """What shines from all around."""
+    """Uniform light from all directions."""
 
     bl_label = "Ambient Light"
     bl_parent_id = "NLOS_PT_light"
@@ -175,7 +175,7 @@ class NLOS_PT_ambient(_Tab, bpy.types.Panel):
 
 
 class NLOS_PT_voxels(_Tab, bpy.types.Panel):
-    """Where it may hide."""
+    """The voxels in which the object may hide."""
 
     bl_label = "Hidden Voxels"
     bl_options = {"DEFAULT_CLOSED"}  # noqa: RUF012
@@ -189,12 +189,12 @@ class NLOS_PT_voxels(_Tab, bpy.types.Panel):
 
 
 class NLOS_PT_rendering(_Tab, bpy.types.Panel):
-    """How to render it."""
+    """Settings of the renderer."""
 
     bl_label = "Rendering"
 
     def draw(self, context: Any) -> None:
-        """Draw the renderer's figures and its button."""
+        """Draw the renderer's settings and its button."""
         layout, settings = self.layout, context.scene.nlos
         _split(layout)
         layout.prop(settings, "engine")
@@ -222,31 +222,31 @@ class NLOS_PT_rendering(_Tab, bpy.types.Panel):
 
 
 class NLOS_PT_check(_Tab, bpy.types.Panel):
-    """What would spoil a sweep."""
+    """Faults that would spoil a sweep."""
 
     bl_label = "Check"
 
     def draw(self, context: Any) -> None:
-        """Draw what was found."""
+        """Draw the findings."""
         layout = self.layout
         layout.operator("nlos.check", icon="VIEWZOOM")
-        for found in state.findings:
+        for finding in state.findings:
             box = layout.box()
-            _sentence(context, box, found.text, _ICONS[found.level])
-            if found.object or found.fix:
+            _sentence(context, box, finding.text, _ICONS[finding.level])
+            if finding.object or finding.fix:
                 row = box.row(align=True)
-                if found.object:
+                if finding.object:
                     row.operator(
-                        "nlos.select", text=found.object, translate=False, icon="RESTRICT_SELECT_OFF"
-                    ).name = found.object
-                if found.fix:
-                    row.operator("nlos.fix", text=FIXES[found.fix], icon="TOOL_SETTINGS").fix = found.fix
+                        "nlos.select", text=finding.object, translate=False, icon="RESTRICT_SELECT_OFF"
+                    ).name = finding.object
+                if finding.fix:
+                    row.operator("nlos.fix", text=FIXES[finding.fix], icon="TOOL_SETTINGS").fix = finding.fix
         if state.checking:
             layout.label(text="Measuring signal and noise ...", icon="SORTTIME")
 
 
 class NLOS_PT_look(_Tab, bpy.types.Panel):
-    """What the object does to the wall, live."""
+    """Live picture of the light that the object changes on the wall."""
 
     bl_label = "Look"
 
@@ -265,19 +265,19 @@ class NLOS_PT_look(_Tab, bpy.types.Panel):
             _sentence(context, layout, live.words())
         layout.label(text="The paper's experiments")
         row = layout.row(align=True)
-        for number, words in ((1, "Sphere"), (2, "Sheet"), (3, "Turned")):
-            row.operator("nlos.experiment", text=f"{number} {words}").number = number
+        for number, name in ((1, "Sphere"), (2, "Sheet"), (3, "Turned")):
+            row.operator("nlos.experiment", text=f"{number} {name}").number = number
         if state.experiment:
             _sentence(context, layout, state.experiment)
 
 
 class NLOS_PT_dataset(_Tab, bpy.types.Panel):
-    """Pictures by the hundred."""
+    """Rendering of a data set."""
 
     bl_label = "Data Set"
 
     def draw(self, context: Any) -> None:
-        """Draw its figures, its buttons, how far it is."""
+        """Draw the settings, the buttons and the progress."""
         layout, settings, job = self.layout, context.scene.nlos, dataset.job
         column = layout.column()
         _split(column)
@@ -295,13 +295,13 @@ class NLOS_PT_dataset(_Tab, bpy.types.Panel):
             row.operator("nlos.sweep_resume", icon="PLAY")
             if job is not None:
                 _sentence(context, layout, job.status())
-        for words in job.told if job is not None else ():
-            _sentence(context, layout, words)
+        for message in job.told if job is not None else ():
+            _sentence(context, layout, message)
         layout.operator("nlos.open_folder", icon="FILE_FOLDER")
 
 
 class NLOS_PT_answer(_Tab, bpy.types.Panel):
-    """Where a trained model thinks it is."""
+    """The voxel that a trained model predicts."""
 
     bl_label = "Answer"
     bl_options = {"DEFAULT_CLOSED"}  # noqa: RUF012

@@ -1,10 +1,10 @@
-"""What the panel shows: a draft of a scene's figures, kept with the Blender scene.
+"""Settings that the panels show: a draft of a scene's values, saved with the Blender scene.
 
-The draft decides nothing by itself: `spec_of` turns it into a spec that an operator writes into the scene, and `fill`
-brings it in line with a spec that was read from the scene.
+The draft has no effect by itself: `spec_of` turns it into a spec that an operator writes into the scene, and `fill`
+sets it to the values of a spec that was read from the scene.
 """
 
-# Blender reads the calls below, in the place of types, as the properties' definitions.
+# Blender reads the calls below, which stand in place of type annotations, as definitions of the properties.
 # mypy: disable-error-code="valid-type,misc"
 
 import math
@@ -47,7 +47,7 @@ _KINDS = (
     ("sphere", "Sphere", "A sphere"),
     ("mesh", "Mesh File", "A mesh from an OBJ, PLY or STL file"),
 )
-# Files keep an item's number, so numbers are never given anew.
+# Files store an item's number, so a number is never reused.
 _ENGINES = (
     *((n, ENGINES[n].title, _sentence(ENGINES[n].help), i) for i, n in enumerate(("patch", "path", "surfel"))),
     (AUTO, "Automatic", _sentence(AUTO_HELP), 3),
@@ -72,7 +72,7 @@ def _redraw(_: Any, context: Any) -> None:
 
 
 class NlosSettings(bpy.types.PropertyGroup):
-    """The draft."""
+    """The draft: settings of the panels, saved with the scene."""
 
     preset: EnumProperty(
         name="Preset",
@@ -288,7 +288,7 @@ class NlosSettings(bpy.types.PropertyGroup):
 
 
 class NlosSession(bpy.types.PropertyGroup):
-    """What is switched on in this window manager. Not kept with the file: a file that opens starts nothing."""
+    """Switches of this window manager. They are not saved with the file: opening a file starts nothing."""
 
     look: BoolProperty(
         name="Live Look",
@@ -320,7 +320,7 @@ class NlosSession(bpy.types.PropertyGroup):
 
 
 def register() -> None:
-    """Give every scene a draft."""
+    """Add the draft to every scene, and the switches to the window manager."""
     bpy.utils.register_class(NlosSettings)
     bpy.utils.register_class(NlosSession)
     bpy.types.Scene.nlos = PointerProperty(type=NlosSettings, name="NLOS")
@@ -328,7 +328,7 @@ def register() -> None:
 
 
 def unregister() -> None:
-    """Take it away."""
+    """Remove the draft and the switches."""
     del bpy.types.WindowManager.nlos
     del bpy.types.Scene.nlos
     bpy.utils.unregister_class(NlosSession)

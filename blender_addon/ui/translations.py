@@ -1,4 +1,4 @@
-"""Words in other languages. What is missing here appears in English."""
+"""Translations of the user interface. Texts that are missing here appear in English."""
 
 import bpy
 
@@ -34,10 +34,10 @@ _GERMAN = {
 
 
 def register() -> None:
-    """Hand the words to Blender."""
+    """Register the translations with Blender."""
     bpy.app.translations.register(__package__ or __name__, {"de_DE": _GERMAN, "de": _GERMAN})
 
 
 def unregister() -> None:
-    """Take them back."""
+    """Unregister the translations."""
     bpy.app.translations.unregister(__package__ or __name__)

@@ -1,4 +1,4 @@
-"""Writes onto the Image Editors what the colours and pixels of our images stand for."""
+"""Draws a caption in the Image Editors that explains the colours and pixels of our images."""
 
 from __future__ import annotations
 
@@ -17,19 +17,19 @@ _STEPS = 48
 
 
 def register() -> None:
-    """Start to draw; costs nothing where no image of ours is shown."""
+    """Start drawing; this costs nothing where none of our images is shown."""
     if not bpy.app.background:
         _handles.append(bpy.types.SpaceImageEditor.draw_handler_add(_draw, (), "WINDOW", "POST_PIXEL"))
 
 
 def unregister() -> None:
-    """Stop to draw."""
+    """Stop drawing."""
     while _handles:
         bpy.types.SpaceImageEditor.draw_handler_remove(_handles.pop(), "WINDOW")
 
 
 def lines(caption: images.Caption) -> tuple[str, str]:
-    """Return what stands beside the scale bar and below it."""
+    """Return the texts above and below the colour scale."""
     scale = f"-{caption.top:.0e} to +{caption.top:.0e} W/m²/sr" if caption.top else "no light from the object"
     return scale, f"amplified {caption.amplification:,.0f} times" if caption.amplification else ""
 
@@ -51,12 +51,12 @@ def _draw() -> None:
     x, y = margin, margin + 20.0 * scale
     gpu.state.blend_set("ALPHA")
     steps = np.linspace(-1.0, 1.0, _STEPS)
-    at = x + (steps + 1.0) / 2.0 * wide
-    places = np.stack([np.repeat(at, 2), np.tile([y, y + high], _STEPS)], axis=1).astype(np.float32)
+    columns = x + (steps + 1.0) / 2.0 * wide
+    corners = np.stack([np.repeat(columns, 2), np.tile([y, y + high], _STEPS)], axis=1).astype(np.float32)
     colours = np.ones((2 * _STEPS, 4), dtype=np.float32)
     colours[:, :3] = np.repeat(images.signed(steps), 2, axis=0)
     shader = gpu.shader.from_builtin("SMOOTH_COLOR")
-    batch_for_shader(shader, "TRI_STRIP", {"pos": places, "color": colours}).draw(shader)
+    batch_for_shader(shader, "TRI_STRIP", {"pos": corners, "color": colours}).draw(shader)
     above, below = lines(caption)
     _write(above, x, y + high + 6.0 * scale, scale)
     _write(below, x, margin, scale)
@@ -65,11 +65,11 @@ def _draw() -> None:
         left, bottom = context.region.view2d.view_to_region(0.0, 0.0, clip=False)
         right, _ = context.region.view2d.view_to_region(length / caption.width, 0.0, clip=False)
         bar = np.array([[left, bottom - 8.0], [right, bottom - 8.0]], dtype=np.float32)
-        plain = gpu.shader.from_builtin("UNIFORM_COLOR")
-        plain.bind()
-        plain.uniform_float("color", (1.0, 1.0, 1.0, 1.0))
+        line_shader = gpu.shader.from_builtin("UNIFORM_COLOR")
+        line_shader.bind()
+        line_shader.uniform_float("color", (1.0, 1.0, 1.0, 1.0))
         gpu.state.line_width_set(2.0 * scale)
-        batch_for_shader(plain, "LINES", {"pos": bar}).draw(plain)
+        batch_for_shader(line_shader, "LINES", {"pos": bar}).draw(line_shader)
         gpu.state.line_width_set(1.0)
         _write(f"{100.0 * length:g} cm" if length < 1.0 else f"{length:g} m", left, bottom - 26.0 * scale, scale)
     gpu.state.blend_set("NONE")

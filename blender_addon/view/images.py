@@ -1,4 +1,4 @@
-"""Pictures as Blender images: float, non-colour data, bottom row first as Blender has it."""
+"""Pictures as Blender images: float, non-colour data, bottom row first as Blender stores them."""
 
 from __future__ import annotations
 
@@ -18,21 +18,21 @@ LOOK = "NLOS look"
 EXPERIMENT = "NLOS experiment {}"
 
 _STOPS = np.array([[0.0, 0.0, 0.0], [0.9, 0.35, 0.05], [1.0, 0.95, 0.75]])
-"""Colours of 0, half and all of the scale where the object brightens the wall; where it darkens it, blue for red."""
+"""Colours at 0, 1/2 and 1 of the scale where the object brightens the wall; red and blue swap where it darkens it."""
 
 
 @dataclass(frozen=True)
 class Caption:
-    """What the colours and pixels of an image stand for.
+    """Meaning of the colours and pixels of an image.
 
     Attributes
     ----------
     top : float
         Radiance of the brightest colour, W/m^2/sr.
     amplification : float
-        By how much the light is brightened: 1 shows the lit patch as the brightest colour.
+        Factor by which the light is brightened: at 1 the lit patch has the brightest colour.
     width : float
-        Of the image on the wall, metres; 0 if it holds several pictures.
+        Width of the image on the wall, metres; 0 if it holds several pictures.
     """
 
     top: float
@@ -41,11 +41,11 @@ class Caption:
 
 
 captions: dict[str, Caption] = {}
-"""By the image's name."""
+"""Captions by the names of their images."""
 
 
 def store(name: str, picture: Picture, *, keep: bool = True) -> Any:
-    """Put a picture into the image of that name, made if need be, and return the image.
+    """Store a picture in the image of that name, created if it is missing, and return the image.
 
     Parameters
     ----------
@@ -53,7 +53,7 @@ def store(name: str, picture: Picture, *, keep: bool = True) -> Any:
     picture : ndarray of shape (height, width, 3), float32
         Row 0 is the top.
     keep : bool
-        In the file too: without, it is gone when the file is saved and opened again, but is stored far faster.
+        Whether to save it with the file. Otherwise it is lost once the file is reopened, but is stored far faster.
     """
     height, width = picture.shape[:2]
     old = bpy.data.images.get(name)
@@ -77,7 +77,7 @@ def store(name: str, picture: Picture, *, keep: bool = True) -> Any:
 def preview(picture: Picture) -> Any:
     """Store a picture scaled so that light of any strength can be seen, and return the image.
 
-    White is what 1 % of the values exceed: a single bright pixel, which is noise as a rule, does not darken the rest.
+    White is what 1 % of the values exceed, so that a single bright pixel, usually noise, does not darken it.
     """
     captions.pop(PREVIEW, None)
     white = float(np.quantile(picture, 0.99)) or float(picture.max())
@@ -98,7 +98,7 @@ def look(picture: Picture, watched: Any, reference: float) -> Any:
     """
     ends = watched.points(np.array([[0.0, 0.5], [1.0, 0.5]]))
     image = coloured(LOOK, picture, reference, float(np.linalg.norm(ends[1] - ends[0])), keep=False)
-    # Undo takes the image away with what was done before it was made.
+    # Undoing a step from before the image was made removes the image.
     if any(area.spaces.active.image is None for _, area in _editors()):
         show(image)
     return image
@@ -113,16 +113,16 @@ def coloured(name: str, picture: Picture, reference: float, width: float, *, kee
 
 
 def signed(values: Picture) -> Picture:
-    """Return colours (..., 3) of values from -1 to 1: warm above zero, cold below, black at it."""
+    """Return colours (..., 3) of values from -1 to 1: warm above zero, cold below, black at zero."""
     x = np.clip(np.abs(values), 0.0, 1.0)
-    places = np.linspace(0.0, 1.0, len(_STOPS))
-    warm = np.stack([np.interp(x, places, _STOPS[:, c]) for c in range(3)], axis=-1)
-    made: Picture = np.where((values < 0.0)[..., None], warm[..., ::-1], warm)
-    return made
+    stops = np.linspace(0.0, 1.0, len(_STOPS))
+    warm = np.stack([np.interp(x, stops, _STOPS[:, c]) for c in range(3)], axis=-1)
+    colours: Picture = np.where((values < 0.0)[..., None], warm[..., ::-1], warm)
+    return colours
 
 
 def round_up(value: float) -> float:
-    """Return the next of 1, 2, 5, 10, 20 ...: a scale that stays while the object is moved a little."""
+    """Round up to 1, 2, 5, 10, 20 ..., a scale that does not change while the object is moved a little."""
     if not value > 0.0 or not math.isfinite(value):
         return 0.0
     power = 10.0 ** math.floor(math.log10(value))
@@ -130,10 +130,10 @@ def round_up(value: float) -> float:
 
 
 def show(image: Any) -> bool:
-    """Show an image in the first Image Editor that is open; return whether one is."""
+    """Show an image in the first Image Editor that is open; return whether there is one."""
     for window, area in _editors()[:1]:
-        before, area.spaces.active.image = area.spaces.active.image, image
-        if before is None or before == image or tuple(before.size) != tuple(image.size):
+        previous, area.spaces.active.image = area.spaces.active.image, image
+        if previous is None or previous == image or tuple(previous.size) != tuple(image.size):
             region = next(r for r in area.regions if r.type == "WINDOW")
             with bpy.context.temp_override(window=window, area=area, region=region):
                 bpy.ops.image.view_all(fit_view=True)
@@ -143,6 +143,6 @@ def show(image: Any) -> bool:
 
 
 def _editors() -> list[tuple[Any, Any]]:
-    """Every Image Editor that is open, and the window that it is in."""
+    """Return (window, area) of every open Image Editor."""
     windows = bpy.context.window_manager.windows
     return [(w, a) for w in windows for a in w.screen.areas if a.type == "IMAGE_EDITOR"]

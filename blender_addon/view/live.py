@@ -1,7 +1,7 @@
-"""The live look: what the hidden object does to the wall, drawn anew as it is moved.
+"""The live picture of the light that the hidden object changes on the wall, redrawn as the object is moved.
 
-Handlers only take note of what has changed; a timer draws, between two of Blender's events. What a picture needs of
-the scene is read anew only when something besides the object's pose has changed, and then when it has come to rest.
+Handlers only record what has changed; a timer draws, between two of Blender's events. The scene is read again only
+when something besides the object's pose has changed, and only after the changes have stopped.
 """
 
 from __future__ import annotations
@@ -27,17 +27,17 @@ from ..session import state
 from . import images
 
 ACCURACY = 1e-2
-"""Of the live picture: below what one sees."""
+"""Accuracy of the live picture: errors of this size are not visible."""
 
 _REST = 0.4
-"""Seconds after the last change until what takes longer is done."""
+"""Seconds after the last change until the slower steps are done."""
 
 _TIMES = 400
 
 
 @dataclass
 class _Look:
-    """What is kept from picture to picture."""
+    """State that is kept from picture to picture."""
 
     transport: Transport | None = None
     reference: float = 0.0
@@ -58,45 +58,45 @@ _look = _Look()
 
 
 def words() -> str:
-    """Return what the panel says: why there is no picture, or how long the last one took."""
+    """Return the text for the panel: why there is no picture, or how long the last one took."""
     return _look.words
 
 
 def pictures() -> int:
-    """Return how many pictures were drawn since it was switched on."""
+    """Return how many pictures were drawn since the live picture was switched on."""
     return _look.pictures
 
 
 def seconds() -> list[float]:
-    """Return how long the last pictures took while the object was moved, from the change to the image."""
+    """Return the seconds from change to image of the last pictures that were drawn while the object was moved."""
     return list(_look.seconds)
 
 
 def switch(on: bool) -> None:
-    """Start or stop to follow."""
+    """Start or stop following the scene."""
     global _look
     handlers = _handlers()
     running = _noted in handlers[0][0]
     if on and not running:
         _look = _Look()
-        for some, function in handlers:
-            some.append(function)
+        for callbacks, function in handlers:
+            callbacks.append(function)
         changed()
     elif not on and running:
-        for some, function in handlers:
-            some.remove(function)
+        for callbacks, function in handlers:
+            callbacks.remove(function)
         if bpy.app.timers.is_registered(_draw):
             bpy.app.timers.unregister(_draw)
         _look = _Look()
 
 
 def _handlers() -> list[tuple[Any, Any]]:
-    every = bpy.app.handlers
-    return [(every.depsgraph_update_post, _noted), (every.undo_post, _restored), (every.redo_post, _restored)]
+    events = bpy.app.handlers
+    return [(events.depsgraph_update_post, _noted), (events.undo_post, _restored), (events.redo_post, _restored)]
 
 
 def changed() -> None:
-    """Something besides the pose is another: read the scene anew."""
+    """Have the scene read again, since something besides the pose has changed."""
     if _noted in bpy.app.handlers.depsgraph_update_post:
         _look.world_changed, _look.last_change = True, time.monotonic() - _REST
         state.once(_draw)
@@ -109,19 +109,19 @@ def _restored(*_: Any) -> None:
 
 @persistent  # type: ignore[untyped-decorator]
 def _noted(scene: Any, depsgraph: Any) -> None:
-    """Take note of an update of the scene."""
+    """Record an update of the scene."""
     if _look.busy:
         return
     players = roles.players(scene, "target")
     moved = False
     for update in depsgraph.updates:
-        thing = update.id.original
-        if isinstance(thing, bpy.types.Object):
-            # Selecting is an update too, of neither kind.
-            if update.is_updated_geometry or (update.is_updated_transform and thing not in players):
+        data_block = update.id.original
+        if isinstance(data_block, bpy.types.Object):
+            # Selecting an object is an update too, but of neither kind.
+            if update.is_updated_geometry or (update.is_updated_transform and data_block not in players):
                 _look.world_changed = True
             moved = moved or update.is_updated_transform or update.is_updated_geometry
-        elif isinstance(thing, bpy.types.Mesh | bpy.types.Material | bpy.types.Light | bpy.types.Camera):
+        elif isinstance(data_block, bpy.types.Mesh | bpy.types.Material | bpy.types.Light | bpy.types.Camera):
             _look.world_changed = moved = True
     if moved:
         _look.last_change = time.monotonic()
@@ -129,7 +129,7 @@ def _noted(scene: Any, depsgraph: Any) -> None:
 
 
 def _around(scene: Any) -> tuple[Any, ...]:
-    """What changes a picture and is told by no update of an object: cheap to compare."""
+    """Return what affects a picture but causes no update of an object; it is cheap to compare."""
     layers: list[Any] = [layer.layer_collection for layer in scene.view_layers]
     shown = []
     while layers:
@@ -143,7 +143,7 @@ def _around(scene: Any) -> tuple[Any, ...]:
 
 
 def _draw() -> float | None:
-    """Draw what has changed; return in how many seconds to come again."""
+    """Draw what has changed; return the seconds until the next call, None for no further call."""
     manager = bpy.context.window_manager
     scene = bpy.context.scene
     if manager is None or scene is None:  # for a moment, while a file opens
@@ -157,7 +157,7 @@ def _draw() -> float | None:
     _look.busy = True  # reading the scene moves the target and puts it back
     try:
         place, turn, scale = _pose(scene)
-        around = (*_around(scene), *(f"{s:.5g}" for s in scale))  # a turn changes its last digits
+        around = (*_around(scene), *(f"{s:.5g}" for s in scale))  # rotation changes its last digits
         if _look.scene != scene.name or _look.around != around:
             _look.world_changed, _look.around = True, around
         if _look.transport is None and _look.pose != (place, turn):
@@ -165,24 +165,24 @@ def _draw() -> float | None:
         if _look.world_changed:
             if _look.transport is not None and rest < _REST:
                 return _REST
-            _look.pose = place, turn  # of what cannot be read, until it is elsewhere
+            _look.pose = place, turn  # a scene that cannot be read is not tried again until the pose changes
             _read(scene)
         if _look.transport is None:
             return None
         exact = scene.nlos.look_shadows and (_look.shadows or rest >= _REST)
-        again = scene.nlos.look_shadows and not exact
+        shadows_follow = scene.nlos.look_shadows and not exact
         if (place, turn) == _look.pose and (_look.exact or not exact):
             return None if _look.exact else _REST
         picture = _look.transport.difference(place, turn, shadows=exact)
-        _look.pose, _look.exact = (place, turn), exact or not again
+        _look.pose, _look.exact = (place, turn), exact or not shadows_follow
         images.look(picture.astype(np.float32), _look.transport.world.watched, _look.reference)
-        took = time.perf_counter() - start
-        if again or exact == _look.shadows:  # those at rest keep nobody waiting
-            _look.seconds = [*_look.seconds[-_TIMES:], took]
+        duration = time.perf_counter() - start
+        if shadows_follow or exact == _look.shadows:  # nobody waits for those at rest, so they are not timed
+            _look.seconds = [*_look.seconds[-_TIMES:], duration]
         _look.pictures += 1
-        _look.words = f"{1e3 * took:.0f} ms" + (", shadows follow" if again else "")
+        _look.words = f"{1e3 * duration:.0f} ms" + (", shadows follow" if shadows_follow else "")
         state.redraw("IMAGE_EDITOR", "VIEW_3D")
-        return _REST if again else None
+        return _REST if shadows_follow else None
     except NlosError as error:
         if _look.words != str(error):
             _look.words = str(error)
@@ -194,43 +194,43 @@ def _draw() -> float | None:
 
 
 def _pose(scene: Any) -> tuple[tuple[float, ...], tuple[float, ...], tuple[float, ...]]:
-    """Where the target stands: metres; degrees about x, then y, then z; and how it is scaled."""
+    """Return the target's position (metres), rotation (degrees about x, then y, then z) and scale."""
     place, turn, scale = roles.find(scene, "target").matrix_world.decompose()
     return tuple(place), tuple(math.degrees(angle) for angle in turn.to_euler("XYZ")), tuple(scale)
 
 
 def _instead(scene: Any, found: survey.Survey) -> str:
-    """What can show a scene that the look cannot, if anything does."""
+    """Return a hint at what can render a scene that has no live picture; empty if nothing can."""
     if found.never:
         return ""
-    able, _ = renderers.choose(scene, found)
+    able_engine, _ = renderers.choose(scene, found)
     engine = scene.nlos.engine
-    chosen = engine == AUTO or not found.reasons(engine)
-    return ". Render Wall can show it" if chosen else f". Render Wall can show it by the engine {able}"
+    suitable = engine == AUTO or not found.reasons(engine)
+    return ". Render Wall can show it" if suitable else f". Render Wall can show it by the engine {able_engine}"
 
 
 def _read(scene: Any) -> None:
-    """Read what a picture needs besides the pose."""
+    """Read from the scene what a picture needs besides the pose."""
     _look.world_changed, _look.transport = False, None
     pixels = int(scene.nlos.look_resolution)
     _look.scene = scene.name
     described = read_scene(scene)
     width, height = described.resolution
     size = (pixels, max(1, round(pixels * height / width)))
-    found = survey.survey(scene, resolution=size)
-    world = found.world
+    surveyed = survey.survey(scene, resolution=size)
+    world = surveyed.world
     if world is None:
-        raise NlosError(f"No live picture: {found.reasons('surfel')[0]}{_instead(scene, found)}")
+        raise NlosError(f"No live picture: {surveyed.reasons('surfel')[0]}{_instead(scene, surveyed)}")
     _look.transport, _look.pose = Transport(world, accuracy=ACCURACY), None
     _look.reference = described.reference_radiance
-    # With nothing to be shadowed, or the compiler at hand, shadows cost next to nothing.
+    # Shadows cost next to nothing if nothing can be shadowed, or if the compiler is available.
     _look.shadows = not world.room or bool(COMPILED)
 
 
 def register() -> None:
-    """Nothing runs until it is switched on."""
+    """Do nothing: the live picture runs only once it is switched on."""
 
 
 def unregister() -> None:
-    """Leave nothing that runs."""
+    """Switch the live picture off."""
     switch(False)

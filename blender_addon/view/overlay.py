@@ -1,4 +1,4 @@
-"""Draws in the 3D views what belongs to the experiment but is no object. Nothing runs while it is off."""
+"""Draws in the 3D views the parts of the experiment that are not objects. Nothing runs while it is off."""
 
 from __future__ import annotations
 
@@ -28,9 +28,9 @@ _COLOURS = {
 _LETTERS = (1.0, 1.0, 1.0, 1.0)
 _PROBABLE = (1.0, 0.3, 0.1)
 _MOST_LETTERS = 200
-"""More would hide the scene."""
+"""Most labels of voxels that are drawn; more would hide the scene."""
 _SETTLED = 0.15
-"""Seconds from a change until poses are planned: changes that come together are planned for once."""
+"""Seconds from a change until poses are planned, so that they are planned once for several quick changes."""
 
 _handles: list[Any] = []
 _lines: dict[str, Any] | None = None
@@ -38,7 +38,7 @@ _poses: tuple[Any, Any] | None = None
 
 
 def switch(on: bool) -> None:
-    """Start or stop to draw."""
+    """Start or stop drawing."""
     if on and not _handles:
         add, region = bpy.types.SpaceView3D.draw_handler_add, "WINDOW"
         _handles.extend([add(_draw_lines, (), region, "POST_VIEW"), add(_draw_letters, (), region, "POST_PIXEL")])
@@ -59,7 +59,7 @@ def _watched() -> list[Any]:
 
 
 def changed() -> None:
-    """Draw anew what may have moved."""
+    """Measure the scene again, since something may have moved, and redraw the views."""
     global _lines
     _lines = None
     state.redraw("VIEW_3D")
@@ -72,30 +72,30 @@ def _scene_changed(*_: Any) -> None:
 
 
 def _measure(scene: Any, session: Any) -> dict[str, Any]:
-    """Everything to draw of a scene as it stands: lines (2 n, 3) by name, and letters with their places."""
-    found: dict[str, Any] = {"letters": [], "boxes": []}
+    """Return everything to draw of the current scene: lines (2 n, 3) by name, and labels with their positions."""
+    shapes: dict[str, Any] = {"letters": [], "boxes": []}
     grid = _grid(scene)
     if grid is not None and session.show_voxels:
-        found["voxels"], centres = outlines.voxels(grid)
+        shapes["voxels"], centres = outlines.voxels(grid)
         if len(centres) <= _MOST_LETTERS:
-            found["letters"] = list(zip(grid.labels, centres, strict=True))
+            shapes["letters"] = list(zip(grid.labels, centres, strict=True))
     if grid is not None and state.answer:
-        found["boxes"] = [
+        shapes["boxes"] = [
             (state.answer.get(label, 0.0), triangles)
             for label, triangles in zip(grid.labels, outlines.boxes(grid), strict=True)
         ]
     try:
         if session.show_patches:
-            found["lit"] = outlines.closed(outlines.lit_patch(roles.find(scene, "spot")))
-            found["watched"] = outlines.closed(outlines.watched(scene))
+            shapes["lit"] = outlines.closed(outlines.lit_patch(roles.find(scene, "spot")))
+            shapes["watched"] = outlines.closed(outlines.watched(scene))
         if session.show_legs:
-            way = outlines.legs(scene)
-            found["legs"] = np.repeat(way, 2, axis=0)[1:-1]
+            path = outlines.legs(scene)
+            shapes["legs"] = np.repeat(path, 2, axis=0)[1:-1]
         if session.show_poses:
-            found["poses"] = _crosses(scene)
-    except NlosError:  # a role is not filled: the Check panel says so
+            shapes["poses"] = _crosses(scene)
+    except NlosError:  # no object has the role; the Check panel reports that
         pass
-    return found
+    return shapes
 
 
 def _grid(scene: Any) -> Any:
@@ -106,34 +106,34 @@ def _grid(scene: Any) -> Any:
 
 
 def _crosses(scene: Any) -> Any:
-    """A small cross for each pose; none until they are planned, which drawing does not wait for."""
+    """Return a small cross for each pose; empty until the poses are planned, since drawing does not wait for that."""
     key = _deciding(scene)
     if _poses is None or _poses[0] != key:
         state.once(_plan, after=_SETTLED)
         return np.empty((0, 3))
-    places = _poses[1]
+    points = _poses[1]
     arm = 0.05 * min(key[0].size)
-    return np.concatenate([np.stack([places - arm * e, places + arm * e], axis=1) for e in np.eye(3)]).reshape(-1, 3)
+    return np.concatenate([np.stack([points - arm * e, points + arm * e], axis=1) for e in np.eye(3)]).reshape(-1, 3)
 
 
 def _deciding(scene: Any) -> tuple[Any, ...]:
-    """What decides where the poses are, as far as it can be told while drawing, when nothing may be rendered."""
+    """Return what determines the poses, as far as it can be read while drawing, when nothing may be rendered."""
     from ..draft import sweep_of
 
-    others = tuple(
+    objects = tuple(
         (o.name, o.hide_render, tuple(map(tuple, o.matrix_world)))
         for o in scene.objects
         if o.type in ("MESH", "LIGHT", "CAMERA")
     )
     target = roles.find(scene, "target")
-    around = tuple(other for other in others if other[0] != target.name)
+    around = tuple(entry for entry in objects if entry[0] != target.name)
     corners = geometry.evaluated_vertices(target) @ np.diag(target.matrix_world.to_scale())
     chosen = sorted((name, str(value)) for name, value in sweep_of(scene.nlos).items())
     return roles.read_grid(scene), tuple(chosen), corners.tobytes(), around
 
 
 def _plan() -> float | None:
-    """Plan the poses from the event loop: clearance takes longer than a frame may."""
+    """Plan the poses from the event loop: the clearance test takes too long for a frame."""
     global _poses
     context: Any = bpy.context
     if not _handles or not context.window_manager.nlos.show_poses:
@@ -144,9 +144,9 @@ def _plan() -> float | None:
         from ..draft import resolved_sweep
 
         key = _deciding(context.scene)
-        _poses = key, np.empty((0, 3))  # where nothing fits, it is not tried again until something changes
+        _poses = key, np.empty((0, 3))  # if no pose fits, planning is not tried again until something changes
         _poses = key, outlines.sampled(context.scene, resolved_sweep(context.scene))
-    except NlosError:  # the Check panel says why
+    except NlosError:  # the Check panel reports the reason
         pass
     changed()
     return None
@@ -156,18 +156,18 @@ def _draw_lines() -> None:
     global _lines
     context = bpy.context
     if _lines is None:
-        _lines = {"letters": [], "boxes": []}  # should measuring fail, it is told once and not with every redraw
+        _lines = {"letters": [], "boxes": []}  # if measuring fails, that is reported once and not with every redraw
         _lines = _measure(context.scene, context.window_manager.nlos)
     gpu.state.blend_set("ALPHA")
     gpu.state.depth_test_set("LESS_EQUAL")
-    filled = gpu.shader.from_builtin("UNIFORM_COLOR")
+    fill_shader = gpu.shader.from_builtin("UNIFORM_COLOR")
     for probability, triangles in _lines["boxes"]:
-        filled.bind()
-        filled.uniform_float("color", (*_PROBABLE, 0.4 * probability))
-        batch_for_shader(filled, "TRIS", {"pos": triangles.astype(np.float32)}).draw(filled)
+        fill_shader.bind()
+        fill_shader.uniform_float("color", (*_PROBABLE, 0.4 * probability))
+        batch_for_shader(fill_shader, "TRIS", {"pos": triangles.astype(np.float32)}).draw(fill_shader)
     shader = gpu.shader.from_builtin("POLYLINE_UNIFORM_COLOR")
     region = context.region
-    # Once through everything, faintly: a room's own walls stand in front of all of it.
+    # First faintly and through all surfaces, since a room's own walls stand in front of the lines.
     for depth_test, strength in (("NONE", 0.35), ("LESS_EQUAL", 1.0)):
         gpu.state.depth_test_set(depth_test)
         for name, (red, green, blue, alpha) in _COLOURS.items():
@@ -192,21 +192,21 @@ def _draw_letters() -> None:
     blf.size(font, 15 * scale)
     blf.color(font, *_LETTERS)
     for label, centre in _lines["letters"]:
-        at = location_3d_to_region_2d(context.region, context.region_data, Vector(centre))
-        if at is None:
+        place = location_3d_to_region_2d(context.region, context.region_data, Vector(centre))
+        if place is None:
             continue
         text = label
         if state.answer:
             text = f"{label} {state.answer.get(label, 0.0):.0%}"
         width, height = blf.dimensions(font, text)
-        blf.position(font, at.x - width / 2.0, at.y - height / 2.0, 0.0)
+        blf.position(font, place.x - width / 2.0, place.y - height / 2.0, 0.0)
         blf.draw(font, text)
 
 
 def register() -> None:
-    """Nothing runs until it is switched on."""
+    """Do nothing: the overlay is drawn only once it is switched on."""
 
 
 def unregister() -> None:
-    """Leave nothing that draws."""
+    """Switch the overlay off."""
     switch(False)
