@@ -8,8 +8,6 @@ from pathlib import Path
 from generator.cli.options import (
     Commands,
 )
-from generator.sets import audit
-from generator.sets.dataset import Dataset
 
 
 def add_parsers(commands: Commands) -> None:
@@ -56,7 +54,9 @@ def run_status(options: argparse.Namespace) -> int:
 
 def run_verify(options: argparse.Namespace) -> int:
     """Print what is wrong with a set; return 1 if anything is."""
+    from generator.sets import audit
     from generator.sets.bulk_set import Bulk
+    from generator.sets.dataset import Dataset
 
     if Bulk.exists(options.dataset):
         bulk = Bulk.open(options.dataset, check=False)

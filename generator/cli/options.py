@@ -6,10 +6,10 @@ import argparse
 from collections.abc import Callable
 from dataclasses import fields
 from pathlib import Path
-from typing import Any, Literal, TypeAlias, get_args, get_origin, get_type_hints
+from typing import Any, TypeAlias
 
 from generator.files.toml import from_dict
-from generator.model.described import default_of, words_for
+from generator.model.described import choices_of, default_of, words_for
 from generator.model.engines import AUTO, AUTO_HELP, ENGINES
 from generator.model.errors import NlosError
 from generator.model.quantities import fraction, parse_resolution, parse_shard
@@ -42,9 +42,8 @@ def add_setting(
     if isinstance(value, bool):
         how["action"] = argparse.BooleanOptionalAction
         value = "on" if value else "off"
-    hint = get_type_hints(kind)[name]
-    if get_origin(hint) is Literal:
-        how["choices"] = get_args(hint)
+    if choices := choices_of(kind, name):
+        how["choices"] = choices
     taken = default or (f"{value:g}" if isinstance(value, float) else value)
     words = words_for(kind, name).replace("%", "%%")
     parser.add_argument(f"--{name.replace('_', '-')}", help=f"{words} (default: {taken})", **how)

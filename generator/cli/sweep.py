@@ -20,7 +20,6 @@ from generator.jobs.request import ClusterJobs, SweepRequest
 from generator.model.engines import ENGINES
 from generator.model.errors import NlosError
 from generator.model.quantities import seconds
-from generator.sets.dataset import Dataset
 
 
 def add_parsers(commands: Commands) -> None:
@@ -132,6 +131,8 @@ def _job_option(text: str) -> tuple[str, Any]:
 def run_trajectory(options: argparse.Namespace) -> int:
     """Render a trajectory, or what is missing of it."""
     if options.frames is None:
+        from generator.sets.dataset import Dataset
+
         settings = Dataset.open(options.output).settings if Dataset.exists(options.output) else {}
         options.frames = settings.get("frames", FRAMES)
     if options.frames < 1:

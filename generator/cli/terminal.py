@@ -13,11 +13,10 @@ from generator.jobs.remaining import Remaining
 from generator.jobs.workers import NO_BLENDER
 from generator.model.errors import NlosError
 from generator.model.quantities import clock
-from generator.sets import audit
-from generator.sets.dataset import Dataset
 
 if TYPE_CHECKING:
     from generator.sets.bulk_set import Bulk
+    from generator.sets.dataset import Dataset
 
 
 def guarded(work: Callable[[], int], interrupted: str = "interrupted; the same command goes on from here") -> int:
@@ -127,6 +126,9 @@ def progress_bar() -> Iterator[Callable[[int, int], None]]:
 
 def report(dataset: Dataset | Bulk, rendered: int, remaining: int, failed: list[str]) -> int:
     """Print how a run ended; return its exit code."""
+    from generator.sets import audit
+    from generator.sets.dataset import Dataset
+
     for failure in failed:
         console.complain(f"failed: {failure}")
     if isinstance(dataset, Dataset) and (warning := audit.words(dataset)):

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import ast
 from dataclasses import MISSING, field, fields
 from typing import Any, TypeVar
 
@@ -58,6 +59,15 @@ def range_of(kind: type, name: str) -> tuple[Any, Any]:
     """Return the least and the largest value of a dataclass's field."""
     metadata = _of(kind, name).metadata
     return metadata["lo"], metadata["hi"]
+
+
+def choices_of(kind: type, name: str) -> tuple[Any, ...]:
+    """Return what a dataclass's field may be, if its annotation (text, which is not evaluated) is a `Literal`."""
+    annotation = str(_of(kind, name).type)
+    if not annotation.startswith("Literal["):
+        return ()
+    choices: tuple[Any, ...] = ast.literal_eval(f"({annotation.removeprefix('Literal[')[:-1]},)")
+    return choices
 
 
 def check_ranges(settings: Any) -> None:
