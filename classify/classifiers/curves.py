@@ -19,6 +19,7 @@ from classify.classifiers.models import Settings
 from classify.classifiers.names import ALL, NAMES
 from classify.intervals import Interval, wilson
 from classify.pictures.feature_table import Features, check_comparable
+from classify.pictures.leak import refuse_shared
 from generator.measure import figures
 from generator.model.errors import NlosError
 
@@ -97,6 +98,7 @@ def curves(
         check_comparable(train, test, names)
         if train.provenance.get("fingerprint") == test.provenance.get("fingerprint"):
             raise NlosError(f"{names[1]}: shows the pictures of {names[0]}; leave it out to hold some of them out")
+        refuse_shared((train.positions, train.rotations), (test.positions, test.rotations), *names)
     order, held_out = _order(train, seed, hold=test is None)
     test_rows = np.arange(len(tested.labels)) if test is not None else held_out
     classes = len(np.unique(train.labels))

@@ -21,6 +21,7 @@ from classify.classifiers.models import Settings
 from classify.classifiers.names import NAMES
 from classify.intervals import Interval, wilson
 from classify.pictures.feature_table import Features, check_comparable
+from classify.pictures.leak import refuse_shared
 from generator.model.errors import NlosError
 
 Array = NDArray[np.float64]
@@ -155,6 +156,8 @@ def compare(
         if names[0] == names[1]:
             raise NlosError(f"{names[0]}: is the same file twice; name one, or two different ones")
         check_comparable(sets[0], sets[1], (names[0], names[1]))
+        first, second = ((s.positions, s.rotations) for s in sets)
+        refuse_shared(first, second, names[0], names[1])
     for features, name in zip(sets, names, strict=True):
         try:
             models.check_folds(features.labels, folds, settings)

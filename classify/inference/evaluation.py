@@ -17,6 +17,7 @@ from classify.inference.bound import median
 from classify.inference.detect import Detector, evidence
 from classify.inference.posterior import Place, holds, locate
 from classify.intervals import Interval, wilson
+from classify.pictures.leak import refuse_shared
 from classify.pictures.sensor import Camera
 from generator.files.writing import csv_text
 from generator.measure import figures
@@ -210,6 +211,8 @@ def run(
     records = dataset.records
     if not records:
         raise NlosError(f"{dataset.path}: holds no finished picture yet")
+    poses = np.array([r.position for r in records]), np.array([r.rotation for r in records])
+    refuse_shared((atlas.positions, atlas.rotations), poses, "the atlas", str(dataset.path))
     camera = Camera(dataset, atlas.sensor, seed, like=atlas.background)
     background, clean = camera.background(), camera.empty()
     codes, places, seconds = [], [], []

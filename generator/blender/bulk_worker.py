@@ -78,7 +78,7 @@ def plan(
     described = read_scene(scene)
     if chosen.get("unknown"):
         chosen = {"rotation": list(TURNS["mesh"]), **chosen}
-    settings: Settings = from_dict(Settings, with_defaults(described, chosen), "")
+    settings: Settings = from_dict(Settings, {"stream": "bulk", **with_defaults(described, chosen)}, "")
     world, reasons = survey.world(scene, resolution=settings.resolution, ambient=True)
     if world is None:
         raise NlosError(
@@ -134,7 +134,9 @@ def _poses(scene: bpy.types.Scene, settings: Settings) -> Callable[[int, int], p
     described = read_scene(scene)
     if not settings.unknown:
         is_free = clearance(scene, described, engine="surfel")
-        return poses.Sampler(described.grid, settings.sweep, geometry.hull(scene), is_free).draw
+        hull, stream = geometry.hull(scene), settings.numbered_stream
+        return poses.Sampler(described.grid, settings.sweep, hull, is_free, stream=stream).draw
+    stream = settings.numbered_stream
     surroundings = Surroundings(scene, described, engine="surfel")
     sweep = replace(settings.sweep, rotation=(0.0, 0.0, 0.0))  # unknown objects are already rotated
 
@@ -142,7 +144,7 @@ def _poses(scene: bpy.types.Scene, settings: Settings) -> Callable[[int, int], p
     def sampler(index: int) -> poses.Sampler:
         corners = unknown_object(described.grid, settings.sweep, index).triangles.reshape(-1, 3)
         faces = np.arange(len(corners)).reshape(-1, 3).tolist()
-        return poses.Sampler(described.grid, sweep, corners, surroundings.free(corners, faces))
+        return poses.Sampler(described.grid, sweep, corners, surroundings.free(corners, faces), stream=stream)
 
     return lambda voxel, index: sampler(index).draw(voxel, index)
 

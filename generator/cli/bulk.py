@@ -39,6 +39,7 @@ def add_parsers(commands: Commands) -> None:
     add_setting(parser, "compress", Settings)
     add_setting(parser, "unknown", Settings)
     add_setting(parser, "part", Settings, type=int, metavar="N")
+    add_setting(parser, "stream", Settings, default="bulk")
     parser.add_argument("--shard", default="0/1", metavar="i/n", help="make the i-th of n shares only (from 0)")
     parser.add_argument("--workers", type=int, default=0, metavar="W", help="processes (default: one per core)")
     add_force_option(parser)

@@ -119,6 +119,9 @@ class Sampler:
     ----------
     grid, sweep, hull, is_free
         As for `plan`.
+    stream : int
+        Which poses the seed draws: 0 those of a sweep; other kinds of set have their own, so that the same seed does
+        not give a set to learn from and a set to test on the same poses.
     """
 
     def __init__(
@@ -127,8 +130,11 @@ class Sampler:
         sweep: Sweep,
         hull: Array,
         is_free: Callable[[Vector, Vector], bool] = lambda *_: True,
+        *,
+        stream: int = 0,
     ) -> None:
         self._grid = grid
+        self._stream = [stream] if stream else []
         self._sweep = sweep
         self._extent = np.ptp(hull, axis=0)
         self._is_free = is_free
@@ -147,7 +153,7 @@ class Sampler:
         if voxel not in self._bounds:
             self._bounds[voxel] = self._grid.bounds(voxel)
         lo, hi = self._bounds[voxel]
-        rng = np.random.default_rng([self._sweep.seed, voxel, index])
+        rng = np.random.default_rng([self._sweep.seed, voxel, index, *self._stream])
         pose = self._draw_screened(rng, lo, hi) if self._screened else self._draw_plainly(rng, lo, hi)
         if pose is None:
             extent, size = self._extent, hi - lo

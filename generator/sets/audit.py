@@ -19,7 +19,7 @@ from generator.files.writing import fingerprint
 from generator.model.engines import traits_of
 from generator.model.poses import PoseRecord, noise_seed
 from generator.sets import seal
-from generator.sets.manifest import FORMAT, LOG, MANIFEST, PLAN, POSES, SCENE, plan_hash, scene_hash
+from generator.sets.manifest import LOG, MANIFEST, PLAN, POSES, SCENE, plan_hash, scene_hash
 from generator.sets.readable import RENDER_AGAIN, rendered
 
 if TYPE_CHECKING:
@@ -44,7 +44,7 @@ def changed(dataset: Dataset) -> Iterator[str]:
         One sentence per fault, which begins with the file that it is in.
     """
     path = dataset.path
-    if words := manifest_fault(dataset.meta, FORMAT):
+    if words := manifest_fault(dataset.meta):
         yield f"{path / MANIFEST}: {words}; {PUT_BACK}"
         return  # all other checks rely on the manifest
     if not (holds := plan_holds(dataset)):
@@ -67,9 +67,9 @@ def plan_holds(dataset: Dataset) -> bool:
     return plan_hash(dataset.poses) == digest if digest else not any(plan_faults(dataset))
 
 
-def manifest_fault(meta: Mapping[str, Any], newest: int) -> str:
+def manifest_fault(meta: Mapping[str, Any]) -> str:
     """Return what was changed in a manifest after its set was planned; empty if no change can be seen."""
-    if meta["format"] == newest and seal.SEAL not in meta:
+    if meta["format"] >= seal.SINCE and seal.SEAL not in meta:
         return f"lacks the table '{seal.SEAL}'"
     if words := seal.broken(meta):
         return words
@@ -172,7 +172,7 @@ def faults(dataset: Dataset) -> list[str]:
         One sentence per fault, which begins with the file that it is in. Empty when all is well.
     """
     path = dataset.path
-    if manifest_fault(dataset.meta, FORMAT):
+    if manifest_fault(dataset.meta):
         return list(changed(dataset))
     holds = plan_holds(dataset)
     sentences = [fault for fault in changed(dataset) if not fault.startswith(f"{path / POSES}")]

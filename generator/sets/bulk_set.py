@@ -9,9 +9,9 @@ A bulk set is a folder::
     part-1f0c9a27-000000.h5 ...   some thousand pictures each, with their poses; the middle is the set's fingerprint
     set.h5              all parts as one, once they are all there (HDF5 virtual datasets)
 
-Picture number i shows voxel i % n_voxels with pose i // n_voxels, which is the pose that a sweep with the same seed
-draws there; so the first pictures of a set, up to any number, are spread evenly over the voxels. The datasets, one
-row per picture, are
+Picture number i shows voxel i % n_voxels with pose i // n_voxels, so the first pictures of a set, up to any number, are
+spread evenly over the voxels. Poses follow from the seed, but are not those that a sweep with the same seed draws
+(`Settings.stream`). The datasets, one row per picture, are
 
     pictures    (n, height, width) float32, W/m^2/sr, row 0 the top; (n, height, width, 3) where the scene has colours
     position    (n, 3) float64, m, of the target's origin
@@ -57,8 +57,8 @@ from generator.sets.readable import as_read
 from generator.transport.world import World
 from generator.transport.world_file import load_world, save_world, world_hash
 
-FORMAT = 2
-"""Format 1 had no seal."""
+FORMAT = 3
+"""Format 1 had no seal; up to format 2, the seed drew the poses of a sweep."""
 MANIFEST = "bulk.toml"
 WORLD = "world.npz"
 MASTER = "set.h5"
@@ -219,7 +219,7 @@ class Bulk:
         str
             One sentence per fault, which begins with the file that it is in.
         """
-        if words := audit.manifest_fault(self.meta, FORMAT):
+        if words := audit.manifest_fault(self.meta):
             yield f"{self.path / MANIFEST}: {words}; {audit.PUT_BACK}"
             return  # all other checks rely on the manifest
         if words := audit.scene_fault(self.path / SCENE, self.seal.get("scene", "")):

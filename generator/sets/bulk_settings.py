@@ -41,11 +41,22 @@ class Settings:
         False,
     )
 
+    stream: Literal["sweep", "bulk"] = described(
+        "which poses the seed draws: bulk's own, or those of a sweep with the same seed, to compare engines pose by "
+        "pose and never to test what was trained on them",
+        "sweep",  # of sets of older versions, which do not say
+    )
+
     def __post_init__(self) -> None:
         check_ranges(self)
         if self.part < 0:
             raise NlosError(f"part: {self.part} must be 1 or more, or 0 to choose")
         self.sweep  # noqa: B018 (raises what a sweep raises)
+
+    @property
+    def numbered_stream(self) -> int:
+        """The stream as `generator.model.poses.Sampler` takes it."""
+        return 1 if self.stream == "bulk" else 0
 
     @property
     def sweep(self) -> Sweep:

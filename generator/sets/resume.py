@@ -30,7 +30,8 @@ def check_same(dataset: HasSettings, scene: Path, chosen: Mapping[str, Any]) -> 
 
     NlosError is also raised if files that its scene refers to have changed, or may not be read (`links.check`).
     """
-    settings = {"device": Sweep.device, "denoise": Sweep.denoise, **dataset.settings}  # older sets lack these
+    older = {"device": Sweep.device, "denoise": Sweep.denoise, "stream": "sweep"}
+    settings = {**older, **dataset.settings}  # older sets lack these
     width, height = settings["resolution"]
     differences = []
     for name, value in chosen.items():

@@ -13,6 +13,8 @@ from typing import Any
 
 SEAL = "seal"
 """Table of the manifest that holds the hashes."""
+SINCE = 2
+"""Format of a data set, and of a bulk set, from which on its manifest has a seal."""
 _OWN, _FIELDS = "sha256", "fields"
 _DIGITS = 8
 """Digits of a field's own hash, which only has to identify the field: SHA-256 protects the whole."""

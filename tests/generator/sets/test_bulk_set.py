@@ -19,6 +19,7 @@ import numpy as np
 import pytest
 from conftest import ROOT
 
+from classify.pictures.leak import shared_poses
 from generator import transport
 from generator.cli import main as cli
 from generator.files.toml import to_dict
@@ -347,8 +348,8 @@ def test_an_unwritable_folder_is_one_sentence(tmp_path):
 @pytest.mark.parametrize(
     ("change", "words"),
     [
-        (("format = 2", "format = 3"), "has bulk format 3; this software reads up to 2"),
-        (("format = 2", ""), "lacks the field 'format'"),
+        (("format = 3", "format = 4"), "has bulk format 4; this software reads up to 3"),
+        (("format = 3", ""), "lacks the field 'format'"),
         (("channels = 1", "channels = 2"), "channels 1 or 3"),
         (("channels = 1", ""), "lacks the field 'channels'"),
         (("part = 7", "part = 0"), "sweep.part must be 1 or more"),
@@ -467,10 +468,20 @@ def test_command_line_makes_a_sound_set(tiny_bulk, command):
     assert found.pictures[:].min() > 0.0
 
 
-def test_poses_equal_those_of_a_sweep(tiny_bulk, tiny_dataset):
-    found, planned = Bulk.open(tiny_bulk), Dataset.open(tiny_dataset).poses
-    assert [tuple(p) for p in found.positions[:9]] == [p.position for p in planned]
-    assert [tuple(r) for r in found.rotations[:9]] == [p.rotation for p in planned]
+def test_poses_are_not_those_of_a_sweep(tiny_bulk, tiny_dataset, tmp_path, scene_file, command):
+    """One seed, zero where none is named, must not give a set to learn from and one to test on the same poses."""
+    planned = Dataset.open(tiny_dataset).poses
+    swept = np.array([p.position for p in planned]), np.array([p.rotation for p in planned])
+    found = Bulk.open(tiny_bulk)
+    assert (found.plan.seed, found.plan.stream) == (Dataset.open(tiny_dataset).sweep.seed, "bulk")
+    assert shared_poses(swept, (found.positions, found.rotations)) == 0
+    same = command("generator", "bulk", scene_file, "-o", tmp_path / "same", *TINY, "--stream", "sweep")
+    assert same.returncode == 0, same.stderr
+    found = Bulk.open(tmp_path / "same")
+    assert shared_poses(swept, (found.positions[:9], found.rotations[:9])) == 9
+    again = command("generator", "bulk", scene_file, "-o", tmp_path / "same", *TINY, "--stream", "bulk")
+    assert again.returncode == 2
+    assert "stream is sweep there and bulk here" in again.stderr
 
 
 def test_pictures_can_be_computed_again_without_blender(tiny_bulk):
