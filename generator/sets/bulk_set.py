@@ -9,8 +9,8 @@ A bulk set is a folder::
     part-1f0c9a27-000000.h5 ...   some thousand pictures each, with their poses; the middle is the set's fingerprint
     set.h5              all parts as one, once they are all there (HDF5 virtual datasets)
 
-Picture number i shows voxel i % n_voxels with pose i // n_voxels, so the first pictures of a set, up to any number, are
-spread evenly over the voxels. Poses follow from the seed, but are not those that a sweep with the same seed draws
+Picture number i shows voxel i % n_voxels with pose i // n_voxels, so the first pictures of a set, up to any number,
+are spread evenly over the voxels. Poses follow from the seed, but are not those that a sweep with the same seed draws
 (`Settings.stream`). The datasets, one row per picture, are
 
     pictures    (n, height, width) float32, W/m^2/sr, row 0 the top; (n, height, width, 3) where the scene has colours

@@ -25,6 +25,6 @@ def test_shared_poses_are_counted():
 
 def test_the_refusal_names_both():
     (first, turns) = poses(2)
-    with pytest.raises(NlosError, match="b: 7 of its 50 poses are also in a, .* another --seed"):
+    with pytest.raises(NlosError, match=r"b: 7 of its 50 poses are also in a, .* another --seed"):
         refuse_shared((first[:7], turns[:7]), (first, turns), "a", "b")
     refuse_shared((first[:25], turns[:25]), (first[25:], turns[25:]), "a", "b")
