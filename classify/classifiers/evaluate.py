@@ -19,7 +19,7 @@ from sklearn.model_selection import StratifiedKFold
 from classify.classifiers import models
 from classify.classifiers.models import Settings
 from classify.classifiers.names import NAMES
-from classify.intervals import Interval, wilson
+from classify.intervals import Interval, score_interval, wilson
 from classify.pictures.feature_table import Features, check_comparable
 from classify.pictures.leak import refuse_shared
 from generator.model.errors import NlosError
@@ -101,18 +101,30 @@ def macro_scores(confusion: Array) -> Array:
 
 
 def intervals(confusion: NDArray[np.int64], seed: int = 0) -> list[Interval]:
-    """Return macro precision, recall and F1 with 95 % percentile intervals of a stratified bootstrap.
+    """Return macro precision, recall and F1 with 95 % intervals.
 
-    Resampling the pictures of a class is the same as resampling its row of the confusion matrix.
+    Score intervals (Wilson 1927) for an effective number of pictures: the number for which a proportion would have
+    the variance that the score has (Korn and Graubard 1998). Percentiles of a bootstrap cover the truth too rarely
+    where few pictures are wrong, and never where none is; so the variance is that of resampling rows which are mixed
+    with one picture's worth of the average row (right as often as all pictures are, wrong ones spread evenly).
     """
     rng = np.random.default_rng(seed)
+    counts = confusion.sum(axis=1)
+    total, classes, present = int(counts.sum()), len(confusion), int((counts > 0).sum())
+    right = (float(np.trace(confusion)) + 0.5) / (total + 1.0)
+    average = np.full(confusion.shape, (1.0 - right) / max(classes - 1, 1))
+    np.fill_diagonal(average, right if classes > 1 else 1.0)
     drawn = np.zeros((_RESAMPLES, *confusion.shape), dtype=np.int64)
-    for i, row in enumerate(confusion):
-        if row.sum():
-            drawn[:, i] = rng.multinomial(row.sum(), row / row.sum(), size=_RESAMPLES)
+    for i in np.flatnonzero(counts):
+        row = (confusion[i] + average[i]) / (counts[i] + 1.0)
+        drawn[:, i] = rng.multinomial(counts[i], row / row.sum(), size=_RESAMPLES)
+    resampled = macro_scores(drawn.astype(np.float64))
+    # Resampling rows that are estimated themselves makes the variance too small by this factor.
+    variance = resampled.var(axis=1) * total / max(total - present, 1)
+    mean = resampled.mean(axis=1)
+    effective = np.maximum(mean * (1.0 - mean) / np.maximum(variance, 1e-12), 1.0)
     values = macro_scores(confusion.astype(np.float64))
-    low, high = np.percentile(macro_scores(drawn.astype(np.float64)), [2.5, 97.5], axis=1)
-    return [Interval(float(v), float(a), float(b)) for v, a, b in zip(values, low, high, strict=True)]
+    return [score_interval(float(v), float(n)) for v, n in zip(values, effective, strict=True)]
 
 
 def compare(
