@@ -10,6 +10,7 @@ from generator.blender.engines.settings import with_defaults
 from generator.blender.scene.description import read_scene
 from generator.blender.scene.words import short, vector
 from generator.files.toml import from_dict
+from generator.model.engines import AUTO
 from generator.model.errors import NlosError
 from generator.model.grid import VoxelGrid
 from generator.model.presets import PRESETS, preset
@@ -30,7 +31,7 @@ def sweep_of(settings: Any) -> dict[str, Any]:
         "seed": settings.seed,
         "inside": settings.inside,
     }
-    idle = () if settings.engine == "auto" else Sweep.idle(settings.engine)
+    idle = () if settings.engine == AUTO else Sweep.idle(settings.engine)
     if settings.quality != "figures":
         idle = ("samples", "accuracy")
     return {name: value for name, value in chosen.items() if name not in idle}
@@ -52,7 +53,7 @@ def resolved_sweep(scene: Any) -> Sweep:
         The scene or one of the settings cannot be read.
     """
     chosen = sweep_of(scene.nlos)
-    if chosen["engine"] == "auto":  # the choice of engine does not affect the poses
+    if chosen["engine"] == AUTO:  # the choice of engine does not affect the poses
         chosen["engine"] = "patch"
     sweep: Sweep = from_dict(Sweep, with_defaults(read_scene(scene), chosen), "")
     return sweep

@@ -1,4 +1,4 @@
-"""Seven classifiers and a small neural network, with the paper's settings or tuned on the training data."""
+"""The classifiers, with the paper's settings or tuned on the training data."""
 
 from __future__ import annotations
 

@@ -29,8 +29,8 @@ def add_parsers(commands: Commands) -> None:
 def _add_compare(commands: Commands) -> None:
     parser = commands.add_parser(
         "compare",
-        help="compare seven classifiers on one or two sets of features",
-        description="Compare seven classifiers, by the paper's settings and tuned: each set cross-validated, and "
+        help="compare classifiers on one or two sets of features",
+        description=f"Compare {', '.join(NAMES)}, by the paper's settings and tuned: each set cross-validated, and "
         "with two also trained on one and tested on the other.",
         epilog="example:\n  nlos-classify compare sheet.h5 sphere.h5 -o report/",
         formatter_class=RAW,

@@ -7,7 +7,8 @@ another, and the same constants hold for every target of that scene.
 
 from __future__ import annotations
 
-from typing import Any
+from collections.abc import Callable
+from typing import Any, NamedTuple
 
 import cv2
 import mahotas
@@ -56,15 +57,7 @@ def tone_map(light: Array, settings: FeatureSettings, reference: float) -> Array
 
 def feature_names(settings: FeatureSettings) -> list[str]:
     """Return the names of the features, in order."""
-    histogram = [f"histogram_{channel}_{i}" for channel in "rgb" for i in range(settings.bins)]
-    if settings.set == "physics":
-        return physics.names()
-    if settings.set == "global":
-        return [*histogram, *(f"hu_{i}" for i in range(1, 8)), *(f"haralick_{name}" for name in HARALICK)]
-    steps = (_HOG_SIZE - _HOG_BLOCK) // _HOG_CELL + 1
-    n_hog = steps**2 * (_HOG_BLOCK // _HOG_CELL) ** 2 * _HOG_BINS
-    spatial = [f"spatial_{row}_{column}" for row in range(_SPATIAL) for column in range(_SPATIAL)]
-    return [*spatial, *histogram, *(f"hog_{i}" for i in range(n_hog))]
+    return FEATURE_SETS[settings.set].names(settings)
 
 
 def describe(
@@ -112,17 +105,9 @@ def describe(
         _check_finite(np.asarray(background), f"{name}: its background")
         light = light - background
     light = _average(light, settings.size)
-    if settings.set == "physics":
-        if settings.setup is None:
-            raise NlosError(f"{name}: features of physics need to know the scene's setup, and there is none")
-        features = physics.PhysicsFeatures(settings.setup, reference, settings.floor).transform(light[None])
-        return np.asarray(features[0], dtype=np.float64)
-    histogram = _histogram(tone_map(light, settings, reference), settings.bins)
-    grey = light.mean(axis=2)
-    if settings.set == "global":
-        return np.concatenate([histogram, _hu(grey), _haralick(tone_map(grey, settings, reference), settings.levels)])
-    spatial = tone_map(cv2.resize(grey, (_SPATIAL, _SPATIAL), interpolation=cv2.INTER_AREA), settings, reference)
-    return np.concatenate([spatial.ravel(), histogram, _hog(grey)])
+    if settings.set == "physics" and settings.setup is None:
+        raise NlosError(f"{name}: features of physics need to know the scene's setup, and there is none")
+    return FEATURE_SETS[settings.set].describe(light, settings, reference)
 
 
 def _check_finite(light: Array, name: str) -> None:
@@ -193,3 +178,62 @@ def _hog(grey: Array) -> Array:
 def software() -> dict[str, Any]:
     """Return the versions of the libraries that compute the features."""
     return {"opencv": cv2.__version__, "mahotas": mahotas.__version__, "numpy": np.__version__}
+
+
+def _histogram_names(settings: FeatureSettings) -> list[str]:
+    return [f"histogram_{channel}_{i}" for channel in "rgb" for i in range(settings.bins)]
+
+
+def _global_names(settings: FeatureSettings) -> list[str]:
+    names = [*(f"hu_{i}" for i in range(1, 8)), *(f"haralick_{name}" for name in HARALICK)]
+    return [*_histogram_names(settings), *names]
+
+
+def _global(light: Array, settings: FeatureSettings, reference: float) -> Array:
+    grey = light.mean(axis=2)
+    histogram = _histogram(tone_map(light, settings, reference), settings.bins)
+    return np.concatenate([histogram, _hu(grey), _haralick(tone_map(grey, settings, reference), settings.levels)])
+
+
+def _spatial_names(settings: FeatureSettings) -> list[str]:
+    steps = (_HOG_SIZE - _HOG_BLOCK) // _HOG_CELL + 1
+    n_hog = steps**2 * (_HOG_BLOCK // _HOG_CELL) ** 2 * _HOG_BINS
+    spatial = [f"spatial_{row}_{column}" for row in range(_SPATIAL) for column in range(_SPATIAL)]
+    return [*spatial, *_histogram_names(settings), *(f"hog_{i}" for i in range(n_hog))]
+
+
+def _spatial(light: Array, settings: FeatureSettings, reference: float) -> Array:
+    grey = light.mean(axis=2)
+    histogram = _histogram(tone_map(light, settings, reference), settings.bins)
+    small = tone_map(cv2.resize(grey, (_SPATIAL, _SPATIAL), interpolation=cv2.INTER_AREA), settings, reference)
+    return np.concatenate([small.ravel(), histogram, _hog(grey)])
+
+
+def _physics(light: Array, settings: FeatureSettings, reference: float) -> Array:
+    assert settings.setup is not None  # `describe` says so
+    features = physics.PhysicsFeatures(settings.setup, reference, settings.floor).transform(light[None])
+    return np.asarray(features[0], dtype=np.float64)
+
+
+class FeatureSet(NamedTuple):
+    """A set of features.
+
+    Attributes
+    ----------
+    names : callable
+        Returns the names of the features, given the settings.
+    describe : callable
+        Returns the features, (n_features,), given the light (height, width, 3), W/m^2/sr, the settings and the
+        scene's reference radiance.
+    """
+
+    names: Callable[[FeatureSettings], list[str]]
+    describe: Callable[[Array, FeatureSettings, float], Array]
+
+
+FEATURE_SETS = {
+    "global": FeatureSet(_global_names, _global),
+    "spatial-hog": FeatureSet(_spatial_names, _spatial),
+    "physics": FeatureSet(lambda _: physics.names(), _physics),
+}
+"""By the names that `FeatureSettings.set` takes."""

@@ -19,12 +19,12 @@ class Preset:
     title, words : str
         Name and description, for people.
     make : callable
-        Returns the scene, given the name of its target.
+        Returns the scene, given its own name and that of its target.
     """
 
     title: str
     words: str
-    make: Callable[[str], Scene]
+    make: Callable[[str, str], Scene]
 
 
 def preset(name: str, target: str = "sheet") -> Scene:
@@ -33,7 +33,7 @@ def preset(name: str, target: str = "sheet") -> Scene:
     Parameters
     ----------
     name : str
-        A name in `PRESETS`: "room", "tabletop", "corridor".
+        A name in `PRESETS`.
     target : str
         "sheet", "sphere" (both to the preset's scale) or the name of a mesh file.
 
@@ -44,13 +44,13 @@ def preset(name: str, target: str = "sheet") -> Scene:
     """
     if name not in PRESETS:
         raise NlosError(f"preset {name!r}: there is none; choose from {', '.join(PRESETS)}")
-    return PRESETS[name].make(target)
+    return PRESETS[name].make(name, target)
 
 
-def _room(target: str) -> Scene:
+def _room(name: str, target: str) -> Scene:
     x, y, z = (-2.4, 2.6), (0.0, 3.4), (0.0, 2.6)
     return Scene(
-        preset="room",
+        preset=name,
         wall=Wall(x=x, z=z),
         room=Room(x=x, y=y, z=z),
         partition=Partition(x=0.0, y=(1.3, 3.4), z=z),
@@ -61,12 +61,12 @@ def _room(target: str) -> Scene:
     )
 
 
-def _tabletop(target: str) -> Scene:
+def _tabletop(name: str, target: str) -> Scene:
     """Return the synthetic experiment of Klein et al. 2016."""
     # Lamp and camera stand between wall and object, as in the paper's synthetic data: they are points
     # that block nothing, and the object hides nothing from them.
     return Scene(
-        preset="tabletop",
+        preset=name,
         wall=Wall(x=(-1.0, 1.0), z=(-1.0, 1.0)),
         spot=Spot(location=(0.0, 0.2, 0.0), aim=(0.0, 0.0, 0.0), half_angle=5.0),
         camera=Camera(location=(0.0, 0.25, 0.0), x=(-1.0, 1.0), z=(-1.0, 1.0), projection="orthographic"),
@@ -75,10 +75,10 @@ def _tabletop(target: str) -> Scene:
     )
 
 
-def _corridor(target: str) -> Scene:
+def _corridor(name: str, target: str) -> Scene:
     x, y, z = (-3.0, 14.0), (0.0, 10.0), (0.0, 3.0)
     return Scene(
-        preset="corridor",
+        preset=name,
         wall=Wall(x=x, z=z),
         room=Room(x=x, y=y, z=z),
         partition=Partition(x=0.0, y=(2.5, 10.0), z=z, depth=14.0, albedo=0.8),

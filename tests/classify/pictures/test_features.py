@@ -8,10 +8,11 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from classify.pictures import feature_table
-from classify.pictures.features import describe, feature_names, tone_map
+from classify.pictures.features import FEATURE_SETS, describe, feature_names, tone_map
 from classify.pictures.sensor import Sensor
 from classify.pictures.settings import FeatureSettings
 from generator.files.pictures import read_picture, write_picture
+from generator.model.described import choices_of
 from generator.model.errors import NlosError
 
 SETS = ["global", "spatial-hog"]
@@ -197,3 +198,7 @@ def test_features_of_what_a_sensor_saw(tmp_path, command):
     done = command("classify", "features", tmp_path / "d", "-o", tmp_path / "g.h5", "--frames", 0)
     assert (done.returncode, (tmp_path / "g.h5").exists()) == (2, False)
     assert "sensor.frames: 0 must be 1 or more" in done.stderr
+
+
+def test_every_set_that_can_be_chosen_is_there():
+    assert set(FEATURE_SETS) == set(choices_of(FeatureSettings, "set"))
