@@ -176,6 +176,15 @@ def rows(points: Sequence[Point]) -> list[tuple[str, ...]]:
 HEADINGS = ("classifier", "trained on", "right voxel", "training", "answer, each", "model")
 
 
+def rivals(points: Sequence[Point], best: Point) -> list[str]:
+    """Return the other classifiers whose interval reaches that of the best, with their accuracy."""
+    named: dict[str, Point] = {}
+    for point in sorted(points, key=lambda p: -p.accuracy.value):
+        if point.classifier != best.classifier and point.accuracy.high >= best.accuracy.low:
+            named.setdefault(point.classifier, point)
+    return [f"{p.classifier} on {p.count} ({100.0 * p.accuracy.value:.1f} %)" for p in named.values()]
+
+
 def draw(path: Path, points: Sequence[Point], title: str) -> None:
     """Write a figure: accuracy against the number of pictures, and against the training time."""
     figure, axes = plt.subplots(1, 2, figsize=(11.0, 4.4), layout="constrained", sharey=True)

@@ -169,7 +169,9 @@ def run_learn(options: argparse.Namespace) -> int:
     print_table(title, curves.HEADINGS, table)
     best = max(points, key=lambda point: point.accuracy.value)
     lead = [f"{best.classifier} on {best.count} pictures is right most often: {best.accuracy.percent()}."]
-    print(lead[0])
+    if rivals := curves.rivals(points, best):
+        lead.append(f"Not told apart from it by these pictures: {', '.join(rivals)}.")
+    print(" ".join(lead))
     write_text(options.output / "learn.csv", csv_text(curves.HEADINGS, table))
     curves.draw(options.output / "learn.png", points, title)
     plots = {"learn.png": "Accuracy with its 95 % interval, against the number of pictures and the time of training."}

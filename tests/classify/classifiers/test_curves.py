@@ -34,7 +34,8 @@ def two_clouds(rendered, count, seed, distance=2.0):
     second = np.arange(count) % 2 == 1
     values = rng.normal(size=(count, 5))
     values[:, 0] += distance * second
-    kept = {"labels": np.where(second, "B", "A"), "voxels": second.astype(int), "values": values}
+    places = {"positions": rng.random((count, 3)), "rotations": np.zeros((count, 3))}
+    kept = {"labels": np.where(second, "B", "A"), "voxels": second.astype(int), "values": values, **places}
     provenance = {**rendered.provenance, "fingerprint": str(seed)}
     return replace(rendered, **kept, files=[str(i) for i in range(count)], provenance=provenance)
 
@@ -50,6 +51,15 @@ def test_a_classifier_learns_what_can_be_known(rendered):
     assert points[0].accuracy.value < points[2].accuracy.value - 0.02
     assert len(curves.rows(points)) == 4
     assert all(1_000 < point.size < 1_000_000 for point in points)
+
+
+def test_what_was_learnt_is_not_tested_on(rendered):
+    """The same poses, seen again with other noise, say nothing of other poses."""
+    train, test = two_clouds(rendered, 300, 0), two_clouds(rendered, 400, 1)
+    positions = test.positions.copy()
+    positions[7] = train.positions[3]
+    with pytest.raises(NlosError, match=r"b\.h5: 1 of its 400 poses are also in a\.h5"):
+        curves.curves(train, replace(test, positions=positions), classifiers=["LDA"], names=("a.h5", "b.h5"))
 
 
 def test_fewer_are_among_the_more_and_have_all_classes(rendered):

@@ -200,7 +200,10 @@ def test_detection_from_the_shell(tmp_path, capsys):
     assert [line[0] for line in lines[1:]] == list(found.grid.labels)
     assert main(["detect", *made, "--exposures", "11"]) == 2
     assert "frames 11: must be from 1 to the 10" in capsys.readouterr().err
-    assert main(["locate", *made, str(smaller.path), "--count", "20", "--frames", "5"]) == 0
+    assert main(["locate", *made, str(smaller.path), "--count", "20", "--frames", "5"]) == 2
+    assert "20 of its 20 poses are also in the atlas" in capsys.readouterr().err
+    others = make_bulk(tmp_path / "others", pictures=40, radius=0.1, room=(floor,), seed=1)
+    assert main(["locate", *made, str(others.path), "--count", "20", "--frames", "5"]) == 0
     assert "right voxel" in capsys.readouterr().out
 
 

@@ -78,6 +78,16 @@ def unknown(tmp_path_factory, scene_file, command):
     return path
 
 
+@pytest.fixture(scope="module")
+def others(tmp_path_factory, scene_file, command):
+    """A set of other unknown objects."""
+    path = tmp_path_factory.mktemp("unknown") / "others"
+    made = ("bulk", scene_file, "-o", path, "--pictures", "9", "--resolution", "8", "--no-probe", "--seed", "1")
+    result = command("generator", *made, "--accuracy", "0.01", "--unknown")
+    assert result.returncode == 0, result.stderr
+    return path
+
+
 def test_a_set_of_unknown_objects(unknown, scene_file, command):
     found = Bulk.open(unknown)
     assert (found.target_kind, found.rotations.any()) == ("box", False)
@@ -91,7 +101,7 @@ def test_a_set_of_unknown_objects(unknown, scene_file, command):
     assert "unknown is True there and False here" in other.stderr
 
 
-def test_their_atlas_from_the_shell(unknown, tmp_path, capsys):
+def test_their_atlas_from_the_shell(unknown, others, tmp_path, capsys):
     """A bound on the voxel and the place, and none of what is asked of one object only."""
     atlas = str(tmp_path / "any.atlas")
     assert main.main(["atlas", str(unknown), "-o", atlas]) == 0
@@ -105,5 +115,7 @@ def test_their_atlas_from_the_shell(unknown, tmp_path, capsys):
     assert "draws what can be known of one object" in capsys.readouterr().err
     assert main.main(["atlas", str(unknown), "-o", atlas, "--unknown"]) == 2
     assert "is of objects of all sizes and albedos already" in capsys.readouterr().err
-    assert main.main(["locate", atlas, str(unknown), "--count", "18", "--voxels", "3", "3", "2"]) == 0
+    assert main.main(["locate", atlas, str(unknown), "--count", "18", "--voxels", "3", "3", "2"]) == 2
+    assert "18 of its 18 poses are also in the atlas" in capsys.readouterr().err
+    assert main.main(["locate", atlas, str(others), "--count", "9", "--voxels", "3", "3", "2"]) == 0
     assert "within 95 % region" in capsys.readouterr().out
