@@ -65,6 +65,8 @@ def run_bound(options: argparse.Namespace) -> int:
         headings += ["presence", "x cm", "y cm", "z cm", "turn unknown", "noticed: x cm", "y cm", "z cm"]
     title = f"{options.atlas}: the best that any method can do"
     print_table(title, headings, bound.rows(atlas, best, synthesis))
+    for line in best.words():
+        print(line)
     print(f"median error of the position, wherever the object is: {best.error.centimetres()}")
     if synthesis is None:
         return 0

@@ -46,6 +46,21 @@ def test_two_pictures_are_told_apart_as_two_normal_variables(distance):
         assert found.error.value < 1e-3
 
 
+@pytest.mark.parametrize(("poses", "grows"), [(800, True), (12000, False)])
+def test_too_few_poses_are_told(poses, grows):
+    """Two kinds of code on a board whose fields are some noises wide: where poses are rare, neighbours mislead."""
+    rng = np.random.default_rng(poses)
+    place = rng.random((poses, 2))
+    voxels = (np.floor(6.0 * place).sum(axis=1) % 2).astype(np.int64)
+    codes = np.zeros((poses, 3))
+    codes[:, :2] = 60.0 * place
+    grid = VoxelGrid(lo=(-0.5, -0.5, -0.5), hi=(1.5, 0.5, 0.5), shape=(2, 1, 1))
+    positions = np.stack([voxels, 0.0 * voxels, 0.0 * voxels], axis=1).astype(float)
+    found = bound.reachable(plain_atlas(codes, positions, voxels, grid), count=800)
+    assert any("make a larger atlas" in line for line in found.words()) == grows, (found.gain, found.gain_error)
+    assert "no method puts more of all pictures" in found.words()[0]
+
+
 @pytest.mark.parametrize("frames", [1, 16])
 def test_strength_is_known_to_the_root_of_the_photons(simulated, frames):
     """With photons alone, and nothing but the object's light, no estimate beats 1 / sqrt(N): all photons count."""
