@@ -155,6 +155,12 @@ def run(
 
 
 def _kind(rung: Rung) -> str:
+    """Return a name that is the same for rungs whose time grows in proportion to their samples.
+
+    Each accuracy of `surfel` is a kind of its own: the time of the reference says nothing of the quick rungs.
+    """
+    if rung.settings["engine"] == "surfel":
+        return f"surfel {rung.settings['accuracy']}"
     return f"{rung.settings['engine']} {rung.settings.get('paired', True)} {rung.settings.get('denoise', False)}"
 
 

@@ -125,3 +125,13 @@ def test_bad_input_is_one_sentence(tmp_path, scene_file, command, arguments, wor
     assert result.returncode == 2
     assert words in result.stderr
     assert not (tmp_path / "t").exists()
+
+
+def test_the_reference_does_not_price_the_quick_rungs():
+    """Its accuracy of 1e-5 may take minutes; a rung at 10 % that takes hundredths of a second is not left out for it."""
+    reference, *others = tradeoff.ladder(True)
+    kinds = [tradeoff._kind(rung) for rung in others]
+    assert tradeoff._kind(reference) not in kinds
+    assert len({kind for kind in kinds if kind.startswith("surfel")}) == 3
+    of_patch = {tradeoff._kind(Rung(str(n), {"engine": "patch", "samples": n})) for n in (4, 64, 1024)}
+    assert len(of_patch) == 1, "whose time is known from that of fewer samples"
