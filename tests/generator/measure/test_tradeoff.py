@@ -128,7 +128,7 @@ def test_bad_input_is_one_sentence(tmp_path, scene_file, command, arguments, wor
 
 
 def test_the_reference_does_not_price_the_quick_rungs():
-    """Its accuracy of 1e-5 may take minutes; a rung at 10 % that takes hundredths of a second is not left out for it."""
+    """Its accuracy of 1e-5 may take minutes; a rung at 10 % that takes none is not left out for it."""
     reference, *others = tradeoff.ladder(True)
     kinds = [tradeoff._kind(rung) for rung in others]
     assert tradeoff._kind(reference) not in kinds
