@@ -98,7 +98,7 @@ def curves(
         check_comparable(train, test, names)
         if train.provenance.get("fingerprint") == test.provenance.get("fingerprint"):
             raise NlosError(f"{names[1]}: shows the pictures of {names[0]}; leave it out to hold some of them out")
-        refuse_shared((train.positions, train.rotations), (test.positions, test.rotations), *names)
+        refuse_shared(train.positions, test.positions, *names)
     order, held_out = _order(train, seed, hold=test is None)
     test_rows = np.arange(len(tested.labels)) if test is not None else held_out
     classes = len(np.unique(train.labels))

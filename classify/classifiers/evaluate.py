@@ -122,7 +122,8 @@ def intervals(confusion: NDArray[np.int64], seed: int = 0) -> list[Interval]:
     # Resampling rows that are estimated themselves makes the variance too small by this factor.
     variance = resampled.var(axis=1) * total / max(total - present, 1)
     mean = resampled.mean(axis=1)
-    effective = np.maximum(mean * (1.0 - mean) / np.maximum(variance, 1e-12), 1.0)
+    effective = np.where(variance > 0.0, mean * (1.0 - mean) / np.maximum(variance, 1e-12), total)
+    effective = np.maximum(effective, 1.0)
     values = macro_scores(confusion.astype(np.float64))
     return [score_interval(float(v), float(n)) for v, n in zip(values, effective, strict=True)]
 
@@ -168,8 +169,7 @@ def compare(
         if names[0] == names[1]:
             raise NlosError(f"{names[0]}: is the same file twice; name one, or two different ones")
         check_comparable(sets[0], sets[1], (names[0], names[1]))
-        first, second = ((s.positions, s.rotations) for s in sets)
-        refuse_shared(first, second, names[0], names[1])
+        refuse_shared(sets[0].positions, sets[1].positions, names[0], names[1])
     for features, name in zip(sets, names, strict=True):
         try:
             models.check_folds(features.labels, folds, settings)

@@ -25,6 +25,8 @@ from generator.model.arrays import Array
 from generator.model.errors import NlosError
 
 _RESAMPLES = 2000
+_FEWEST = 4
+"""Poses of an atlas whose half, without the pose that is asked about, still has one."""
 
 
 @dataclass(frozen=True)
@@ -88,10 +90,12 @@ def reachable(
     progress : callable
         Called with (done, total), in pictures.
     """
+    poses = len(atlas.codes)
+    if poses < _FEWEST:
+        raise NlosError(f"an atlas of {poses} poses bounds nothing; it needs {_FEWEST} at least")
     rng = np.random.default_rng([seed, 2])
     chosen = rng.choice(len(atlas.codes), size=min(count, len(atlas.codes)), replace=False)
-    poses = len(atlas.codes)
-    kept = np.sort(np.random.default_rng([seed, 10]).choice(poses, size=max(1, poses // 2), replace=False))
+    kept = np.sort(np.random.default_rng([seed, 10]).choice(poses, size=poses // 2, replace=False))
     half, place_in_half = atlas.take(kept), dict(zip(kept.tolist(), range(len(kept)), strict=True))
     correct, errors = np.zeros(len(chosen), dtype=bool), np.zeros(len(chosen))
     gains = np.zeros(len(chosen))

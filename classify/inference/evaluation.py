@@ -211,8 +211,8 @@ def run(
     records = dataset.records
     if not records:
         raise NlosError(f"{dataset.path}: holds no finished picture yet")
-    poses = np.array([r.position for r in records]), np.array([r.rotation for r in records])
-    refuse_shared((atlas.positions, atlas.rotations), poses, "the atlas", str(dataset.path))
+    positions = np.array([r.position for r in records])
+    refuse_shared(atlas.positions, positions, "the atlas", str(dataset.path))
     camera = Camera(dataset, atlas.sensor, seed, like=atlas.background)
     background, clean = camera.background(), camera.empty()
     codes, places, seconds = [], [], []

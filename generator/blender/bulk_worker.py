@@ -142,7 +142,7 @@ def _poses(scene: bpy.types.Scene, settings: Settings) -> Callable[[int, int], p
 
     @lru_cache(maxsize=2)
     def sampler(index: int) -> poses.Sampler:
-        corners = unknown_object(described.grid, settings.sweep, index).triangles.reshape(-1, 3)
+        corners = unknown_object(described.grid, settings.sweep, index, stream=stream).triangles.reshape(-1, 3)
         faces = np.arange(len(corners)).reshape(-1, 3).tolist()
         return poses.Sampler(described.grid, sweep, corners, surroundings.free(corners, faces), stream=stream)
 

@@ -14,9 +14,11 @@ from generator.cli.options import (
     add_setting,
     chosen_settings,
     farm_of,
+    option,
 )
 from generator.cli.terminal import progress_bar, report
 from generator.jobs.request import BulkRequest
+from generator.model.quantities import fraction
 from generator.sets.bulk_settings import Settings
 
 
@@ -35,7 +37,7 @@ def add_parsers(commands: Commands) -> None:
     parser.add_argument("-o", "--output", type=Path, required=True, metavar="SET", help="folder of the set")
     add_setting(parser, "pictures", Settings, default="none; needed for a new set", type=int, metavar="N")
     add_pose_options(parser)
-    add_setting(parser, "accuracy", Settings, type=float, metavar="A")
+    add_setting(parser, "accuracy", Settings, type=option(fraction), metavar="A")
     add_setting(parser, "compress", Settings)
     add_setting(parser, "unknown", Settings)
     add_setting(parser, "part", Settings, type=int, metavar="N")

@@ -22,7 +22,14 @@ FRAMES = 200
 
 
 def add_setting(
-    parser: argparse.ArgumentParser, name: str, kind: type = Sweep, default: str | None = None, **how: Any
+    parser: argparse.ArgumentParser,
+    name: str,
+    kind: type = Sweep,
+    *,
+    default: str | None = None,
+    words: str | None = None,
+    more: str = "",
+    **how: Any,
 ) -> None:
     """Add an option that sets a field of some settings; its help is the field's description.
 
@@ -35,6 +42,10 @@ def add_setting(
         Dataclass of the settings.
     default : str, optional
         Words for the value that is taken if the option is not given; by default the field's default.
+    words : str, optional
+        Description of the option, if it is not that of the field.
+    more : str
+        Text to add to the description.
     **how
         Further arguments of `argparse.ArgumentParser.add_argument`.
     """
@@ -45,19 +56,20 @@ def add_setting(
     if choices := choices_of(kind, name):
         how["choices"] = choices
     taken = default or (f"{value:g}" if isinstance(value, float) else value)
-    words = words_for(kind, name).replace("%", "%%")
-    parser.add_argument(f"--{name.replace('_', '-')}", help=f"{words} (default: {taken})", **how)
+    text = ((words or words_for(kind, name)) + more).replace("%", "%%")
+    parser.add_argument(f"--{name.replace('_', '-')}", help=f"{text} (default: {taken})", **how)
 
 
 def add_sweep_options(parser: argparse.ArgumentParser, *, frames: bool = False) -> None:
     """Add the options of a sweep, or of a trajectory's frames."""
     parser.add_argument("-o", "--output", type=Path, required=True, metavar="DATASET", help="folder of the data set")
     if frames:
-        add_setting(parser, "frames", default=str(FRAMES), type=int, metavar="N")
+        words = "of the trajectory, one after the other"
+        add_setting(parser, "frames", default=str(FRAMES), words=words, type=int, metavar="N")
         add_setting(parser, "pace", type=float, metavar="M")
     else:
         add_setting(parser, "poses", type=int, metavar="N")
-    add_engine_options(parser)
+    add_engine_options(parser, goal=not frames)
     add_pose_options(parser, inside=not frames)
     parser.add_argument("--shard", default="0/1", metavar="i/n", help="render the i-th of n parts only (from 0)")
     add_force_option(parser)
@@ -105,7 +117,7 @@ def option(read: Callable[[str], float]) -> Callable[[str], float]:
     return reader
 
 
-def add_engine_options(parser: argparse.ArgumentParser) -> None:
+def add_engine_options(parser: argparse.ArgumentParser, *, goal: bool = False) -> None:
     """Add the options that say how a picture is rendered."""
     parser.add_argument(
         "--engine",
@@ -116,7 +128,8 @@ def add_engine_options(parser: argparse.ArgumentParser) -> None:
     )
     add_setting(parser, "samples", type=int, metavar="N")
     add_setting(parser, "device")
-    add_setting(parser, "accuracy", type=option(fraction), metavar="A")
+    more = "; of path and patch too, which then take as many samples as that needs" if goal else ""
+    add_setting(parser, "accuracy", more=more, type=option(fraction), metavar="A")
     add_setting(parser, "denoise")
     add_setting(parser, "paired")
 

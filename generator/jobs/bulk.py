@@ -170,7 +170,9 @@ class Engine:
         index = numbers // bulk.grid.n_voxels
         batches = []
         for rows in np.split(np.arange(len(numbers)), np.flatnonzero(np.diff(index)) + 1):
-            world = replace(self._world, target=(unknown_object(bulk.grid, bulk.plan.sweep, int(index[rows[0]])),))
+            number, stream = int(index[rows[0]]), bulk.plan.numbered_stream
+            body = unknown_object(bulk.grid, bulk.plan.sweep, number, stream=stream)
+            world = replace(self._world, target=(body,))
             self._last = self._make(world, like=self._last)
             batches.append(self._last.pictures(positions[rows], rotations[rows], shadows=shadows))
         return np.concatenate(batches)

@@ -6,6 +6,8 @@ import ast
 from dataclasses import MISSING, field, fields
 from typing import Any, TypeVar
 
+import numpy as np
+
 from generator.model.errors import require
 
 Kind = TypeVar("Kind", bound=type)
@@ -20,7 +22,7 @@ def described(words: str, default: Any = MISSING, *, lo: Any = None, hi: Any = N
         What the field is, with its unit; without a capital or a full stop, as help texts are written.
     default
         Default of the field, if it has one.
-    lo, hi : optional
+    lo, hi : optional, both or neither
         Least and largest value of the field, or of each of its components; `check_ranges` enforces them.
     """
     return field(default=default, metadata={"words": words, "lo": lo, "hi": hi})
@@ -71,15 +73,18 @@ def choices_of(kind: type, name: str) -> tuple[Any, ...]:
 
 
 def check_ranges(settings: Any) -> None:
-    """Raise NlosError if a field of a dataclass is outside its range."""
-    for f in fields(settings):
-        lo, hi = f.metadata.get("lo"), f.metadata.get("hi")
+    """Raise NlosError if a field of a dataclass, or a component of one, is outside its range, or one is missing."""
+    for one in fields(settings):
+        lo, hi = one.metadata.get("lo"), one.metadata.get("hi")
         if lo is None:
             continue
-        value = getattr(settings, f.name)
-        inside = all(lo <= part <= hi for part in (value if isinstance(value, tuple) else (value,)))
+        value = getattr(settings, one.name)
+        parts = [value] if np.ndim(value) == 0 else list(value)
+        wanted = len(one.default) if isinstance(one.default, tuple) else 1
+        require(len(parts) == wanted, f"{one.name}: {value} must be {wanted} numbers")
         shown = f"{value:g}" if isinstance(value, float) else value
-        require(inside, f"{f.name}: {shown} must be from {_shown(lo)} to {_shown(hi)}")
+        inside = all(lo <= part <= hi for part in parts)
+        require(inside, f"{one.name}: {shown} must be from {_shown(lo)} to {_shown(hi)}")
 
 
 def _of(kind: type, name: str) -> Any:

@@ -52,8 +52,7 @@ class Sweep:
         hi=180,
     )
     accuracy: float = described(
-        "root mean square error over the pixels, relative to what the target adds (0.01 or 1%), of surfel; with "
-        "sweep, of path and patch too, which then take as many samples as that needs",
+        "root mean square error over the pixels, relative to what the target adds (0.01 or 1%), of surfel",
         1e-3,
         lo=1e-8,
         hi=0.3,

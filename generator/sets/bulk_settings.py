@@ -28,7 +28,7 @@ class Settings:
     pictures: int = described("in all voxels together", lo=1, hi=10**9)
     seed: int = borrowed(Sweep, "seed")
     resolution: tuple[int, int] = borrowed(Sweep, "resolution")
-    accuracy: float = described("relative error of a picture", 1e-3, lo=1e-9, hi=0.5)
+    accuracy: float = described("relative error of a picture (0.01 or 1%)", 1e-3, lo=1e-8, hi=0.3)
     inside: Literal["whole", "centre"] = borrowed(Sweep, "inside")
     rotation: Vector = borrowed(Sweep, "rotation")
     part: int = described("pictures per file; 0 takes about 64 MiB", 0)
@@ -36,8 +36,8 @@ class Settings:
         "smaller files (gzip, which every HDF5 reader knows), several times slower to write and to read", False
     )
     unknown: bool = described(
-        "at every pose another box or sheet in place of the target (`generator.sets.unknown_objects`), for an "
-        "unknown object",
+        "at every pose another box or sheet in place of the target, turned by up to 15 15 90 degrees, for an unknown "
+        "object",
         False,
     )
 
@@ -60,7 +60,7 @@ class Settings:
 
     @property
     def sweep(self) -> Sweep:
-        """The sweep that has the same poses."""
+        """Settings of the poses; `numbered_stream` says which are drawn."""
         return Sweep(seed=self.seed, resolution=self.resolution, inside=self.inside, rotation=self.rotation)
 
     def chunk(self, channels: int) -> int:

@@ -29,7 +29,7 @@ _TRIES = 10_000
 _FACES = ((0, 1, 3, 2), (4, 6, 7, 5), (0, 4, 5, 1), (2, 3, 7, 6), (0, 2, 6, 4), (1, 5, 7, 3))
 
 
-def unknown_object(grid: VoxelGrid, sweep: Sweep, index: int) -> Mesh:
+def unknown_object(grid: VoxelGrid, sweep: Sweep, index: int, *, stream: int = 0) -> Mesh:
     """Return an object in its own frame, already rotated at random by up to the sweep's largest angles.
 
     Parameters
@@ -39,13 +39,15 @@ def unknown_object(grid: VoxelGrid, sweep: Sweep, index: int) -> Mesh:
         If all of a target must lie in its voxel, the object fits into one.
     index : int
         Index of the pose: every index has another object, the same in all voxels.
+    stream : int
+        As `generator.model.poses.Sampler` takes it: other streams have other objects.
 
     Raises
     ------
     NlosError
         No object fits into a voxel.
     """
-    rng = np.random.default_rng([sweep.seed, index, 6])
+    rng = np.random.default_rng([sweep.seed, index, 6, *([stream] if stream else [])])
     size = np.asarray(grid.size)
     unit = size[:2].min()
     for _ in range(_TRIES):

@@ -61,6 +61,12 @@ def test_too_few_poses_are_told(poses, grows):
     assert "no method puts more of all pictures" in found.words()[0]
 
 
+def test_a_handful_of_poses_bounds_nothing():
+    with pytest.raises(NlosError, match="an atlas of 2 poses bounds nothing"):
+        bound.reachable(line(1.0, copies=1), count=2)
+    assert bound.reachable(line(1.0, copies=2), count=4).count == 4
+
+
 @pytest.mark.parametrize("frames", [1, 16])
 def test_strength_is_known_to_the_root_of_the_photons(simulated, frames):
     """With photons alone, and nothing but the object's light, no estimate beats 1 / sqrt(N): all photons count."""

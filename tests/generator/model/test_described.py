@@ -3,6 +3,7 @@
 import argparse
 from dataclasses import fields
 
+import numpy as np
 import pytest
 
 from classify.pictures.settings import FeatureSettings
@@ -35,7 +36,8 @@ def test_options_say_what_the_fields_say():
     shown = " ".join(parser.format_help().split())
     for name in ("poses", "samples", "accuracy", "seed", "inside"):
         default = default_of(Sweep, name)
-        assert f"{words_for(Sweep, name)} (default: {default})" in shown
+        more = "; of path and patch too, which then take as many samples as that needs" if name == "accuracy" else ""
+        assert f"{words_for(Sweep, name)}{more} (default: {default})" in shown
 
 
 def test_a_flag_shows_whether_it_is_on():
@@ -55,6 +57,16 @@ def test_what_may_be_chosen_follows_from_the_type():
     assert parser.parse_args(["--inside", "centre"]).inside == "centre"
     with pytest.raises(SystemExit):
         parser.parse_args(["--inside", "beside"])
+
+
+def test_lists_and_arrays_are_numbers_too():
+    for rotation in ([15, 15, 90], (15, 15, 90), np.array([15.0, 15.0, 90.0])):
+        assert tuple(Sweep(rotation=rotation).rotation) == (15, 15, 90)
+    for rotation in ((), (1.0,), [1, 2, 3, 4]):
+        with pytest.raises(NlosError, match="must be 3 numbers"):
+            Sweep(rotation=rotation)
+    with pytest.raises(NlosError, match="must be from 0 to 180"):
+        Sweep(rotation=[0, 0, float("nan")])
 
 
 @pytest.mark.parametrize(

@@ -414,8 +414,8 @@ def test_another_world_is_refused(whole):
         (("{scene}", "-o", "{foreign}", "--pictures", "9"), "holds other files"),
         (("{scene}", "-o", "/dev/null/x", "--pictures", "9"), "/dev/null"),
         (("{scene}", "-o", "x", "--pictures", "0"), "pictures: 0 must be"),
-        (("{scene}", "-o", "x", "--pictures", "9", "--accuracy", "0"), "accuracy: 0 must be"),
-        (("{scene}", "-o", "x", "--accuracy", "7"), "accuracy: 7 must be"),
+        (("{scene}", "-o", "x", "--pictures", "9", "--accuracy", "1e-9"), "accuracy: 1e-09 must be from 1e-08 to 0.3"),
+        (("{scene}", "-o", "x", "--accuracy", "40%"), "accuracy: 0.4 must be from 1e-08 to 0.3"),
         (("{scene}", "-o", "x", "--pictures", "9", "--part", "-1"), "part: -1 must be"),
         (("{scene}", "-o", "x", "--pictures", "9", "--seed", "-1"), "seed: -1 must be"),
         (("{scene}", "-o", "x", "--pictures", "9", "--resolution", "big"), "resolution"),
@@ -471,14 +471,14 @@ def test_command_line_makes_a_sound_set(tiny_bulk, command):
 def test_poses_are_not_those_of_a_sweep(tiny_bulk, tiny_dataset, tmp_path, scene_file, command):
     """One seed, zero where none is named, must not give a set to learn from and one to test on the same poses."""
     planned = Dataset.open(tiny_dataset).poses
-    swept = np.array([p.position for p in planned]), np.array([p.rotation for p in planned])
+    swept = np.array([p.position for p in planned])
     found = Bulk.open(tiny_bulk)
     assert (found.plan.seed, found.plan.stream) == (Dataset.open(tiny_dataset).sweep.seed, "bulk")
-    assert shared_poses(swept, (found.positions, found.rotations)) == 0
+    assert shared_poses(swept, found.positions) == 0
     same = command("generator", "bulk", scene_file, "-o", tmp_path / "same", *TINY, "--stream", "sweep")
     assert same.returncode == 0, same.stderr
     found = Bulk.open(tmp_path / "same")
-    assert shared_poses(swept, (found.positions[:9], found.rotations[:9])) == 9
+    assert shared_poses(swept, found.positions[:9]) == 9
     again = command("generator", "bulk", scene_file, "-o", tmp_path / "same", *TINY, "--stream", "bulk")
     assert again.returncode == 2
     assert "stream is sweep there and bulk here" in again.stderr

@@ -43,6 +43,7 @@ def test_each_follows_from_its_seed_and_index_alone():
     one = unknown_object(GRID, TURNED, 7)
     assert (unknown_object(GRID, TURNED, 7).triangles == one.triangles).all()
     others = [unknown_object(GRID, TURNED, 8), unknown_object(GRID, replace(TURNED, seed=1), 7)]
+    others.append(unknown_object(GRID, TURNED, 7, stream=1))
     assert all(len(o.triangles) != len(one.triangles) or (o.triangles != one.triangles).any() for o in others)
 
 
@@ -92,7 +93,7 @@ def test_a_set_of_unknown_objects(unknown, scene_file, command):
     found = Bulk.open(unknown)
     assert (found.target_kind, found.rotations.any()) == ("box", False)
     for number in (3, 13, 21):  # of the first, second and third index
-        mesh = unknown_object(found.grid, found.plan.sweep, number // 9)
+        mesh = unknown_object(found.grid, found.plan.sweep, number // 9, stream=found.plan.numbered_stream)
         one = Transport(replace(found.world(), target=(mesh,)), accuracy=0.01)
         alone = one.pictures([found.positions[number]], [found.rotations[number]])[0, :, :, 0]
         np.testing.assert_array_equal(found.pictures[number], alone)
