@@ -414,7 +414,7 @@ def test_another_world_is_refused(whole):
         (("{scene}", "-o", "{foreign}", "--pictures", "9"), "holds other files"),
         (("{scene}", "-o", "/dev/null/x", "--pictures", "9"), "/dev/null"),
         (("{scene}", "-o", "x", "--pictures", "0"), "pictures: 0 must be"),
-        (("{scene}", "-o", "x", "--pictures", "9", "--accuracy", "1e-9"), "accuracy: 1e-09 must be from 1e-08 to 0.3"),
+        (("{scene}", "-o", "x", "--pictures", "9", "--accuracy", "1e-9"), "1e-09 must be from 1e-08 to 0.3"),
         (("{scene}", "-o", "x", "--accuracy", "40%"), "accuracy: 0.4 must be from 1e-08 to 0.3"),
         (("{scene}", "-o", "x", "--pictures", "9", "--part", "-1"), "part: -1 must be"),
         (("{scene}", "-o", "x", "--pictures", "9", "--seed", "-1"), "seed: -1 must be"),
