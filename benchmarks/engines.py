@@ -488,6 +488,19 @@ def plot(found: dict[Case, dict[str, list[Rung]]], file: Path) -> None:
     plt.close(figure)
 
 
+def own_times(processes: Processes, rounds: int = 5) -> dict[str, dict[str, float]]:
+    """Print the time of `surfel` alone, at 10 % asked for, in milliseconds: medians of rounds."""
+    results = {}
+    for target, room in (("sphere", False), ("sheet", False), ("sphere", True), ("sheet", True)):
+        case = Case(target, 1.0, room)
+        transport = Surfel(processes.surfel_world(case), 0.1)
+        alone = 1e3 * float(np.median([transport.timed(case)[0] for _ in range(rounds)]))
+        batch = 1e3 * float(np.median([transport.timed_batch(case, POSES[room])[0] for _ in range(rounds)]))
+        results[case.name] = {"alone": alone, "in batches": batch}
+        print(f"{case.name}: alone {alone:.3g} ms, in batches {batch:.3g} ms", flush=True)
+    return results
+
+
 def times(processes: Processes, folder: Path, *, quick: bool) -> dict[str, Any]:
     """Measure, print and plot error against time."""
     pairs = [("sphere", False)] if quick else [("sphere", False), ("sheet", False), ("sphere", True)]
@@ -616,7 +629,9 @@ def main() -> None:
     parser.add_argument("-o", "--output", type=Path, required=True, help="folder for the plot and the figures")
     parser.add_argument("--quick", action="store_true", help="minutes instead of an hour: fewer scenes and renders")
     parser.add_argument("--room", action="store_true", help="agreement: in the room only")
-    parser.add_argument("--only", choices=["agreement", "time"], help="one of the parts")
+    parser.add_argument(
+        "--only", choices=["agreement", "time", "surfel"], help="one of the parts; surfel: its time alone"
+    )
     parser.add_argument(
         "--target",
         action="append",
@@ -634,9 +649,11 @@ def main() -> None:
     options.output.mkdir(parents=True, exist_ok=True)
     figures: dict[str, Any] = {}
     with Processes() as processes:
-        if options.only != "agreement":
+        if options.only == "surfel":
+            figures["surfel"] = own_times(processes)
+        if options.only not in ("agreement", "surfel"):
             figures["time"] = times(processes, options.output, quick=options.quick)
-        if options.only != "time":
+        if options.only not in ("time", "surfel"):
             selection: dict[str, Any] = {"targets": ("sphere", "box"), "gaps": (1.0, 0.05)} if options.quick else {}
             if options.target:
                 selection["targets"] = tuple(options.target)
