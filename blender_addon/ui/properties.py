@@ -22,7 +22,7 @@ from bpy.props import (
     StringProperty,
 )
 
-from generator.model.described import range_of, sentence_for
+from generator.model.described import range_of, sentence, sentence_for
 from generator.model.engines import AUTO, AUTO_HELP, ENGINES
 from generator.model.grid import VoxelGrid
 from generator.model.presets import PRESETS, preset
@@ -31,10 +31,6 @@ from generator.model.settings import Sweep
 
 from ..draft import ROOM, fill
 from ..view import live, overlay
-
-
-def _sentence(words: str) -> str:
-    return words[0].upper() + words[1:]
 
 
 def _range(kind: type, name: str) -> dict[str, Any]:
@@ -49,8 +45,8 @@ _KINDS = (
 )
 # Files store an item's number, so a number is never reused.
 _ENGINES = (
-    *((n, ENGINES[n].title, _sentence(ENGINES[n].help), i) for i, n in enumerate(("patch", "path", "surfel"))),
-    (AUTO, "Automatic", _sentence(AUTO_HELP), 3),
+    *((n, ENGINES[n].title, sentence(ENGINES[n].help), i) for i, n in enumerate(("patch", "path", "surfel"))),
+    (AUTO, "Automatic", sentence(AUTO_HELP), 3),
 )
 
 
@@ -77,7 +73,7 @@ class NlosSettings(bpy.types.PropertyGroup):
     preset: EnumProperty(
         name="Preset",
         description="Scene to start from. Choosing one sets all figures below to its own",
-        items=[(name, of.title, _sentence(of.words)) for name, of in PRESETS.items()],
+        items=[(name, of.title, sentence(of.words)) for name, of in PRESETS.items()],
         update=_preset_changed,
     )
     target_kind: EnumProperty(

@@ -36,7 +36,7 @@ def borrowed(kind: type, name: str) -> Any:
 
 def documented(kind: Kind) -> Kind:
     """Add the descriptions of a dataclass's fields to its docstring. To be applied after `dataclass`."""
-    rows = [f"{f.name} : {f.type}\n    {_sentence(f.metadata['words'])}" for f in fields(kind) if f.metadata]
+    rows = [f"{f.name} : {f.type}\n    {sentence(f.metadata['words'])}." for f in fields(kind) if f.metadata]
     kind.__doc__ = "\n".join([(kind.__doc__ or "").rstrip(), "", "Attributes", "----------", *rows, ""])
     return kind
 
@@ -48,7 +48,11 @@ def words_for(kind: type, name: str) -> str:
 
 def sentence_for(kind: type, name: str) -> str:
     """Return the description of a dataclass's field with a capital, as Blender shows it."""
-    words = words_for(kind, name)
+    return sentence(words_for(kind, name))
+
+
+def sentence(words: str) -> str:
+    """Return words with a capital."""
     return words[0].upper() + words[1:]
 
 
@@ -89,10 +93,6 @@ def check_ranges(settings: Any) -> None:
 
 def _of(kind: type, name: str) -> Any:
     return next(f for f in fields(kind) if f.name == name)
-
-
-def _sentence(words: str) -> str:
-    return words[0].upper() + words[1:] + "."
 
 
 def _shown(value: Any) -> str:

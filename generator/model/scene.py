@@ -21,7 +21,6 @@ from generator.model.grid import VoxelGrid
 ROOM_SURFACES = ("floor", "ceiling", "back", "left", "right")
 FACES = {"floor": ("z", 0), "ceiling": ("z", 1), "back": ("y", 1), "left": ("x", 0), "right": ("x", 1)}
 """Axis that a surface of the room is normal to, and the end of the room's extent that it lies at (0 low, 1 high)."""
-TARGET_KINDS = ("sheet", "sphere", "mesh")
 
 
 @documented
