@@ -5,7 +5,7 @@
 # make matrix  builds that twice, installs and uses it under each Python and bpy, half an hour; needs Python 3.13 or root
 # make gui     the extension in real windows of Blender 4.3 and 5.2; needs root and debootstrap
 # make slurm   a sweep as jobs of a real Slurm, which is installed on this machine; needs root
-# make results the full run behind docs/results.md, about an hour on 2 cores
+# make results the full run behind docs/explanation/reproduction.md, about an hour on 2 cores
 
 # Each bpy wheel is built for one Python version only; constraints.txt pins one for 3.11 and one for 3.13.
 PYTHON ?= python3.11

@@ -25,7 +25,7 @@ from generator.model.errors import NlosError
 Array = NDArray[np.float64]
 
 _DEGREES = 6
-"""Number of polynomials along each edge of the picture: more would hold only noise (docs/answers.md)."""
+"""Number of polynomials along each edge of the picture; more hold only noise (docs/explanation/localisation.md)."""
 _SHAPE = 4
 """Largest total degree of the products of these polynomials that describe the shape."""
 _PLACES = 12, 10, 7

@@ -1,4 +1,4 @@
-"""A sample of the property sweep (docs/properties.md): engines render what plain Cycles does, or say why not."""
+"""A sample of the property sweep (docs/explanation/property-sweep.md): engines render what Cycles does or refuse."""
 
 from __future__ import annotations
 
@@ -101,7 +101,7 @@ def test_an_edit_is_followed_or_refused(judge, edit):
 
 
 def test_the_judge_sees_a_tenth_more_light(judge):
-    """What it lets pass is no more than what docs/properties.md says."""
+    """What it lets pass is no more than what docs/explanation/property-sweep.md says."""
     plain = judge.plain[1:]
     for factor, wrong in ((1.0, False), (1.1, True), (0.9, True)):
         brighter = [tuple(factor * np.asarray(p) for p in pair) for pair in judge.ours["patch"][1:]]

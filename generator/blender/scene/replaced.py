@@ -1,7 +1,8 @@
 """Settings of a scene file that a sweep replaces by its own values, and why.
 
 This one table is applied by the engines, reported by `check`, recorded in `dataset.toml` and printed in
-docs/settings.md. Settings that are not in it keep the file's values, and are rendered as plain Cycles renders them.
+docs/reference/render-settings.md. Settings that are not in it keep the file's values, and are rendered as plain
+Cycles renders them.
 """
 
 from __future__ import annotations

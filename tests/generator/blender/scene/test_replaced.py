@@ -439,7 +439,7 @@ def test_a_set_says_what_was_replaced(tmp_path):
 
 
 def test_the_page_has_the_table_of_the_code():
-    page = (ROOT / "docs" / "settings.md").read_text(encoding="utf-8")
+    page = (ROOT / "docs" / "reference" / "render-settings.md").read_text(encoding="utf-8")
     rows = re.findall(r"^\| (.+?) \| `(.+?)` \| (.+?) \| (.+?) \|$", page, flags=re.MULTILINE)
     wanted = [(s.words, s.path, replaced.words(s.value), s.why) for s in TABLE.values() if s.words]
     assert rows == wanted
