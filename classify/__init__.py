@@ -25,6 +25,15 @@ Simulate a small set of pictures, build an atlas of it, and locate the object of
 >>> atlas.grid.labels[int(place.voxels.argmax())] == pictures.records[4].label
 True
 
+What a picture can tell at most, over the hidden volume, and in how many pictures an object is found:
+
+>>> limits = classify.bound_map(classify.Synthesis(atlas, made.bulk.world()), across=2)
+>>> limits.position.shape
+(2, 2)
+>>> [detected] = classify.detections(atlas, [1], count=5)
+>>> len(detected.found) == atlas.grid.n_voxels
+True
+
 Extract features of the same pictures, and train a classifier:
 
 >>> features = classify.extract(pictures, classify.FeatureSettings(set="global"), sensor=sensor)
@@ -47,10 +56,11 @@ if TYPE_CHECKING:
     from classify.inference.atlas_build import build as build_atlas
     from classify.inference.atlas_file import load as load_atlas
     from classify.inference.atlas_file import save as save_atlas
+    from classify.inference.bound import over_volume as bound_map
     from classify.inference.bound import reachable as bound
-    from classify.inference.detect import Detector, evidence
+    from classify.inference.detect import Detector, detections, evidence
     from classify.inference.evaluation import run as evaluate
-    from classify.inference.posterior import locate
+    from classify.inference.posterior import Synthesis, locate
     from classify.inference.sequence import run as track
     from classify.pictures.feature_table import Features, extract
     from classify.pictures.feature_table import read as read_features
@@ -65,9 +75,12 @@ _EXPORTS = {
     "Features": "classify.pictures.feature_table:Features",
     "Model": "classify.classifiers.models:Model",
     "Sensor": "classify.pictures.sensor:Sensor",
+    "Synthesis": "classify.inference.posterior:Synthesis",
     "bound": "classify.inference.bound:reachable",
+    "bound_map": "classify.inference.bound:over_volume",
     "build_atlas": "classify.inference.atlas_build:build",
     "compare": "classify.classifiers.evaluate:compare",
+    "detections": "classify.inference.detect:detections",
     "evaluate": "classify.inference.evaluation:run",
     "evidence": "classify.inference.detect:evidence",
     "extract": "classify.pictures.feature_table:extract",
@@ -88,9 +101,12 @@ __all__ = [
     "Features",
     "Model",
     "Sensor",
+    "Synthesis",
     "bound",
+    "bound_map",
     "build_atlas",
     "compare",
+    "detections",
     "evaluate",
     "evidence",
     "extract",

@@ -272,6 +272,11 @@ def over_volume(
         Number of points along x; along y they are as dense.
     progress : callable
         Called with (done, total), in points.
+
+    Returns
+    -------
+    Map
+        Coordinates of the points, and the bounds at each.
     """
     lo, hi = np.asarray(synthesis.atlas.grid.lo), np.asarray(synthesis.atlas.grid.hi)
     deep = max(2, round(across * (hi[1] - lo[1]) / (hi[0] - lo[0])))

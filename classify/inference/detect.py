@@ -141,6 +141,11 @@ def detections(
     progress : callable
         Called with (done, total), in exposures.
 
+    Returns
+    -------
+    list of Detection
+        One for each number of frames.
+
     Raises
     ------
     NlosError
