@@ -5,6 +5,8 @@ from __future__ import annotations
 import doctest
 import importlib
 import inspect
+import subprocess
+import sys
 
 import pytest
 
@@ -28,3 +30,10 @@ def test_examples_run(module):
     found = doctest.testmod(importlib.import_module(module))
     assert found.attempted > 0
     assert not found.failed
+
+
+def test_drawing_stays_where_the_caller_has_it():
+    """In a notebook, a changed backend of Matplotlib would hide every figure from then on."""
+    script = "import classify, matplotlib\nmatplotlib.use('svg')\n"
+    script += "for name in classify.__all__: getattr(classify, name)\nassert matplotlib.get_backend() == 'svg'\n"
+    subprocess.run([sys.executable, "-c", script], check=True)
