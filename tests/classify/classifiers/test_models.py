@@ -244,7 +244,7 @@ def test_commands_from_data_set_to_answer(tmp_path, command):
     done = command("classify", "train", "sheet.h5", "-o", "m.skops", "--classifier", "LDA", cwd=tmp_path)
     assert done.returncode == 0, done.stderr
     pictures = [f"sheet/{v}/0000.exr" for v in "AEI"]
-    done = command("classify", "predict", "m.skops", *pictures, "--json", cwd=tmp_path)
+    done = command("classify", "predict", "m.skops", *pictures, "--json", cwd=tmp_path, process=True)
     answers = [json.loads(line) for line in done.stdout.splitlines()]
     assert [a["picture"] for a in answers] == pictures
     assert sum(a["label"] == p[6] for a, p in zip(answers, pictures, strict=True)) >= 2

@@ -118,6 +118,14 @@ def test_the_command_line(simulated, seen, tmp_path, command):
     assert "the best that any method can do" in bound.stdout
 
 
+@pytest.fixture(scope="module")
+def atlas(simulated, tmp_path_factory):
+    """An atlas of that set, as a file."""
+    path = tmp_path_factory.mktemp("atlas") / "a.atlas"
+    atlas_file.save(path, atlas_build.build(simulated, DIM))
+    return path
+
+
 @pytest.mark.parametrize(
     ("arguments", "words"),
     [
@@ -131,17 +139,16 @@ def test_the_command_line(simulated, seen, tmp_path, command):
         (("bound", "{atlas}", "{set}", "--count", "0"), "--count 0: must be 1 or more"),
     ],
 )
-def test_bad_input_is_one_sentence(simulated, seen, tmp_path, command, arguments, words):
+def test_bad_input_is_one_sentence(simulated, seen, atlas, tmp_path, command, arguments, words):
     """Exit code 2, one line, nothing left behind."""
     (tmp_path / "bad.toml").write_text('colour = "red"\n')
-    atlas_file.save(tmp_path / "a.atlas", atlas_build.build(simulated, DIM))
     places = {
         "missing": tmp_path / "missing",
         "out": tmp_path / "out.atlas",
         "set": simulated.path,
         "seen": seen.path,
         "bad": tmp_path / "bad.toml",
-        "atlas": tmp_path / "a.atlas",
+        "atlas": atlas,
         "other": tmp_path / "other",
     }
     if "{other}" in arguments:

@@ -99,8 +99,8 @@ def crew(tmp_path, script, **options):
 
 
 def test_a_worker_that_hangs_is_ended_and_its_unit_listed(tmp_path):
-    """Three tries of two seconds each; the run goes on and comes to an end."""
-    one, lines = crew(tmp_path, HANG.format('{"ready": true}', 3600), patience=(2.0, 2.0))
+    """Three tries of half a second each; the run goes on and comes to an end."""
+    one, lines = crew(tmp_path, HANG.format('{"ready": true}', 3600), patience=(0.5, 0.5))
     begun = time.monotonic()
     one.work([7], 1)
     assert time.monotonic() - begun < 60.0
