@@ -283,6 +283,7 @@ def test_render_by_the_integral_without_numba_as_blender_has_none(package: Path,
     )
 
 
+@pytest.mark.slow
 def test_the_data_sets_workers_end_with_blender(package: Path, tmp_path: Path) -> None:
     """Even where it is killed: they notice that nobody listens any more."""
     script = """
@@ -320,6 +321,7 @@ def test_the_data_sets_workers_end_with_blender(package: Path, tmp_path: Path) -
     ("wish", "words"),
     [("'time'; settings.minutes = 0.4", "what the budget allows"), ("'error'; settings.error = 90", "as exact as")],
 )
+@pytest.mark.slow
 def test_a_data_set_takes_what_a_time_or_an_error_allows(
     package: Path, tmp_path: Path, wish: str, words: str
 ) -> None:
@@ -361,6 +363,7 @@ def test_without_cycles_there_is_a_sentence(package: Path, tmp_path: Path) -> No
     )
 
 
+@pytest.mark.slow
 def test_a_trained_model_answers(
     package: Path, tmp_path: Path, scene_file: Path, command: Callable[..., Any]
 ) -> None:

@@ -152,7 +152,7 @@ def test_every_module_of_the_extension_and_what_it_draws(bare, tmp_path):
     assert int(said.split(" modules")[0].split()[-1]) > 50
 
 
-@pytest.mark.parametrize("engine", ["path", "patch", "surfel"])
+@pytest.mark.parametrize("engine", ["path", *(pytest.param(e, marks=pytest.mark.slow) for e in ("patch", "surfel"))])
 def test_batch_makes_the_set_that_the_shell_makes(bare, tmp_path, lit, command, engine):
     """Under ambient light; `surfel` as NumPy runs it, to rounding."""
     options = TINY if engine != "surfel" else (*TINY[:2], *TINY[4:], "--accuracy", "1e-2")
@@ -168,6 +168,7 @@ def test_batch_makes_the_set_that_the_shell_makes(bare, tmp_path, lit, command, 
         np.testing.assert_allclose(*pictures, rtol=1e-5 if engine == "surfel" else 0.0)
 
 
+@pytest.mark.slow
 def test_check_and_sweep_from_the_shell_without_them(bare, tmp_path, lit):
     """Nor does anything behind `check` and `sweep` need what it does not use."""
     for command, words in (("check", "A sweep takes"), ("sweep", "finished")):
@@ -253,7 +254,9 @@ def test_compiled_code_is_not_taken_from_a_folder_that_others_can_write(unwritab
     assert not list(tmp_path.rglob("*.nbi"))
 
 
-@pytest.mark.parametrize("name", ["{blend_name}", "a{b}c", "}{", "per%cent ### {:3}"])
+@pytest.mark.parametrize(
+    "name", ["{blend_name}", *(pytest.param(n, marks=pytest.mark.slow) for n in ("a{b}c", "}{", "per%cent ### {:3}"))]
+)
 def test_a_temporary_folder_of_any_name(tmp_path, scene_file, command, tiny_dataset, name):
     """Blender 5 takes braces in what it renders to for variables; the pixels do not depend on them."""
     folder = tmp_path / name

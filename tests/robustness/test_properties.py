@@ -85,13 +85,24 @@ SAMPLE = (
 )
 
 
+QUICK = {
+    *("target_keys_on_location", "spot_power_keyed", "texture_of_floor_follows_target", "cube_hidden_in_viewport"),
+    *("compositor_doubles", "wall_second_output_for_cycles", "target_mirror", "library_gone"),
+    *("scale", "visible_camera", "energy", "clip_end", "exclude", "film_exposure"),
+}
+"""Edits of each kind; the rest is for `make test-all`."""
+
+
 @pytest.fixture(scope="module")
 def judge(tmp_path_factory):
     """The base scene, rendered every way; that all agree there is asserted as it is made."""
     return properties.Judge(tmp_path_factory.mktemp("properties"))
 
 
-@pytest.mark.parametrize("edit", SAMPLE, ids=lambda e: f"{e[0]}-{e[1]}")
+@pytest.mark.parametrize(
+    "edit",
+    [pytest.param(e, id=f"{e[0]}-{e[1]}", marks=() if e[1] in QUICK else pytest.mark.slow) for e in SAMPLE],
+)
 def test_an_edit_is_followed_or_refused(judge, edit):
     row = judge.row(*edit)
     refused = all(getattr(row, engine) == "refused" for engine in properties.ENGINES)

@@ -70,7 +70,7 @@ def test_stated_uncertainty_is_true(simulated, unseen, sensor):
     assert abs(right.sum() - sure.sum()) < 3.3 * spread + 2.0
 
 
-@pytest.mark.parametrize("turning", [False, True])
+@pytest.mark.parametrize("turning", [False, pytest.param(True, marks=pytest.mark.slow)])
 def test_the_engines_fit_reaches_the_bound(simulated, unseen, tmp_path, turning):
     """Its error is what Cramer and Rao allow, where pictures are sharp: a ball, and a sheet that turns too."""
     if turning:
@@ -187,6 +187,7 @@ def test_strengths_are_found():
     np.testing.assert_allclose(found[0], [0.3, 0.9], atol=1e-3)
 
 
+@pytest.mark.slow
 def test_an_object_of_another_size_and_albedo_is_found(tmp_path):
     """A dark ball of two thirds the radius is found by an atlas of a white one that knows of neither."""
     import worlds

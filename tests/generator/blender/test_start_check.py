@@ -182,11 +182,16 @@ WRONG = {
 CASES = [
     *((what, engine, *edits) for what, some in WRONG.items() for edits in some for engine in ("path",)),
     ("background", "patch", _nothing, _sky),
-    ("change by the target", "patch", _nothing, _target_black),
     ("change by the target", "patch", _nothing, _lamp_child),
-    ("change by the target", "surfel", _target_black, _nothing),
-    ("change by the target", "surfel", _nothing, _wall_dark),
     ("background", "surfel", _nothing, _sky),
+    *(  # each takes Cycles 5 s to tell
+        pytest.param("change by the target", *case, marks=pytest.mark.slow)
+        for case in (
+            ("patch", _nothing, _target_black),
+            ("surfel", _target_black, _nothing),
+            ("surfel", _nothing, _wall_dark),
+        )
+    ),
 ]
 
 
@@ -232,6 +237,7 @@ def test_no_probe_renders_all_the_same(tmp_path):
     assert "start_check" not in dataset.meta
 
 
+@pytest.mark.slow
 def test_the_command_tells_its_time_once_and_a_set_goes_on_without(tmp_path, command):
     source = made(tmp_path / "a.blend", _nothing)
     some = (*("--engine", "path", "--poses", "1", "--resolution", "8", "--samples", "1"), "--workers", "1")

@@ -74,6 +74,7 @@ def test_every_verb_is_quiet_when_nobody_reads_and_says_so_when_the_disk_is_full
             monkeypatch.undo()
 
 
+@pytest.mark.slow
 def test_a_command_that_ends_by_itself(tmp_path, scene_file, tiny_dataset):
     scene = ["-m", "generator.cli", "scene", "room", "--show"]
     assert told(scene, "gone") == (GONE, "")
@@ -100,6 +101,7 @@ def test_a_sweep_whose_progress_nobody_reads_ends_and_goes_on_later(tmp_path, sc
     assert len(list((tmp_path / "set").glob("?/*.exr"))) == 9
 
 
+@pytest.mark.slow
 def test_batch_inside_blender(tmp_path, scene_file):
     code = (
         f"import bpy, runpy, sys; sys.argv = ['blender', '--', '-o', sys.argv[1], *{TINY[:-2]!r}];"

@@ -118,6 +118,7 @@ def test_samples_are_not_chosen_twice(monkeypatch):
         chosen(monkeypatch, PATCH, {"samples": 4}, budget=60.0)
 
 
+@pytest.mark.slow
 def test_pictures_are_as_exact_as_asked_for(tmp_path, scene_file, command):
     """Against the engine without noise, at the same poses: the median error is the one that was promised."""
     common = ("--poses", "3", "--resolution", "12")
@@ -134,6 +135,7 @@ def test_pictures_are_as_exact_as_asked_for(tmp_path, scene_file, command):
     assert 0.6 / 2.5 < np.median(error) < 0.6 * 2.5
 
 
+@pytest.mark.slow
 def test_a_budget_from_the_shell(tmp_path, scene_file, command):
     path = tmp_path / "set"
     small = ("--poses", "1", "--resolution", "8")

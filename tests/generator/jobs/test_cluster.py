@@ -12,7 +12,7 @@ def hashes(path):
     return [pose.pixel_hash for pose in Dataset.open(path).poses]
 
 
-@pytest.mark.parametrize("cluster", ["local", "debug"])
+@pytest.mark.parametrize("cluster", [pytest.param("local", marks=pytest.mark.slow), "debug"])
 def test_jobs_make_the_same_set(tmp_path, scene_file, tiny_dataset, command, cluster):
     path = tmp_path / "set"
     jobs = ("--jobs", "3", "--cluster", cluster, "--job", "timeout_min=5")
@@ -25,6 +25,7 @@ def test_jobs_make_the_same_set(tmp_path, scene_file, tiny_dataset, command, clu
     assert "nothing to do" in again.stdout, again.stderr
 
 
+@pytest.mark.slow
 def test_a_job_that_fails_is_named_and_the_rest_is_done(tmp_path, scene_file, command):
     """Where a picture should be lies a folder: that share cannot be finished, the others are."""
     path = tmp_path / "set"

@@ -106,6 +106,7 @@ def test_one_interface_renders_the_target_where_it_stands():
     assert (seen > background).mean() > 0.5
 
 
+@pytest.mark.slow
 def test_killed_and_resumed_gives_the_same_pixels_and_no_litter(tmp_path, scene_file, command):
     options = ("--poses", "30", "--resolution", "16", "--engine", "surfel", "--accuracy", "1e-2", "--no-probe")
     whole, killed = tmp_path / "whole", tmp_path / "killed"

@@ -33,6 +33,7 @@ def asked(threads):
     return RenderSweep(path=Path(), threads=threads, trust_links=False)
 
 
+@pytest.mark.slow
 def test_killed_twice_and_resumed_with_other_workers_gives_the_same_pixels(tmp_path, scene_file, command):
     whole, killed = tmp_path / "whole", tmp_path / "killed"
     assert command("generator", "sweep", scene_file, "-o", whole, *SLOW, "--workers", "1").returncode == 0
@@ -111,7 +112,19 @@ def test_another_scene_is_refused(tmp_path, tiny_dataset, command):
 def test_the_noise_of_no_two_poses_is_the_same(tmp_path, scene_file, command):
     """Unpaired, the pictures of a room differ by the target and by noise; equal noise would correlate them."""
     path = tmp_path / "noise"
-    options = ("--engine", "patch", "--poses", "1", "--samples", "2", "--resolution", "24", "--no-paired")
+    options = (
+        "--engine",
+        "patch",
+        "--poses",
+        "1",
+        "--samples",
+        "2",
+        "--resolution",
+        "24",
+        "--workers",
+        "1",
+        "--no-paired",
+    )
     assert command("generator", "sweep", scene_file, "-o", path, *options).returncode == 0
     other = tmp_path / "other"
     assert command("generator", "sweep", scene_file, "-o", other, *options, "--seed", "1").returncode == 0
@@ -242,6 +255,7 @@ def test_a_hidden_target_is_refused_before_anything_is_written(tmp_path, scene_f
         assert not (tmp_path / "set").exists()
 
 
+@pytest.mark.slow
 def test_a_run_can_be_stopped_and_gone_on_with(tmp_path, scene_file):
     from generator.jobs import local
 

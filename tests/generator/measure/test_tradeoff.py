@@ -85,6 +85,7 @@ def test_folders_without_a_finished_reference_are_one_sentence(tmp_path):
         tradeoff.costs(tmp_path)
 
 
+@pytest.mark.slow
 def test_from_scene_to_worth(tmp_path, scene_file, command, monkeypatch, capsys):
     """Few ways, few pixels: the ladder is rendered, resumed, measured, and answered by an atlas of the same scene."""
     few = [

@@ -193,6 +193,7 @@ def test_too_many_surfaces_are_refused():
         Transport(under_sky(ball(), room=(many,)), accuracy=1e-2)
 
 
+@pytest.mark.slow
 def test_from_the_shell(tmp_path, command):
     """A set under ambient light, by `bulk` and by `sweep`, and what can be known of it."""
     scene, simulated, atlas = tmp_path / "lit.blend", tmp_path / "simulated", tmp_path / "lit.atlas"
@@ -213,7 +214,7 @@ def test_from_the_shell(tmp_path, command):
     assert worlds.error(one.ambient_background(), other.ambient_background()) < 0.02
 
 
-@pytest.mark.parametrize("kind", ["sphere", "sheet"])
+@pytest.mark.parametrize("kind", ["sphere", pytest.param("sheet", marks=pytest.mark.slow)])
 def test_cycles_sees_the_same(kind):
     """In the preset room under a sky that outshines the lamp; by slope over poses, four standard errors and 5 %."""
     scene = blend_file.new_file()

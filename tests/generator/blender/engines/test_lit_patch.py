@@ -20,6 +20,11 @@ SIGMAS = 4.5
 """By chance beyond it once in 100,000."""
 
 
+def slow(*case):
+    """A case of a test whose other cases are enough for `make test`."""
+    return pytest.param(*case, marks=pytest.mark.slow)
+
+
 def means(scene, engine, *, samples=SAMPLES):
     """Mean radiance over picture and seeds, and its standard error."""
     bpy.context.view_layer.update()
@@ -132,8 +137,9 @@ def target_that_glowed_in_old_blenders(scene):
 @pytest.mark.parametrize(
     "edit",
     [
-        *(material_by_geometry_nodes, second_output_for_cycles, material_of_the_object, colour_of_a_node),
-        *(two_colours, constant_lamp_nodes, target_that_glowed_in_old_blenders),
+        *(material_by_geometry_nodes, constant_lamp_nodes),
+        *(slow(edit) for edit in (second_output_for_cycles, material_of_the_object, colour_of_a_node)),
+        *(slow(edit) for edit in (two_colours, target_that_glowed_in_old_blenders)),
     ],
     ids=lambda f: f.__name__,
 )
@@ -309,7 +315,7 @@ def test_what_the_first_reflection_cannot_honour_is_refused_by_name(name):
     assert renderers.choose(scene)[0] == "path"
 
 
-@pytest.mark.parametrize("order", [3, 5])
+@pytest.mark.parametrize("order", [3, slow(5)])
 def test_a_mirror_is_seen(order):
     """By way of the floor too: its paths are as long as the scene allows, and no longer."""
     scene = bare(room=floor_room())
@@ -319,7 +325,7 @@ def test_a_mirror_is_seen(order):
     assert renderers.choose(scene)[0] == "patch"
 
 
-@pytest.mark.parametrize(("kind", "order"), [("BsdfGlass", 6), ("BsdfRefraction", 5), ("BsdfMetallic", 4)])
+@pytest.mark.parametrize(("kind", "order"), [("BsdfGlass", 6), slow("BsdfRefraction", 5), slow("BsdfMetallic", 4)])
 def test_what_bends_or_throws_light_is_seen(kind, order):
     scene = bare(room=floor_room())
     roles.limit_reflections(scene, order)
@@ -390,7 +396,7 @@ def second_spot_of_the_same_data(scene):
 
 @pytest.mark.parametrize(
     "edit",
-    [instanced_bulb, background_set, glowing_by_geometry_nodes, second_spot_of_the_same_data],
+    [instanced_bulb, *map(slow, (background_set, glowing_by_geometry_nodes, second_spot_of_the_same_data))],
     ids=lambda f: f.__name__,
 )
 def test_other_lights_keep_all_their_reflections(edit):

@@ -175,6 +175,7 @@ def test_a_plan_is_written_and_followed(tmp_path):
         plan_file.read(tmp_path / "plan", scene)
 
 
+@pytest.mark.slow
 def test_a_small_mirror_far_away_is_left_out_and_surfel_takes_over(tmp_path):
     """Measured by Cycles, through its noise; a mirror as wide as a wall is not."""
     scene = built()
@@ -192,6 +193,7 @@ def test_a_small_mirror_far_away_is_left_out_and_surfel_takes_over(tmp_path):
     assert more.note == "not in the scene"
 
 
+@pytest.mark.slow
 def test_a_faint_sky_is_left_out_and_surfel_takes_over(tmp_path):
     """Half the sky changes the pictures by half as much; no render by Cycles is needed to know."""
     shares = []
@@ -211,6 +213,7 @@ def test_a_faint_sky_is_left_out_and_surfel_takes_over(tmp_path):
     assert planning.ambient(tmp_path / "dark.blend", planned) is None
 
 
+@pytest.mark.slow
 def test_the_denoiser_is_wrong_in_the_mean_and_its_noise_is_not_counted(tmp_path):
     """Twenty-four pictures' noise is far above their signal, yet what is told is the bias alone."""
     path = tmp_path / "room.blend"
@@ -227,6 +230,7 @@ def test_the_denoiser_is_wrong_in_the_mean_and_its_noise_is_not_counted(tmp_path
     assert low < value < high
 
 
+@pytest.mark.slow
 def test_from_the_shell(tmp_path, command):
     scene_file, folder, data = tmp_path / "room.blend", tmp_path / "plan", tmp_path / "data"
     few = ("--target", "sphere", "--set", "resolution=[16,16]")

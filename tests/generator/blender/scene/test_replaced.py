@@ -207,6 +207,7 @@ def make_the_sequencer_count(scene):
     strips.new_effect(name="White", type="COLOR", channel=1, frame_start=1, **end).color = (1.0, 1.0, 1.0)
 
 
+@pytest.mark.slow
 def test_the_file_has_no_say_in_what_is_replaced(tmp_path):
     """Nor do text, compositor, sequencer, Freestyle, stereo, region: the picture is that of the neutral file."""
     scene = furnished()
