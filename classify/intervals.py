@@ -1,11 +1,31 @@
-"""Values with 95 % confidence intervals."""
+"""Values with 95 % confidence intervals, also where pictures are not independent.
+
+Dependent pictures count as an effective number of independent ones (design effect: Kish 1965, section 8.2), whose
+interval is Wilson's for a share (Korn and Graubard 1998) and order statistics' for a median (Woodruff 1952). The
+design effect is the variance of a mean over that of independent values. It is estimated
+
+- over groups, which share something (a background's noise, a pose), from the sums of each group;
+- over the frames of a walk, from the slowest cosines of the sequence.
+
+Student's t takes the place of the normal distribution, with as many degrees of freedom as the estimate has.
+"""
 
 from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from typing import Any
 
-from scipy import stats
+import numpy as np
+from numpy.typing import NDArray
+from scipy import fft, stats
+
+from generator.measure import intervals
+from generator.model.arrays import Array
+
+_Z = float(stats.norm.ppf(0.975))
+_COSINES = 0.3
+"""Number of slow cosines over the root of the number of frames; by simulation (benchmarks/coverage.py)."""
 
 
 @dataclass(frozen=True)
@@ -22,12 +42,28 @@ class Interval:
 
     def centimetres(self) -> str:
         """Return a length in metres as text."""
-        return f"{100 * self.value:.2f} cm ({100 * self.low:.2f} to {100 * self.high:.2f})"
+        high = f"{100 * self.high:.2f}" if math.isfinite(self.high) else "any"
+        return f"{100 * self.value:.2f} cm ({100 * self.low:.2f} to {high})"
 
 
-def score_interval(value: float, trials: float) -> Interval:
+@dataclass(frozen=True)
+class Effective:
+    """What dependent values are worth.
+
+    Attributes
+    ----------
+    trials : float
+        Number of independent values that tell as much.
+    z : float
+        Half width of a 95 % interval in standard errors.
+    """
+
+    trials: float
+    z: float = _Z
+
+
+def score_interval(value: float, trials: float, z: float = _Z) -> Interval:
     """Return a proportion of a number of trials, which need not be whole, with its 95 % interval (Wilson 1927)."""
-    z = float(stats.norm.ppf(0.975))
     middle = (value + z * z / (2.0 * trials)) / (1.0 + z * z / trials)
     half = z / (1.0 + z * z / trials) * math.sqrt(value * (1.0 - value) / trials + (z / (2.0 * trials)) ** 2)
     # Rounding must not put the value itself outside.
@@ -35,6 +71,127 @@ def score_interval(value: float, trials: float) -> Interval:
 
 
 def wilson(successes: int, trials: int) -> Interval:
-    """Return a proportion with its 95 % score interval (Wilson 1927)."""
+    """Return a proportion of independent trials with its 95 % score interval (Wilson 1927)."""
     interval = stats.binomtest(successes, trials).proportion_ci(method="wilson")
     return Interval(successes / trials, float(interval.low), float(interval.high))
+
+
+def grouped(values: NDArray[Any], groups: NDArray[Any]) -> Effective:
+    """Return what shares (n,), each from 0 to 1, are worth if those of a group are not independent.
+
+    The variance of their mean is that between the sums of groups (Cochran 1977). Groups that are drawn
+    from all voxels alike make it smaller than that of independent pictures.
+
+    Parameters
+    ----------
+    values : ndarray of shape (n,)
+        Truth values, or shares.
+    groups : ndarray of shape (n,)
+        Name of each one's group.
+    """
+    count = len(values)
+    names, index = np.unique(groups, return_inverse=True)
+    if len(names) in (1, count):
+        return Effective(float(count))
+    mean = float(np.mean(values))
+    sums = np.bincount(index, values - mean)
+    return _effective(
+        len(names) / (len(names) - 1) * float((sums**2).mean()) * len(names) / count, mean, count, len(names) - 1
+    )
+
+
+def serial(values: NDArray[Any]) -> Effective:
+    """Return what the truth values (n,) of a walk's frames, in their order, are worth.
+
+    The variance of their mean is that of the sequence's slowest cosines, about 0.3 sqrt(n) of them, which see no more
+    of its correlation than the mean does (Lazarus, Lewis, Stock and Watson 2018).
+    """
+    count, mean = len(values), float(np.mean(values))
+    cosines = max(2, round(_COSINES * math.sqrt(count)))
+    if count <= cosines:
+        return Effective(float(count))
+    amplitudes = fft.dct(values - mean, norm="ortho")[1 : cosines + 1]
+    return _effective(float((amplitudes**2).mean()), mean, count, cosines)
+
+
+def _effective(variance: float, mean: float, count: int, freedom: int) -> Effective:
+    """Effective number, given the long-run variance of one value, its degrees of freedom, and the mean."""
+    binomial = mean * (1.0 - mean)
+    # One more value, independent of the others: a share of 0 or 1 has no variance to estimate a design effect from.
+    added = (binomial + 0.25 / count) / count
+    return Effective(count * (binomial + added) / (variance + added), float(stats.t.ppf(0.975, freedom)))
+
+
+def share(right: NDArray[np.bool_], groups: NDArray[Any] | None = None) -> Interval:
+    """Return the share of truth values (n,) that are true, with its 95 % interval; see `grouped`."""
+    worth = Effective(float(len(right))) if groups is None else grouped(right, groups)
+    return score_interval(float(np.mean(right)), worth.trials, worth.z)
+
+
+def share_of_walk(right: NDArray[np.bool_]) -> Interval:
+    """Return the share of a walk's frames (n,), in order, that are true, with its 95 % interval; see `serial`."""
+    worth = serial(right)
+    return score_interval(float(np.mean(right)), worth.trials, worth.z)
+
+
+def median(values: Array, groups: NDArray[Any] | None = None) -> Interval:
+    """Return the median of lengths (n,) with its 95 % interval; see `grouped`."""
+    worth = Effective(float(len(values))) if groups is None else grouped(values <= np.median(values), groups)
+    return _median(values, worth)
+
+
+def median_of_walk(values: Array) -> Interval:
+    """Return the median of a walk's lengths (n,), frame by frame, with its 95 % interval; see `serial`."""
+    return _median(values, serial(values <= np.median(values)))
+
+
+def _median(values: Array, worth: Effective) -> Interval:
+    value, low, high = intervals.median(values, trials=worth.trials, z=worth.z)
+    return Interval(value, max(low, 0.0), high)
+
+
+def exceedance(values: Array, threshold: float, groups: NDArray[Any]) -> Interval:
+    """Return the share of values (n,) above a threshold, with its 95 % interval.
+
+    Too few are above it to estimate a design effect from these alone. So the correlation within groups is taken from
+    all values, put on a normal scale (analysis of variance: Donner 1986), and the correlation of being
+    above from the bivariate normal distribution with it (Pearson 1900).
+
+    Parameters
+    ----------
+    values : ndarray of shape (n,)
+    threshold : float
+    groups : ndarray of shape (n,)
+        Name of each one's group.
+    """
+    count = len(values)
+    above = float((values > threshold).mean())
+    names, index, sizes = np.unique(groups, return_inverse=True, return_counts=True)
+    if len(names) in (1, count):
+        return score_interval(above, count)
+    scores = stats.norm.ppf((stats.rankdata(values) - 0.5) / count)
+    means = np.bincount(index, scores) / sizes
+    between = float((sizes * means**2).sum()) / (len(names) - 1)
+    within = float(((scores - means[index]) ** 2).sum()) / (count - len(names))
+    size = (count - float((sizes**2).sum()) / count) / (len(names) - 1)
+    correlation = max(0.0, (between - within) / (between + (size - 1.0) * within))
+    rate = (above * count + 0.5) / (count + 1.0)
+    quantile = stats.norm.ppf(rate)
+    both = float(
+        stats.multivariate_normal([0.0, 0.0], [[1.0, correlation], [correlation, 1.0]], True).cdf([quantile] * 2)
+    )
+    effect = 1.0 + (float((sizes**2).sum()) / count - 1.0) * max(0.0, both - rate * rate) / (rate - rate * rate)
+    return score_interval(above, count / effect, float(stats.t.ppf(0.975, len(names) - 1)))
+
+
+def paired_difference(one: NDArray[np.bool_], other: NDArray[np.bool_]) -> Interval:
+    """Return the difference of two shares over the same pictures (n,), with its 95 % interval.
+
+    Wald's with one more picture for either way to differ (Bonett and Price 2012).
+    """
+    count = len(one)
+    gained, lost = (float((a & ~b).sum() + 1.0) / (count + 2.0) for a, b in ((one, other), (other, one)))
+    half = _Z * math.sqrt((gained + lost - (gained - lost) ** 2) / (count + 2.0))
+    middle = gained - lost
+    value = float(np.mean(one)) - float(np.mean(other))
+    return Interval(value, max(-1.0, middle - half), min(1.0, middle + half))

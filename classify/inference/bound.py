@@ -19,12 +19,11 @@ from scipy.stats import norm
 
 from classify.inference.atlas import Atlas
 from classify.inference.posterior import Synthesis, locate
-from classify.intervals import Interval, wilson
+from classify.intervals import Interval, median, wilson
 from generator.measure import figures
 from generator.model.arrays import Array
 from generator.model.errors import NlosError
 
-_RESAMPLES = 2000
 _FEWEST = 4
 """Poses of an atlas whose half, without the pose that is asked about, still has one."""
 
@@ -112,19 +111,11 @@ def reachable(
     return Reachable(
         accuracy=wilson(int(correct.sum()), len(correct)),
         by_voxel=[wilson(int(r.sum()), len(r)) if len(r) else Interval(math.nan, 0.0, 1.0) for r in by_voxel],
-        error=median(errors, seed),
+        error=median(errors),
         count=len(chosen),
         gain=float(gains.mean()),
         gain_error=float(gains.std(ddof=1) / math.sqrt(len(gains))) if len(gains) > 1 else math.inf,
     )
-
-
-def median(values: Array, seed: int = 0) -> Interval:
-    """Return the median with its 95 % percentile interval of a bootstrap (Efron 1979)."""
-    rng = np.random.default_rng([seed, 3])
-    drawn = np.median(rng.choice(values, size=(_RESAMPLES, len(values))), axis=1)
-    low, high = np.percentile(drawn, [2.5, 97.5])
-    return Interval(float(np.median(values)), float(low), float(high))
 
 
 @dataclass(frozen=True)

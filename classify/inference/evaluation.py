@@ -13,10 +13,9 @@ from numpy.typing import NDArray
 from scipy.stats import chi2
 
 from classify.inference.atlas import Atlas
-from classify.inference.bound import median
 from classify.inference.detect import Detector, evidence
 from classify.inference.posterior import Place, holds, locate
-from classify.intervals import Interval, wilson
+from classify.intervals import Interval, exceedance, median, share
 from classify.pictures.leak import refuse_shared
 from classify.pictures.sensor import Camera
 from generator.files.writing import csv_text
@@ -27,6 +26,8 @@ from generator.model.poses import PoseRecord
 from generator.sets.readable import PictureSet, check_colours
 
 _EMPTY = 1000
+BACKGROUNDS = 50
+"""Most backgrounds that a run measures, since each takes as long as many pictures."""
 _MOST_LABELS = 30
 
 
@@ -43,6 +44,8 @@ class Evaluation:
     empty : ndarray of shape (m,)
         Evidence in pictures of the empty scene.
     detector : Detector
+    draws, empty_draws : ndarray of shape (n,) and (m,)
+        Which measured background each picture was compared with: those of one background are not independent.
     labels : tuple of str
         Labels of the voxels.
     seconds : ndarray of shape (n,)
@@ -56,6 +59,8 @@ class Evaluation:
     evidence: Array
     empty: Array
     detector: Detector
+    draws: NDArray[np.int64]
+    empty_draws: NDArray[np.int64]
     labels: tuple[str, ...]
     seconds: Array
     level: float = 1.0
@@ -77,36 +82,30 @@ class Evaluation:
         """Whether the true position lies in the stated region, (n,)."""
         return np.array([holds(p, r.position) for p, r in zip(self.places, self.records, strict=True)])
 
-    def accuracy(self, some: Array | None = None) -> Interval:
-        """Return the share of pictures in the right voxel, among some or all of them."""
-        right = self.right if some is None else self.right[some]
-        return wilson(int(right.sum()), len(right))
+    @property
+    def found(self) -> NDArray[np.bool_]:
+        """Whether an object is found, (n,)."""
+        return self.evidence > self.detector.threshold
 
-    def detected(self, some: Array | None = None) -> Interval:
-        """Return the share of pictures in which an object is found, among some or all of them."""
-        detected = self.evidence > self.detector.threshold
-        detected = detected if some is None else detected[some]
-        return wilson(int(detected.sum()), len(detected))
+    def accuracy(self) -> Interval:
+        """Return the share of pictures in the right voxel."""
+        return share(self.right, self.draws)
 
     def false_alarms(self) -> Interval:
         """Return the share of empty pictures in which an object is found."""
-        return wilson(int((self.empty > self.detector.threshold).sum()), len(self.empty))
+        return exceedance(self.empty, self.detector.threshold, self.empty_draws)
 
     def rows(self) -> list[tuple[str, ...]]:
         """Return a table, per voxel and in total: pictures, accuracy, median error, region coverage, detection."""
         voxels = np.array([r.voxel for r in self.records])
         parts = [(label, voxels == v) for v, label in enumerate(self.labels) if (voxels == v).any()]
+        right, errors, inside, found = self.right, self.errors, self.inside, self.found
         table = []
-        for label, selected in [*parts, ("all", np.ones(len(voxels), dtype=bool))]:
-            error = median(self.errors[selected])
-            held = wilson(int(self.inside[selected].sum()), int(selected.sum()))
-            cells = [
-                self.accuracy(selected).percent(),
-                error.centimetres(),
-                held.percent(),
-                self.detected(selected).percent(),
-            ]
-            table.append((label, str(int(selected.sum())), *cells))
+        for label, some in [*parts, ("all", np.ones(len(voxels), dtype=bool))]:
+            draws = self.draws[some]
+            shares = [share(answers[some], draws).percent() for answers in (right, inside, found)]
+            shares.insert(1, median(errors[some], draws).centimetres())
+            table.append((label, str(int(some.sum())), *shares))
         return table
 
     def calibration(self, levels: Array) -> Array:
@@ -181,9 +180,14 @@ def run(
     false_alarm: float = 0.01,
     seed: int = 0,
     empty: int = _EMPTY,
+    backgrounds: int = BACKGROUNDS,
+    detector: Detector | None = None,
     progress: Callable[[int, int], None] = lambda done, total: None,
 ) -> Evaluation:
     """Infer voxel, position and presence from each picture of a data set, as seen by the atlas' sensor.
+
+    The pictures take turns with several measured backgrounds: with a single one, its noise would be in every answer,
+    and no number of pictures would average it out.
 
     Parameters
     ----------
@@ -196,6 +200,10 @@ def run(
         Seed of the sensor's noise.
     empty : int
         Number of pictures of the empty scene that are tested for false alarms.
+    backgrounds : int
+        Number of backgrounds that are measured, at most one for each picture.
+    detector : Detector, optional
+        By default, that of ``false_alarm`` and ``seed``.
     progress : callable
         Called with (done, total), in pictures.
 
@@ -214,17 +222,20 @@ def run(
     positions = np.array([r.position for r in records])
     refuse_shared(atlas.positions, positions, "the atlas", str(dataset.path))
     camera = Camera(dataset, atlas.sensor, seed, like=atlas.background)
-    background, clean = camera.background(), camera.empty()
+    measured, clean = [camera.background(k) for k in range(min(backgrounds, len(records)))], camera.empty()
+    draws, empty_draws = (np.arange(n) % len(measured) for n in (len(records), empty))
     codes, places, seconds = [], [], []
     for done, record in enumerate(records):
         picture = camera.picture(record)
         start = time.perf_counter()
-        codes.append(atlas.code(picture, background, name=str(dataset.path / record.file)))
+        codes.append(atlas.code(picture, measured[draws[done]], name=str(dataset.path / record.file)))
         places.append(locate(atlas, codes[-1], seed=seed))
         seconds.append(time.perf_counter() - start)
         progress(done + 1, len(records))
     rng = np.random.default_rng([seed, 5])
-    codes_of_empty = [atlas.code(atlas.sensor.measure(clean, rng, pattern=seed), background) for _ in range(empty)]
+    codes_of_empty = [
+        atlas.code(atlas.sensor.measure(clean, rng, pattern=seed), measured[draw]) for draw in empty_draws
+    ]
     if dataset.grid != grid:  # the same volume, divided into other voxels
         voxels = grid.voxels(np.array([record.position for record in records]))
         records = [replace(r, voxel=int(v), label=grid.labels[v]) for r, v in zip(records, voxels, strict=True)]
@@ -233,7 +244,9 @@ def run(
         places=places,
         evidence=evidence(atlas, np.array(codes)),
         empty=evidence(atlas, np.array(codes_of_empty)) if empty else np.zeros(0),
-        detector=Detector.at(atlas, false_alarm, seed=seed),
+        detector=detector or Detector.at(atlas, false_alarm, seed=seed),
+        draws=draws,
+        empty_draws=empty_draws,
         labels=tuple(atlas.grid.labels),
         seconds=np.array(seconds),
         level=camera.level,

@@ -11,10 +11,11 @@ from matplotlib import pyplot as plt
 
 from classify.inference import evaluation
 from classify.inference.atlas import Atlas
-from classify.inference.bound import median
-from classify.intervals import Interval, wilson
-from generator.measure import figures
+from classify.inference.detect import Detector
+from classify.intervals import Interval, median, share
+from generator.measure import figures, intervals
 from generator.measure.tradeoff import REFERENCE, family, rungs
+from generator.model.arrays import Array
 
 
 @dataclass(frozen=True)
@@ -34,6 +35,8 @@ class Worth:
         Share of pictures in which an object is found.
     count : int
         Number of answers: pictures times noise realisations of the sensor.
+    right : ndarray of shape (pictures,)
+        Share of the answers to each picture that name its voxel; in the order of the poses, the same for all ways.
     """
 
     name: str
@@ -42,6 +45,7 @@ class Worth:
     error: Interval
     detected: Interval
     count: int
+    right: Array
 
 
 def worths(
@@ -55,7 +59,7 @@ def worths(
 ) -> list[Worth]:
     """Evaluate the pictures of ``nlos-generate tradeoff``, as seen by the atlas' sensor; the reference comes first.
 
-    The intervals are too narrow, since answers for the same picture are correlated.
+    Answers to the same picture are not independent, so intervals are by picture (`classify.intervals.grouped`).
 
     Parameters
     ----------
@@ -77,23 +81,27 @@ def worths(
         If the folder holds no finished data sets, or they are of another scene than the atlas.
     """
     sets = rungs(folder)
+    detectors = [Detector.at(atlas, false_alarm, seed=seed + number) for number in range(noises)]
     results = []
     for done, dataset in enumerate(sets):
         progress(done, len(sets), dataset.path.name)
         answers = [
-            evaluation.run(atlas, dataset, false_alarm=false_alarm, seed=seed + number, empty=0)
-            for number in range(noises)
+            evaluation.run(atlas, dataset, seed=seed + number, empty=0, detector=detector)
+            for number, detector in enumerate(detectors)
         ]
-        correct = np.concatenate([a.right for a in answers])
-        detected = np.concatenate([a.evidence > a.detector.threshold for a in answers])
+        correct, detected, errors = (
+            np.concatenate([getattr(a, name) for a in answers]) for name in ("right", "found", "errors")
+        )
+        pictures = np.tile(np.arange(len(dataset.records)), noises)
         results.append(
             Worth(
                 name=dataset.path.name,
                 seconds=float(np.mean([record.seconds for record in dataset.records])),
-                accuracy=wilson(int(correct.sum()), len(correct)),
-                error=median(np.concatenate([a.errors for a in answers])),
-                detected=wilson(int(detected.sum()), len(detected)),
+                accuracy=share(correct, pictures),
+                error=median(errors, pictures),
+                detected=share(detected, pictures),
                 count=len(correct),
+                right=correct.reshape(noises, -1).mean(axis=0),
             )
         )
     progress(len(sets), len(sets), "done")
@@ -111,12 +119,15 @@ def rows(found: Sequence[Worth]) -> list[tuple[str, ...]]:
 
 
 def enough(found: Sequence[Worth]) -> list[str]:
-    """Return sentences that say, for each engine, from which way on rendering noise no longer matters."""
+    """Return sentences that say, for each engine, from which way on rendering noise no longer matters.
+
+    A way loses if its answers, picture by picture, are right less often than the reference's, by Student's t.
+    """
     reference = next(w for w in found if w.name == REFERENCE)
     sentences = [f"Without noise of rendering, {reference.accuracy.percent()} are put into the right voxel."]
     for engine in ("surfel", "patch", "path"):
         candidates = [w for w in found if family(w.name) == engine]
-        good = [w for w in candidates if w.accuracy.high >= reference.accuracy.value]
+        good = [w for w in candidates if intervals.mean(w.right - reference.right)[2] >= 0.0]
         if good:
             first = min(good, key=lambda w: w.seconds)
             sentences.append(f"{engine}: what {first.name} ({first.seconds:.3g} core seconds) loses cannot be told.")

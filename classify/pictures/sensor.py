@@ -266,12 +266,12 @@ class Camera:
         pictures = itertools.chain([dataset.background()], map(dataset.picture, dataset.records))
         self.sensor = sensor.exposed(pictures)
 
-    def background(self) -> Picture:
-        """Return the measured background, (height, width, 3), W/m^2/sr."""
+    def background(self, draw: int = 0) -> Picture:
+        """Return a measured background, (height, width, 3), W/m^2/sr; each ``draw`` has noise of its own."""
         sensor, clean = self.sensor, self.empty()
         if sensor.drift and (ambient := self._dataset.ambient_background()) is not None:
             clean = clean - ambient * np.float32(self.level * sensor.drift / (1.0 + sensor.drift))
-        rng = np.random.default_rng([self._seed, 0, self._set])
+        rng = np.random.default_rng([self._seed, 0, self._set, *([draw] if draw else [])])
         return sensor.measure(clean, rng, frames=sensor.background_frames, pattern=self._seed)
 
     def empty(self) -> Picture:

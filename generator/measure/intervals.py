@@ -3,28 +3,52 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
-from typing import Any
 
 import numpy as np
-from scipy import stats
+from scipy.optimize import brentq
+from scipy.special import betainc, ndtr
+from scipy.stats import t as student
 
 from generator.model.arrays import Array
 
-_RESAMPLES = 2000
 
+def median(values: Array, *, trials: float = 0.0, z: float = 1.959964) -> tuple[float, float, float]:
+    """Return the median of values (n,), and the ends of its interval.
 
-def bootstrap(values: Array, what: Callable[..., Any] = np.mean) -> tuple[float, float, float]:
-    """Return a statistic of values (n,), and its 95 % percentile interval of a bootstrap (Efron 1979).
+    The ends are fractional order statistics (Hutson 1999), for values of any continuous distribution.
 
-    A single value gives no estimate of its own error: the ends of its interval are NaN.
+    Parameters
+    ----------
+    values : ndarray of shape (n,)
+    trials : float
+        Number of independent values that these tell as much as (Woodruff 1952); 0 if all are independent.
+    z : float
+        Half width of the interval in standard errors: the normal's 97.5 % quantile, or Student's.
+
+    Returns
+    -------
+    (float, float, float)
+        Median, low and high end; the ends are infinite where the values are too few (five or fewer).
     """
-    if len(values) < 2:
-        return float(what(values)), math.nan, math.nan
-    rng = np.random.default_rng(0)
-    options: dict[str, Any] = {"n_resamples": _RESAMPLES, "method": "percentile", "vectorized": True, "rng": rng}
-    interval = stats.bootstrap((values,), what, **options).confidence_interval
-    return float(what(values)), float(interval.low), float(interval.high)
+    n, effective, level = len(values), trials or float(len(values)), float(ndtr(z))
+    rank = brentq(lambda r: float(betainc(r, effective + 1.0 - r, 0.5)) - level, 1e-9, 0.5 * (effective + 1.0))
+    position = (n + 1.0) * rank / (effective + 1.0)
+    ordered, ranks = np.sort(values), np.arange(1, n + 1)
+    low = float(np.interp(position, ranks, ordered, left=-math.inf))
+    high = float(np.interp(n + 1.0 - position, ranks, ordered, right=math.inf))
+    return float(np.median(values)), low, high
+
+
+def mean(values: Array) -> tuple[float, float, float]:
+    """Return the mean of values (n,), and the ends of its 95 % interval, by Student's t (1908).
+
+    A single value gives no estimate of its own error: the ends are infinite.
+    """
+    value, n = float(values.mean()), len(values)
+    if n < 2:
+        return value, -math.inf, math.inf
+    half = float(student.ppf(0.975, n - 1) * values.std(ddof=1) / math.sqrt(n))
+    return value, value - half, value + half
 
 
 def relative(error: Array, signal: Array) -> tuple[float, float, float]:
@@ -49,6 +73,6 @@ def relative(error: Array, signal: Array) -> tuple[float, float, float]:
     ratios = (error / level).mean(axis=1)
     if len(ratios) < 2:
         return math.sqrt(max(0.0, float(ratios.mean()))), 0.0, math.inf
-    half = float(stats.t.ppf(0.975, len(ratios) - 1) * ratios.std(ddof=1) / math.sqrt(len(ratios)))
+    half = float(student.ppf(0.975, len(ratios) - 1) * ratios.std(ddof=1) / math.sqrt(len(ratios)))
     low, value, high = (math.sqrt(max(0.0, float(ratios.mean()) + x)) for x in (-half, 0.0, half))
     return value, low, high

@@ -16,7 +16,7 @@ from generator.jobs import local
 from generator.jobs.request import SweepRequest
 from generator.jobs.workers import available_cores
 from generator.measure import figures
-from generator.measure.intervals import bootstrap
+from generator.measure.intervals import mean, median
 from generator.model.arrays import Array
 from generator.model.errors import NlosError
 from generator.model.quantities import clock
@@ -73,16 +73,19 @@ class Cost:
         Core seconds per picture, including the one that it is paired with.
     error : (float, float, float)
         Root mean square of a difference picture's error, relative to the reference's difference: in the median pose,
-        with the 95 % interval of a bootstrap over poses (Efron 1979).
+        with its 95 % interval (`intervals.median`).
     level : (float, float, float)
-        Mean over the poses of the share of the reference's difference that the rung shows: 1 without bias; with an
-        interval as above.
+        Mean over the poses of the share of the reference's difference that the rung shows: 1 without bias; with its
+        95 % interval (`intervals.mean`).
+    errors : ndarray of shape (n,)
+        The error pose by pose, in the same order for all rungs.
     """
 
     name: str
     seconds: float
     error: tuple[float, float, float]
     level: tuple[float, float, float]
+    errors: Array
 
 
 def run(
@@ -197,7 +200,7 @@ def costs(folder: Path) -> list[Cost]:
         error = np.sqrt(((measured - expected) ** 2).mean(axis=(1, 2))) / scale
         level = (measured * expected).sum(axis=(1, 2)) / (expected**2).sum(axis=(1, 2))
         seconds = float(np.mean([record.seconds for record in dataset.records]))
-        results.append(Cost(dataset.path.name, seconds, bootstrap(error, np.median), bootstrap(level)))
+        results.append(Cost(dataset.path.name, seconds, _median(error), mean(level), error))
     return sorted(results, key=lambda cost: cost.seconds)
 
 
@@ -207,22 +210,34 @@ def differences(found: Dataset) -> Array:
     return np.array([found.picture(record).astype(np.float64).mean(axis=2) - background for record in found.records])
 
 
-def front(x: Sequence[float], y: Sequence[float]) -> list[int]:
-    """Return the indices of the points that no other beats in both, by ascending x (Pareto front; less is better)."""
-    best, kept = float("inf"), []
-    for number in sorted(range(len(x)), key=lambda k: (x[k], y[k])):
-        if y[number] < best:
-            best = y[number]
+def _median(errors: Array) -> tuple[float, float, float]:
+    value, low, high = median(errors)
+    return value, max(low, 0.0), high
+
+
+def front(found: Sequence[Cost]) -> list[int]:
+    """Return the indices of the rungs that are worth their price, the quickest first (Pareto front).
+
+    A rung is, if its errors are smaller than those of the quicker one before it, pose by pose: the interval of the
+    median ratio lies below 1. With fewer than six poses nothing can be told, and the quickest stays alone.
+    """
+    ordered = sorted(range(len(found)), key=lambda k: (found[k].seconds, found[k].error[0]))
+    kept = ordered[:1]
+    for number in ordered[1:]:
+        with np.errstate(divide="ignore", invalid="ignore"):  # without an error there is none to divide by
+            ratios = found[number].errors / found[kept[-1]].errors
+        if median(np.nan_to_num(ratios, nan=1.0, posinf=np.finfo(float).max))[2] < 1.0:
             kept.append(number)
     return kept
 
 
 HEADINGS = ("way", "core s a picture", "error", "light that is there", "900 pictures here", "best at its price")
+"""The last says whether no quicker way is as good as far as these poses tell."""
 
 
 def rows(found: Sequence[Cost]) -> list[tuple[str, ...]]:
     """Return a table: a row for each rung."""
-    best = front([c.seconds for c in found], [c.error[0] for c in found])
+    best = front(found)
     cores = available_cores()
     return [
         (
@@ -239,7 +254,7 @@ def rows(found: Sequence[Cost]) -> list[tuple[str, ...]]:
 
 def advice(found: Sequence[Cost], budgets: Sequence[float] = (60.0, 600.0, 3600.0, 86400.0)) -> list[str]:
     """Return which rung to take for each time budget of 900 pictures on this machine, and when the next one pays."""
-    best = [found[k] for k in front([c.seconds for c in found], [c.error[0] for c in found])]
+    best = [found[k] for k in front(found)]
     totals = [900.0 * cost.seconds / available_cores() for cost in best]
     lines = []
     for limit in budgets:
@@ -266,9 +281,9 @@ def write(folder: Path, found: Sequence[Cost], title: str) -> list[Path]:
     for kind in dict.fromkeys(family(c.name) for c in found):
         group = [c for c in found if family(c.name) == kind]
         value, low, high = (np.array([100.0 * c.error[k] for c in group]) for k in range(3))
-        spread = np.maximum([value - low, high - value], 0.0)
+        spread = np.maximum([value - low, np.where(np.isfinite(high), high - value, np.nan)], 0.0)
         axis.errorbar([c.seconds for c in group], value, yerr=spread, marker="o", ms=4, lw=1.0, capsize=2, label=kind)
-    best = front(seconds, errors)
+    best = front(found)
     axis.plot([seconds[k] for k in best], [errors[k] for k in best], color="#57606a", lw=3.0, alpha=0.3, label="best")
     axis.set_xscale("log")
     axis.set_yscale("log")

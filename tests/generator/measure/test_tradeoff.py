@@ -20,9 +20,23 @@ from generator.sets.manifest import BACKGROUND
 SHAPE = (6, 8)
 
 
+def cost(name, seconds, errors):
+    return Cost(name, seconds, (float(np.median(errors)), 0.0, 1.0), (1.0, 1.0, 1.0), np.asarray(errors))
+
+
 def test_the_front_is_what_no_other_beats():
-    x, y = [1.0, 2.0, 3.0, 4.0, 2.5], [9.0, 4.0, 5.0, 1.0, 4.0]
-    assert tradeoff.front(x, y) == [0, 1, 3]
+    seconds, errors = [1.0, 2.0, 3.0, 4.0, 2.5], [9.0, 4.0, 5.0, 1.0, 4.0]
+    steps = [cost("patch-4", s, e * np.linspace(0.9, 1.1, 9)) for s, e in zip(seconds, errors, strict=True)]
+    assert tradeoff.front(steps) == [0, 1, 3]
+
+
+def test_a_dearer_rung_that_noise_makes_better_is_not_worth_its_price():
+    """Smaller errors in the median pose, but in no more poses than chance would have it."""
+    rng = np.random.default_rng(0)
+    quick, dear = np.exp(rng.normal(size=(2, 27)))
+    dear *= 0.95 * np.median(quick) / np.median(dear)
+    assert tradeoff.front([cost("patch-4", 1.0, quick), cost("patch-16", 2.0, dear)]) == [0]
+    assert tradeoff.front([cost("patch-4", 1.0, quick), cost("patch-16", 2.0, 0.8 * quick)]) == [0, 1]
 
 
 def make(folder, name, signal, seconds, *, background=1.0):
@@ -70,7 +84,7 @@ def test_errors_are_relative_to_what_the_object_changes(folder):
 
 def test_advice_takes_the_best_that_ends_in_time(monkeypatch):
     monkeypatch.setattr(tradeoff, "available_cores", lambda: 2)
-    steps = [Cost(f"patch-{n}", 0.1 * n, (1.0 / n, 0.0, 1.0), (1.0, 1.0, 1.0)) for n in (1, 10, 100)]
+    steps = [cost(f"patch-{n}", 0.1 * n, np.full(9, 1.0 / n)) for n in (1, 10, 100)]
     told = tradeoff.advice(steps, budgets=(10.0, 60.0, 600.0))
     assert told[0] == "900 pictures in 0:10: none ends; the quickest takes 0:45"
     assert told[1] == "900 pictures in 1:00: take patch-1, error 100 %; the next useful step, patch-10, takes 7:30"
