@@ -64,7 +64,8 @@ class Atlas:
     left_out : float
         Root mean square, over the pictures, of the part outside the basis, in units of the noise in one direction.
     about : dict
-        Targets, and the sets that the pictures come from.
+        Targets, and the sets that the pictures come from; ``inside`` holds what of an object had to lie inside its
+        voxel in each of them, "whole" or "centre".
     hiding : ndarray of shape (n, k), float32, optional
         Codes of the light that a black object would hide at the same poses. If given, the object's size and albedo
         count as unknown (`classify.inference.unknown_object`).

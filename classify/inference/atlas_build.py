@@ -107,6 +107,7 @@ def _about(bulks: list[Bulk]) -> dict[str, object]:
         "targets": [b.target_kind for b in bulks],
         "sets": [b.path.resolve().name for b in bulks],
         "fingerprints": [b.meta["fingerprint"] for b in bulks],
+        "inside": [b.plan.inside for b in bulks],
         "colour_space": bulks[0].colour_space,
     }
 

@@ -14,10 +14,10 @@ from matplotlib.axes import Axes
 from matplotlib.patches import Ellipse
 
 from classify.inference.atlas import Atlas
-from classify.inference.bound import median
 from classify.inference.posterior import holds
 from classify.inference.tracker import Filter, Step
-from classify.intervals import Interval, wilson
+from classify.intervals import Interval, median_of_walk, share_of_walk
+from classify.pictures.leak import refuse_shared
 from classify.pictures.sensor import Camera
 from generator.files.writing import csv_text
 from generator.measure import figures
@@ -75,19 +75,19 @@ class TrackedSequence:
     def told(self) -> Interval:
         """Return the share of frames in which presence was stated correctly."""
         correct = [(s.found) == there for s, there in zip(self.steps, self.there, strict=True)]
-        return wilson(sum(correct), len(correct))
+        return share_of_walk(np.array(correct))
 
     def voxels(self) -> Interval:
         """Return the share of frames with an object in which its voxel was stated correctly."""
         frames = zip(self.steps, self.records, self.there, strict=True)
         correct = [s.voxels.argmax() == r.voxel for s, r, there in frames if there]
-        return wilson(int(sum(correct)), len(correct))
+        return share_of_walk(np.array(correct))
 
     def held(self) -> Interval:
         """Return the share of frames with an object in which its position lies in the 95 % region."""
         frames = zip(self.steps, self.records, self.there, strict=True)
         inside = [holds(step, record.position) for step, record, there in frames if there]
-        return wilson(sum(inside), len(inside))
+        return share_of_walk(np.array(inside))
 
     def reacquired(self) -> list[int | None]:
         """Return, for the end of each gap, how many frames it took to detect the object again.
@@ -104,7 +104,7 @@ class TrackedSequence:
     def words(self) -> list[str]:
         """Return a summary for readers, line by line."""
         lines = [
-            f"median error of the position {median(self.errors).centimetres()}, root mean square "
+            f"median error of the position {median_of_walk(self.errors).centimetres()}, root mean square "
             f"{100.0 * self.trajectory_error():.1f} cm, over {len(self.errors)} frames",
             f"right voxel in {self.voxels().percent()}, within the 95 % region {self.held().percent()}",
             f"presence told rightly in {self.told().percent()}",
@@ -195,13 +195,17 @@ def run(
     Raises
     ------
     NlosError
-        If grid or resolution differ, or the data set is not a trajectory, is empty or broken.
+        If the atlas' poses do not fill the volume, or are those of the trajectory; grid or resolution differ, or the
+        data set is not a trajectory, is empty or broken.
     """
+    _refuse_gaps(atlas)
     if not dataset.settings.get("frames"):
         raise NlosError(f"{dataset.path}: is no trajectory; make one with nlos-generate trajectory")
     if dataset.grid != atlas.grid:
         raise NlosError(f"{dataset.path}: has another voxel grid than the atlas; make both of one scene")
     check_colours(dataset.path, dataset.colour_space, atlas.colour_space, "the atlas")
+    positions = np.array([record.position for record in dataset.poses])
+    refuse_shared(atlas.positions, positions, "the atlas", str(dataset.path))
     tracker, pursuit = Filter(atlas, step=step), TrackedSequence()
     camera = Camera(dataset, atlas.sensor, seed, like=atlas.background)
     background, clean = camera.background(), camera.empty()
@@ -219,6 +223,18 @@ def run(
     if not any(pursuit.there):
         raise NlosError(f"{dataset.path}: holds no frame with the object yet")
     return pursuit
+
+
+def _refuse_gaps(atlas: Atlas) -> None:
+    """Raise NlosError unless the atlas' poses are known to fill the hidden volume."""
+    inside = atlas.about.get("inside")
+    if inside and set(inside) == {"centre"}:
+        return
+    gaps = "leave gaps between the voxels" if inside else "may leave gaps between the voxels: it does not say"
+    raise NlosError(
+        f"the atlas: its poses {gaps}, and a walk crosses them; make one of a set that fills the volume: "
+        "nlos-generate bulk SCENE.blend -o SET --inside centre, then nlos-classify atlas SET -o FILE.atlas"
+    )
 
 
 def _frames(dataset: Dataset, patience: float) -> Iterator[PoseRecord]:

@@ -173,8 +173,8 @@ def test_a_trajectory_keeps_its_pace_and_its_distance():
 
 def test_lost_and_found_again(tmp_path, command):
     """The command line on a sequence with a gap: what it prints, writes and draws."""
-    simulated = make_bulk(tmp_path / "bulk", pictures=2000)
-    frames = make_walk(tmp_path / "walk", simulated)
+    simulated = make_bulk(tmp_path / "bulk", pictures=2000, inside="centre")
+    frames = make_walk(tmp_path / "walk", tmp_path / "way")
     (tmp_path / "dim.toml").write_text("full_well = 300.0\nbits = 10\n")
     made = command("classify", "atlas", simulated.path, "-o", tmp_path / "a.atlas", "--sensor", tmp_path / "dim.toml")
     assert made.returncode == 0, made.stderr
@@ -206,6 +206,20 @@ def test_lost_and_found_again(tmp_path, command):
     assert "--gap '9': must read FROM:TO" in bad.stderr
 
 
+def test_poses_that_leave_gaps_or_are_the_walks_own_are_refused(tmp_path):
+    """One sentence, which names what would be right; an atlas that does not say is refused too."""
+    filled = make_bulk(tmp_path / "filled", pictures=200, inside="centre")
+    atlas = atlas_build.build(filled, Sensor(full_well=300.0, bits=10))
+    walk = make_walk(tmp_path / "walk", tmp_path / "way")
+    old = replace(atlas, about={"targets": ["sphere"]})
+    mixed = replace(atlas, about=atlas.about | {"inside": ["centre", "whole"]})
+    for other, words in ((old, "may leave gaps"), (mixed, "its poses leave gaps")):
+        with pytest.raises(NlosError, match=f"{words}.*bulk SCENE.blend -o SET --inside centre, then nlos-classify"):
+            sequence.run(other, walk, step=0.1)
+    with pytest.raises(NlosError, match="20 of its 20 poses are also in the atlas"):
+        sequence.run(atlas, make_seen(tmp_path / "learnt", filled, poses=5, frames=20, pace=0.05), step=0.1)
+
+
 def test_a_gap_is_not_ended_by_the_next():
     """What is detected in or after a later gap does not count for an earlier one; what never is, is no number."""
     there = [True, False, True, True, False, True, True, False, True]
@@ -215,15 +229,15 @@ def test_a_gap_is_not_ended_by_the_next():
     assert tracked.reacquired() == [None, 2, None]
 
 
-def make_walk(path, simulated):
-    """A data set of frames whose poses are those of the bulk set along a path of nearest neighbours."""
-    return make_seen(path, simulated, poses=10, frames=40, pace=0.05)
+def make_walk(path, way):
+    """A data set of 40 frames at poses of a bulk set of its own, which is put into a folder."""
+    return make_seen(path, make_bulk(way, pictures=40, seed=3), poses=10, frames=40, pace=0.05)
 
 
 def test_a_sequence_that_grows_is_waited_for(tmp_path):
     """Frames that are not there yet end the pursuit when patience does."""
-    simulated = make_bulk(tmp_path / "bulk", pictures=400)
-    frames = make_walk(tmp_path / "walk", simulated)
+    simulated = make_bulk(tmp_path / "bulk", pictures=400, inside="centre")
+    frames = make_walk(tmp_path / "walk", tmp_path / "way")
     (frames.path / frames.records[30].file).unlink()
     frames = type(frames).open(frames.path)
     frames.gather()
