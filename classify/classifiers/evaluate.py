@@ -19,7 +19,7 @@ from sklearn.model_selection import StratifiedKFold
 from classify.classifiers import models
 from classify.classifiers.models import Settings
 from classify.classifiers.names import NAMES
-from classify.intervals import Interval, score_interval, wilson
+from classify.intervals import Interval, paired_difference, score_interval, wilson
 from classify.pictures.feature_table import Features, check_comparable
 from classify.pictures.leak import refuse_shared
 from generator.model.errors import NlosError
@@ -42,6 +42,8 @@ class Result:
         The classes, in voxel order.
     confusion : ndarray of shape (n_classes, n_classes)
         Rows are the truth, columns the prediction.
+    right : ndarray of shape (n,)
+        Whether each tested picture was put into its voxel; all results of a scenario have the same order.
     folds : list of float
         Accuracy per fold; one entry where all of one set was tested.
     accuracy, precision, recall, f1 : Interval
@@ -62,6 +64,7 @@ class Result:
     settings: str
     labels: list[str]
     confusion: NDArray[np.int64]
+    right: NDArray[np.bool_]
     folds: list[float]
     accuracy: Interval
     precision: Interval
@@ -76,6 +79,15 @@ class Result:
     def scenario(self) -> str:
         """The scenario in words."""
         return self.train if self.train == self.test else f"{self.train} -> {self.test}"
+
+
+def rivals(results: Sequence[Result], best: Result) -> list[Result]:
+    """Return the results of the same scenario that the tested pictures do not tell apart from the best.
+
+    The difference is taken picture by picture (`classify.intervals.paired_difference`); its 95 % interval holds 0.
+    """
+    others = [r for r in results if r.scenario == best.scenario and r is not best]
+    return [r for r in others if paired_difference(best.right, r.right).low <= 0.0]
 
 
 def macro_scores(confusion: Array) -> Array:
@@ -251,6 +263,7 @@ def _summarise(
         settings=settings,
         labels=labels,
         confusion=confusion,
+        right=truth == predicted,
         folds=[float(np.mean(f["truth"] == f["predicted"])) for f in fits],
         accuracy=wilson(int(np.trace(confusion)), int(confusion.sum())),
         precision=precision,

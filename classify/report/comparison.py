@@ -14,7 +14,7 @@ from matplotlib import pyplot as plt
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 
-from classify.classifiers.evaluate import Result
+from classify.classifiers.evaluate import Result, rivals
 from classify.classifiers.names import NAMES
 from classify.intervals import Interval
 from classify.pictures.feature_table import Features
@@ -304,6 +304,7 @@ def _page(
         {
             "title": _words(scenario),
             "best": winner,
+            "rivals": ", ".join(f"{r.classifier} {r.settings}" for r in rivals(results, winner)),
             "rows": [(r, paper_row(r)) for r in results if r.scenario == scenario],
             "crossed": winner.train != winner.test,
             "image": f"confusion-{_slug(scenario)}.png",

@@ -207,6 +207,7 @@ def test_confused_voxels_are_told_by_how_they_lie():
         "paper",
         list("ABCDEFGHI"),
         confusion,
+        np.zeros(0, dtype=bool),
         [0.0],
         *[interval] * 4,
         train_seconds=0,
