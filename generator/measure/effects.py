@@ -98,9 +98,8 @@ def measure(
         effects.append(effect(name, [name]))
     dropped: list[str] = []
     together = effect("nothing", [], planned)
-    for one in sorted(effects, key=lambda e: e.share[0]):
-        if one.share[2] > SAFE * tolerance:
-            break
+    # By the upper end, so that an effect whose interval is too wide stands in the way of no other.
+    for one in sorted((e for e in effects if e.share[2] <= SAFE * tolerance), key=lambda e: e.share[2]):
         tried = effect(" and ".join([*dropped, one.name]), [*dropped, one.name], planned)
         if tried.share[2] <= SAFE * tolerance:  # errors may add up or cancel, so they are measured together
             dropped.append(one.name)
