@@ -13,6 +13,7 @@ import numpy as np
 from generator.blender.engines import renderers, survey
 from generator.blender.finding import ERROR, GOOD, NOTE, WARNING, Finding
 from generator.blender.scene.description import read_scene
+from generator.measure import student
 from generator.model.arrays import Array
 from generator.model.quantities import byte_size, rough_time
 from generator.model.settings import Sweep
@@ -42,7 +43,7 @@ class Probe:
     bytes : float
         Size of its pictures on disk.
     error : float
-        Standard error of the share, if it could not be separated from the noise; else 0.
+        Half the 95 % interval of the share, if it could not be separated from the noise; else 0.
     missed : int
         Number of samples taken, if the object changed none of them; else 0.
     exact : bool
@@ -78,7 +79,7 @@ class Probe:
             )
             return Finding(WARNING, f"{text} of all (95 %); take more")
         if self.error:
-            low, high = self.share - 2.0 * self.error, self.share + 2.0 * self.error
+            low, high = self.share - self.error, self.share + self.error
             text = f"The object adds {_share(low)} to {_share(high)} to the picture (95 %)"
             return Finding(WARNING, f"{text}, which the noise of {self.engine!r} hides; more samples would tell")
         adds = f"The object adds {_share(self.share)} to the picture"
@@ -136,7 +137,8 @@ def probe(scene: bpy.types.Scene, sweep: Sweep) -> Probe:
     if not exact and not significant and other:
         share, signal = _exactly(scene, sweep.resolution)
     elif not exact and not significant:
-        error = float(shares.std(ddof=1) / np.sqrt(len(shares))) if len(shares) > 1 else abs(share)
+        spread = float(shares.std(ddof=1) / np.sqrt(len(shares))) if len(shares) > 1 else abs(share)
+        error = student.quantile(max(1, len(shares) - 1)) * spread
     known_exactly = exact or (other and not significant)
     if exact:
         ratio = 1.0 / sweep.accuracy if signal else 0.0

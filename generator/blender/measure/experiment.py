@@ -16,6 +16,7 @@ from generator.blender.engines.renderer import Renderer, Shot
 from generator.blender.scene import geometry, posing
 from generator.blender.scene.description import read_scene
 from generator.files.pictures import Picture
+from generator.measure import student
 from generator.model import poses
 from generator.model.arrays import Array
 from generator.model.engines import traits_of
@@ -27,9 +28,6 @@ ACCURACY = 1e-3
 
 TURN = 15.0
 """Degrees from one rotation to the next."""
-
-_STUDENT = {1: 12.706, 2: 4.303, 3: 3.182, 4: 2.776, 5: 2.571, 6: 2.447, 7: 2.365}
-"""Student's t, 95 %, by degrees of freedom: Blender has no SciPy."""
 
 
 @dataclass(frozen=True)
@@ -79,21 +77,38 @@ class Experiment:
         return [self._change(axis) for axis in range(3)]
 
     def _change(self, axis: int) -> tuple[float, float]:
+        square, estimates = self._squares(axis)
+        value, margin = math.sqrt(max(square, 0.0)), _margin(estimates)
+        return (value if math.isfinite(square) else math.nan), math.sqrt(max(square + margin, margin)) - value
+
+    def stronger(self, one: int, other: int) -> bool | None:
+        """Return whether the signal changes more along one axis than along another; None within the noise.
+
+        The difference of the mean squares has an interval of its own: both have the same noise in part.
+        """
+        (a, without_a), (b, without_b) = self._squares(one), self._squares(other)
+        return None if abs(a - b) <= _margin(without_a - without_b) else a > b
+
+    def _squares(self, axis: int) -> tuple[float, Array]:
+        """Return the square of an axis' change, and what it is without each of the repeats."""
         signals = self.signals
         shift = (signals[:, axis, self._rest + 1] - signals[:, axis, self._rest - 1]) / (2.0 * self.step)
-        rest, count = signals[:, axis, self._rest], len(signals)
-        square = _ratio(shift, rest)
-        value = math.sqrt(max(square, 0.0))
-        if count == 1:
-            return value, 0.0
-        estimates = np.array([_ratio(np.delete(shift, i, axis=0), np.delete(rest, i, axis=0)) for i in range(count)])
-        error = math.sqrt((count - 1) / count * ((estimates - estimates.mean()) ** 2).sum())
-        margin = _STUDENT[min(count - 1, max(_STUDENT))] * error
-        return (value if math.isfinite(square) else math.nan), math.sqrt(max(square + margin, margin)) - value
+        rest = signals[:, axis, self._rest]
+        each = [_ratio(np.delete(shift, i, axis=0), np.delete(rest, i, axis=0)) for i in range(len(signals))]
+        return _ratio(shift, rest), np.array(each) if len(signals) > 1 else np.zeros(1)
 
     @property
     def _rest(self) -> int:
         return len(self.poses[0]) // 2
+
+
+def _margin(estimates: Array) -> float:
+    """Return half the jackknife's 95 % interval, given a value without each of the repeats; 0 for a single one."""
+    count = len(estimates)
+    if count == 1:
+        return 0.0
+    error = math.sqrt((count - 1) / count * ((estimates - estimates.mean()) ** 2).sum())
+    return student.quantile(count - 1) * error
 
 
 def _ratio(shift: Array, rest: Array) -> float:

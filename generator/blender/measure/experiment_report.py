@@ -125,18 +125,18 @@ def _sentence(found: Experiment, place: str) -> str:
 
 def _claim(found: Experiment) -> str:
     """Return whether the paper's claim (end of section 5.1) holds; within the intervals nothing is claimed."""
-    (x, dx), (y, dy), (z, dz) = found.changes()
+    x, y, z = range(3)
     if found.number == 3:
         if found.target == "sphere":
             return "a ball looks the same however it is turned"
-        weaker, spread = min((x, dx), (z, dz))
-        if abs(weaker - y) <= dx + dy + dz:
-            return "which axis matters is within the noise"
-        return "the paper's x and z matter most: " + ("so it is" if weaker > y else "not here")
-    strongest, spread = max((x, dx), (z, dz))
-    if abs(y - strongest) <= dy + spread:
-        return "which axis is the strongest is within the noise"
-    return "the paper's strongest is y: " + ("so it is" if y > strongest else "not here")
+        stronger = found.stronger(x, y), found.stronger(z, y)
+        claim, unsure = "the paper's x and z matter most", "which axis matters is within the noise"
+    else:
+        stronger = found.stronger(y, x), found.stronger(y, z)
+        claim, unsure = "the paper's strongest is y", "which axis is the strongest is within the noise"
+    if False in stronger:
+        return f"{claim}: not here"
+    return unsure if None in stronger else f"{claim}: so it is"
 
 
 def _draw(path: Path, done: Mapping[str, Experiment]) -> None:
