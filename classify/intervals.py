@@ -25,7 +25,7 @@ from generator.model.arrays import Array
 
 _Z = float(stats.norm.ppf(0.975))
 _COSINES = 0.3
-"""Number of slow cosines over the root of the number of frames; by simulation (benchmarks/coverage.py)."""
+"""Number of slow cosines over the root of the number of frames; by simulation (benchmarks/interval_coverage.py)."""
 
 
 @dataclass(frozen=True)

@@ -90,12 +90,12 @@ class Experiment:
         return None if abs(a - b) <= _margin(without_a - without_b) else a > b
 
     def _squares(self, axis: int) -> tuple[float, Array]:
-        """Return the square of an axis' change, and what it is without each of the repeats."""
+        """Return the square of an axis' change, and what it is without each of the repeats, if there are several."""
         signals = self.signals
         shift = (signals[:, axis, self._rest + 1] - signals[:, axis, self._rest - 1]) / (2.0 * self.step)
         rest = signals[:, axis, self._rest]
-        each = [_ratio(np.delete(shift, i, axis=0), np.delete(rest, i, axis=0)) for i in range(len(signals))]
-        return _ratio(shift, rest), np.array(each) if len(signals) > 1 else np.zeros(1)
+        others = [np.arange(len(signals)) != i for i in range(len(signals))] if len(signals) > 1 else []
+        return _ratio(shift, rest), np.array([_ratio(shift[some], rest[some]) for some in others])
 
     @property
     def _rest(self) -> int:
@@ -103,9 +103,9 @@ class Experiment:
 
 
 def _margin(estimates: Array) -> float:
-    """Return half the jackknife's 95 % interval, given a value without each of the repeats; 0 for a single one."""
+    """Return half the jackknife's 95 % interval, given a value without each of the repeats; 0 if there are none."""
     count = len(estimates)
-    if count == 1:
+    if not count:
         return 0.0
     error = math.sqrt((count - 1) / count * ((estimates - estimates.mean()) ** 2).sum())
     return student.quantile(count - 1) * error
