@@ -5,11 +5,11 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from itertools import cycle
 from pathlib import Path
 
 import joblib
 import numpy as np
-from matplotlib import pyplot as plt
 from numpy.typing import NDArray
 from sklearn.model_selection import train_test_split
 
@@ -185,18 +185,24 @@ def rivals(points: Sequence[Point], best: Point) -> list[str]:
     return [f"{p.classifier} on {p.count} ({100.0 * p.accuracy.value:.1f} %)" for p in named.values()]
 
 
+@figures.styled
 def draw(path: Path, points: Sequence[Point], title: str) -> None:
     """Write a figure: accuracy against the number of pictures, and against the training time."""
-    figure, axes = plt.subplots(1, 2, figsize=(11.0, 4.4), layout="constrained", sharey=True)
-    for name in dict.fromkeys(p.classifier for p in points):
+    figure, [axes] = figures.subplots(1, 2, size=(11.0, 4.4), sharey=True)
+    names = list(dict.fromkeys(p.classifier for p in points))
+    aside = np.geomspace(0.96, 1.04, len(names)) if len(names) > 1 else np.ones(1)  # or the intervals hide each other
+    for name, marker, shift in zip(names, cycle(figures.MARKERS), aside):
         pts = sorted((p for p in points if p.classifier == name), key=lambda p: p.count)
         value, low, high = (np.array([100.0 * getattr(p.accuracy, k) for p in pts]) for k in ("value", "low", "high"))
-        for axis, x in zip(axes, ([p.count for p in pts], [max(p.train_seconds, 1e-4) for p in pts]), strict=True):
-            axis.errorbar(x, value, yerr=[value - low, high - value], marker="o", ms=3, lw=1.2, capsize=2, label=name)
+        counts, seconds = [p.count * shift for p in pts], [max(p.train_seconds, 1e-4) for p in pts]
+        spread = [value - low, high - value]
+        for axis, x in zip(axes, (counts, seconds), strict=True):
+            axis.errorbar(x, value, yerr=spread, marker=marker, ms=4, lw=1.2, capsize=2, label=name)
     for axis, label in zip(axes, ("pictures to train on", "seconds that training took"), strict=True):
         axis.set_xscale("log")
+        figures.plain_numbers(axis.xaxis)
         axis.set_xlabel(label)
     axes[0].set_ylabel("right voxel, %")
-    axes[0].legend(fontsize=8)
-    figure.suptitle(title, fontsize=10)
+    axes[1].legend(loc="center left", bbox_to_anchor=(1.0, 0.5))
+    figure.suptitle(title)
     figures.save(path, figure)

@@ -182,7 +182,10 @@ def run_locate(options: argparse.Namespace) -> int:
         )
     if options.output:
         write_text(options.output / "answers.csv", answers.csv())
-        answers.draw(options.output / "answers.png", dataset.target_kind)
+        answers.draw(
+            options.output / "answers.png",
+            f"{options.dataset.name}: {len(answers.records)} pictures of a {dataset.target_kind}",
+        )
         _, count, right, error, held, detected = table[-1]
         lead = [
             f"Of {count} pictures, {right} are put into the right voxel; the position is off by {error} (median).",
@@ -265,7 +268,7 @@ def run_track(options: argparse.Namespace) -> int:
         print(line)
     if options.output:
         write_text(options.output / "track.csv", tracked.csv())
-        tracked.draw(options.output / "track.png", str(options.dataset))
+        tracked.draw(options.output / "track.png", options.dataset.name)
         figures = {"track.png": "The path with its uncertainty, and the error over time."}
         sources = {"trajectory": options.dataset, **page.of_atlas(atlas), "seed of the noise": options.seed}
         print(page.write(options.output, "How does it move?", tracked.words(), figures, [], sources))

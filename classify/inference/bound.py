@@ -13,8 +13,8 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-from matplotlib import pyplot as plt
 from matplotlib.colors import LogNorm
+from matplotlib.patches import Rectangle
 from scipy.stats import norm
 
 from classify.inference.atlas import Atlas
@@ -287,30 +287,52 @@ def over_volume(
     return Map(x, y, presence, position, movement)
 
 
+@figures.styled
 def draw(path: Path, atlas: Atlas, found: Map) -> None:
-    """Write a figure of the bounds over the hidden volume, seen from above."""
-    figure, axes = plt.subplots(1, 3, figsize=(14.0, 4.3), layout="constrained")
+    """Write a figure of the bounds over the hidden volume, seen from above.
+
+    Lengths are capped at the volume's diagonal: an error as long as that says that the position is not known.
+    """
+    figure, [axes] = figures.subplots(1, 3, size=(14.0, 4.3))
+    lo, hi = np.asarray(atlas.grid.lo), np.asarray(atlas.grid.hi)
+    most = 100.0 * float(np.linalg.norm(hi - lo))
     panels = (
-        ("distance from the empty scene, standard deviations", found.presence, "viridis"),
-        ("least error of the position, cm", 100.0 * found.position, "viridis_r"),
-        ("least movement that is noticed, in the worst direction, cm", 100.0 * found.movement, "viridis_r"),
+        ("distance from the empty scene", "standard deviations", found.presence, math.inf, figures.SEQUENTIAL),
+        ("least error of the position", "cm", 100.0 * found.position, most, f"{figures.SEQUENTIAL}_r"),
+        ("least movement noticed, worst direction", "cm", 100.0 * found.movement, most, f"{figures.SEQUENTIAL}_r"),
     )
-    lo, hi = atlas.grid.lo, atlas.grid.hi
-    for axis, (title, values, colours) in zip(axes, panels, strict=True):
-        shown = np.where(np.isfinite(values) & (values > 0.0), values, np.nan)
+    height = 0.5 * (lo[2] + hi[2])
+    for axis, (title, unit, values, cap, colours) in zip(axes, panels, strict=True):
+        shown = np.where(np.isnan(values) | (values <= 0.0), np.nan, np.minimum(values, cap))
         image = axis.imshow(
-            shown, origin="lower", extent=(lo[0], hi[0], lo[1], hi[1]), cmap=colours, norm=LogNorm(), aspect="equal"
+            shown, origin="lower", extent=(lo[0], hi[0], lo[1], hi[1]), cmap=colours, norm=_log_norm(shown)
         )
-        figure.colorbar(image, ax=axis, shrink=0.85)
+        capped = bool((values > cap).any())
+        bar = figure.colorbar(image, ax=axis, shrink=0.85, extend="max" if capped else "neither")
+        bar.set_label(f"{unit}; {cap:.3g} {unit} is the volume's diagonal" if capped else unit)
+        figures.plain_numbers(bar.ax.yaxis)
+        axis.grid(visible=False)
         for voxel, label in enumerate(atlas.grid.labels):
             low, high = atlas.grid.bounds(voxel)
-            axis.text(*(0.5 * (low + high))[:2], label, ha="center", va="center", color="white", fontsize=9)
-        axis.set_title(title, fontsize=9)
+            if low[2] <= height < high[2]:  # of several layers, the one that is drawn
+                axis.add_patch(
+                    Rectangle((low[0], low[1]), *(high - low)[:2], fill=False, ec="white", lw=0.6, alpha=0.7)
+                )
+                figures.outlined(axis.text(*(0.5 * (low + high))[:2], label, ha="center", va="center", fontsize=10))
+        axis.set_title(title)
         axis.set_xlabel("x, along the wall (m)")
     axes[0].set_ylabel("y, from the wall (m)")
     frames = atlas.sensor.frames
-    figure.suptitle(f"What a picture can tell at most, {frames} frame{'s' if frames > 1 else ''}", fontsize=10)
+    words = f"{frames} frame{'s' if frames > 1 else ''}; object not turned, {height:.3g} m high"
+    figure.suptitle(f"What a picture can tell at most: {words}")
     figures.save(path, figure)
+
+
+def _log_norm(values: Array) -> LogNorm:
+    """Return a logarithmic scale of the values, and one of a decade if there are none or all are equal."""
+    known = values[np.isfinite(values)]
+    low, high = (float(known.min()), float(known.max())) if len(known) else (1.0, 10.0)
+    return LogNorm(low, high if high > low else 10.0 * low)
 
 
 def _short(length: float) -> str:

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-from matplotlib import pyplot as plt
+from matplotlib import colormaps
 from numpy.typing import NDArray
 from scipy.special import logsumexp
 
@@ -182,34 +182,42 @@ def rows(atlas: Atlas, made: Sequence[Detection]) -> list[tuple[str, ...]]:
     return table
 
 
+@figures.styled
 def draw(path: Path, atlas: Atlas, made: Sequence[Detection], false_alarm: float) -> None:
     """Write a figure: detections against exposure, and the ROC curves of the first exposure."""
-    figure, (left, right) = plt.subplots(1, 2, figsize=(11.5, 4.4), layout="constrained")
+    figure, [[left, right]] = figures.subplots(1, 2, size=(11.5, 4.4))
     labels = atlas.grid.labels
-    colours = plt.colormaps["viridis"](np.linspace(0.0, 0.95, len(labels)))
+    colours = colormaps[figures.SEQUENTIAL](np.linspace(0.0, 0.9, len(labels)))  # the order of the voxels
     for voxel, label in enumerate(labels[:_MOST_LINES]):
         values = [detection.found[voxel] for detection in made]
-        spread = [[v.value - v.low for v in values], [v.high - v.value for v in values]]
+        spread = 100.0 * np.array([[v.value - v.low for v in values], [v.high - v.value for v in values]])
         left.errorbar(
             [detection.frames for detection in made],
-            [v.value for v in values],
+            [100.0 * v.value for v in values],
             np.maximum(spread, 0.0),
-            marker="o",
-            ms=3,
+            marker=figures.MARKERS[voxel % len(figures.MARKERS)],
+            ms=4,
             lw=1.2,
             color=colours[voxel],
             label=label,
         )
-        right.plot(*made[0].roc(voxel), color=colours[voxel], lw=1.2, label=label)
+        right.plot(*(100.0 * rate for rate in made[0].roc(voxel)), color=colours[voxel], lw=1.2)
     left.set_xscale("log")
     left.set_xlabel("frames averaged")
-    left.set_ylabel(f"found, at {100.0 * false_alarm:g} % false alarms")
-    left.axhline(0.99, color="#57606a", lw=0.8, ls=":")
-    left.set_ylim(0.0, 1.02)
+    left.set_ylabel(f"found at {100.0 * false_alarm:g} % false alarms, %")
+    left.axhline(99.0, color=figures.GREY, lw=0.8, ls=":")
+    left.set_ylim(0.0, 102.0)
+    left.set_title("against exposure; dotted: 99 %")
+    right.axvline(100.0 * false_alarm, color=figures.GREY, lw=0.8, ls=":")
     right.set_xscale("log")
-    right.set_xlim(1e-3, 1.0)
-    right.set_ylim(0.0, 1.02)
-    right.set_xlabel(f"false alarms, {made[0].frames} frame{'s' if made[0].frames > 1 else ''}")
-    right.set_ylabel("found")
-    right.legend(fontsize=8, title="voxel", ncols=2)
+    right.set_xlim(0.1, 100.0)
+    right.set_ylim(0.0, 102.0)
+    right.set_xlabel("false alarms, %")
+    right.set_ylabel("found, %")
+    right.set_title(f"against false alarms, {made[0].frames} frame{'s' if made[0].frames > 1 else ''}")
+    figures.plain_numbers(left.xaxis, right.xaxis)
+    handles, names = left.get_legend_handles_labels()
+    right.legend(
+        handles, names, title="voxel", ncols=-(-len(names) // 14), loc="center left", bbox_to_anchor=(1, 0.5)
+    )
     figures.save(path, figure)

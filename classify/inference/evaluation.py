@@ -8,7 +8,6 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
-from matplotlib import pyplot as plt
 from numpy.typing import NDArray
 from scipy.stats import chi2
 
@@ -28,7 +27,6 @@ from generator.sets.readable import PictureSet, check_colours
 _EMPTY = 1000
 BACKGROUNDS = 50
 """Most backgrounds that a run measures, since each takes as long as many pictures."""
-_MOST_LABELS = 30
 
 
 @dataclass(frozen=True)
@@ -118,37 +116,42 @@ class Evaluation:
         shares: Array = (distances[:, None] <= chi2.ppf(levels, 3)).mean(axis=0)
         return shares
 
+    @figures.styled
     def draw(self, path: Path, title: str) -> None:
         """Write a figure: confusion matrix, errors by voxel, and calibration of the stated regions."""
-        figure, (left, middle, right) = plt.subplots(1, 3, figsize=(14.0, 4.4), layout="constrained")
+        figure, [[left, middle, right]] = figures.subplots(1, 3, size=(14.0, 4.4))
         count = len(self.labels)
         truth = np.array([r.voxel for r in self.records])
         predicted = np.array([p.voxels.argmax() for p in self.places])
         table = np.zeros((count, count))
         np.add.at(table, (truth, predicted), 1.0)
         share = 100.0 * table / np.maximum(table.sum(axis=1, keepdims=True), 1.0)
-        left.imshow(share, cmap="Blues", vmin=0.0, vmax=100.0)
-        if count <= _MOST_LABELS:
-            left.set_xticks(range(count), self.labels)
-            left.set_yticks(range(count), self.labels)
-            for i, j in np.argwhere(share >= 0.5):
-                colour = "white" if share[i, j] > 55.0 else "black"
-                left.text(j, i, f"{share[i, j]:.0f}", ha="center", va="center", fontsize=8, color=colour)
+        figures.heat_map(left, share, self.labels)
         left.set_xlabel("found in")
         left.set_ylabel("stands in")
-        left.set_title(f"{title}: voxels, % of the pictures of each", fontsize=9)
+        left.set_title("voxels: the true one, and the one it is found in")
         present = [v for v in range(count) if (truth == v).any()]
-        middle.boxplot([100.0 * self.errors[truth == v] for v in present], showfliers=False)
-        middle.set_xticks(range(1, len(present) + 1), [self.labels[v] for v in present])
+        middle.boxplot(
+            [100.0 * self.errors[truth == v] for v in present],
+            showfliers=False,
+            patch_artist=True,
+            boxprops={"facecolor": figures.SKY, "alpha": 0.7},
+            medianprops={"color": figures.BLACK},
+        )
+        step = -(-len(present) // _MOST_TICKS)
+        middle.set_xticks(range(1, len(present) + 1, step), [self.labels[v] for v in present[::step]])
+        middle.set_xlabel("voxel")
         middle.set_ylim(bottom=0.0)
         middle.set_ylabel("distance from the true position, cm")
-        middle.set_title("errors by voxel: quartiles, and whiskers of 1.5 times their distance", fontsize=9)
+        middle.set_title("errors: median, quartiles, 1.5 quartile ranges")
         levels = np.linspace(0.02, 0.98, 49)
-        right.plot(levels, levels, color="#57606a", lw=0.8, ls=":")
-        right.plot(levels, self.calibration(levels), color="#1f6feb", lw=1.6)
-        right.set_xlabel("stated probability of a region")
-        right.set_ylabel("share of true positions that it holds")
-        right.set_title("stated uncertainty against what it was", fontsize=9)
+        right.plot(100.0 * levels, 100.0 * levels, color=figures.GREY, lw=0.8, ls=":", label="as it should be")
+        right.plot(100.0 * levels, 100.0 * self.calibration(levels), color=figures.BLUE, lw=1.6, label="as it was")
+        right.set_xlabel("stated probability of a region, %")
+        right.set_ylabel("true positions that it holds, %")
+        right.set_title("stated uncertainty")
+        right.legend()
+        figure.suptitle(title)
         figures.save(path, figure)
 
     def csv(self) -> str:
@@ -171,6 +174,7 @@ class Evaluation:
 
 
 _AXES = ("x", "y", "z")
+_MOST_TICKS = 14
 
 
 def run(

@@ -9,8 +9,8 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 import numpy as np
-from matplotlib import pyplot as plt
 from matplotlib.axes import Axes
+from matplotlib.figure import Figure
 from matplotlib.patches import Ellipse
 
 from classify.inference.atlas import Atlas
@@ -125,35 +125,53 @@ class TrackedSequence:
         columns = [f"{quantity}_{a}" for quantity in ("found", "sd") for a in "xyz"]
         return csv_text(["frame", "there", "presence", *"xyz", *columns], rows)
 
+    @figures.styled
     def draw(self, path: Path, title: str) -> None:
-        """Write a figure of the path from above, with its uncertainty, and of the error over time."""
-        figure, (top_view, time_plot) = plt.subplots(1, 2, figsize=(12.5, 5.0), layout="constrained")
+        """Write a figure: the path from above, with its uncertainty; error and presence over time."""
+        figure = Figure(figsize=(12.5, 5.0))
+        axes = figure.subplot_mosaic([["path", "error"], ["path", "presence"]], height_ratios=[3, 1])
+        top_view, error_plot, presence_plot = axes["path"], axes["error"], axes["presence"]
+        presence_plot.sharex(error_plot)
         truth, estimated = self.truth, self.path
         there = np.array(self.there, dtype=bool)
         for step, present in zip(self.steps, there, strict=True):
             if present and step.found:
                 _ellipse(top_view, step)
-        top_view.plot(*np.where(there[:, None], truth, np.nan)[:, :2].T, color="#1a1a1a", lw=1.5, label="true path")
+        top_view.plot(
+            *np.where(there[:, None], truth, np.nan)[:, :2].T, color=figures.BLACK, lw=1.5, label="true path"
+        )
         shown = np.array([s.found for s in self.steps])
-        top_view.plot(*np.where(shown[:, None], estimated, np.nan)[:, :2].T, color="#d1242f", lw=1.2, label="found")
+        top_view.plot(
+            *np.where(shown[:, None], estimated, np.nan)[:, :2].T,
+            color=figures.VERMILION,
+            lw=1.2,
+            ls="--",
+            label="found",
+        )
         top_view.set_xlabel("x, along the wall (m)")
         top_view.set_ylabel("y, from the wall (m)")
-        top_view.set_aspect("equal")
-        top_view.legend(loc="best", fontsize=8)
-        top_view.set_title(f"{title}: from above, with 95 % regions", fontsize=9)
+        top_view.set_aspect("equal", adjustable="datalim")
+        top_view.legend()
+        top_view.set_title("from above, with 95 % regions")
         frames = np.arange(len(truth))
         spread = np.array([np.sqrt(np.trace(s.covariance)) for s in self.steps])
         error = np.where(there, np.linalg.norm(estimated - truth, axis=1), np.nan)
-        time_plot.plot(frames, 100.0 * error, color="#d1242f", lw=1.0, label="error")
-        time_plot.plot(frames, 100.0 * spread, color="#1f6feb", lw=1.0, ls="--", label="stated standard deviation")
-        time_plot.fill_between(
-            frames, 0, 1, where=~there, transform=time_plot.get_xaxis_transform(), color="#d0d7de", label="gone"
+        error_plot.plot(frames, 100.0 * error, color=figures.VERMILION, lw=1.0, label="error")
+        error_plot.plot(
+            frames, 100.0 * spread, color=figures.BLUE, lw=1.0, ls="--", label="stated standard deviation"
         )
-        time_plot.plot(frames, [100.0 * s.presence for s in self.steps], color="#57606a", lw=0.8, label="presence, %")
-        time_plot.set_xlabel("frame")
-        time_plot.set_ylabel("cm")
-        time_plot.set_ylim(bottom=0.0)
-        time_plot.legend(loc="best", fontsize=8)
+        error_plot.set_ylabel("position, cm")
+        error_plot.set_ylim(bottom=0.0)
+        error_plot.tick_params(labelbottom=False)
+        presence_plot.plot(frames, [100.0 * s.presence for s in self.steps], color=figures.GREEN, lw=1.0)
+        presence_plot.set_ylabel("presence, %")
+        presence_plot.set_ylim(-3.0, 103.0)
+        presence_plot.set_xlabel("frame")
+        for plot in (error_plot, presence_plot):
+            ends = plot.get_xaxis_transform()
+            plot.fill_between(frames, 0, 1, where=~there, transform=ends, color=figures.PALE, lw=0, label="gone")
+        error_plot.legend()
+        figure.suptitle(title)
         figures.save(path, figure)
 
 
@@ -161,7 +179,9 @@ def _ellipse(axis: Axes, step: Step) -> None:
     eigenvalues, eigenvectors = np.linalg.eigh(step.covariance[:2, :2])
     width, height = 2.0 * _ELLIPSE * np.sqrt(np.maximum(eigenvalues, 0.0))
     angle = float(np.degrees(np.arctan2(eigenvectors[1, 0], eigenvectors[0, 0])))
-    axis.add_patch(Ellipse(tuple(step.position[:2]), width, height, angle=angle, color="#d1242f", alpha=0.03, lw=0))
+    axis.add_patch(
+        Ellipse(tuple(step.position[:2]), width, height, angle=angle, color=figures.VERMILION, alpha=0.03, lw=0)
+    )
 
 
 def run(

@@ -4,10 +4,10 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from itertools import cycle
 from pathlib import Path
 
 import numpy as np
-from matplotlib import pyplot as plt
 
 from classify.inference import evaluation
 from classify.inference.atlas import Atlas
@@ -137,29 +137,32 @@ def enough(found: Sequence[Worth]) -> list[str]:
     return sentences
 
 
+@figures.styled
 def draw(path: Path, found: Sequence[Worth], title: str) -> None:
     """Write a figure: right voxels and median error against the rendering time; the reference as a line."""
-    figure, axes = plt.subplots(1, 2, figsize=(12.0, 4.6), layout="constrained")
+    figure, [axes] = figures.subplots(1, 2, size=(11.0, 4.4))
     others = [w for w in found if w.name != REFERENCE]
     reference = next(w for w in found if w.name == REFERENCE)
     for axis, name, scale, label in zip(
         axes, ("accuracy", "error"), (100.0, 100.0), ("right voxel, %", "median error, cm"), strict=True
     ):
         exact = getattr(reference, name)
-        axis.axhspan(scale * exact.low, scale * exact.high, color="#57606a", alpha=0.15, lw=0)
-        axis.axhline(scale * exact.value, color="#57606a", lw=1.0, ls=":", label="without noise of rendering")
-        for kind in dict.fromkeys(family(w.name) for w in others):
+        axis.axhspan(scale * exact.low, scale * exact.high, color=figures.GREY, alpha=0.15, lw=0)
+        axis.axhline(scale * exact.value, color=figures.GREY, lw=1.0, ls=":", label="without noise of rendering")
+        for kind, marker in zip(sorted({family(w.name) for w in others}), cycle(figures.MARKERS)):
             ways = [w for w in others if family(w.name) == kind]
             value, low, high = (np.array([scale * getattr(getattr(w, name), k) for w in ways]) for k in _ENDS)
             spread = np.maximum([value - low, high - value], 0.0)
             axis.errorbar(
-                [w.seconds for w in ways], value, yerr=spread, marker="o", ms=4, lw=1.0, capsize=2, label=kind
+                [w.seconds for w in ways], value, yerr=spread, marker=marker, ms=5, lw=1.0, capsize=2, label=kind
             )
         axis.set_xscale("log")
+        figures.plain_numbers(axis.xaxis)
         axis.set_xlabel("core seconds a picture")
         axis.set_ylabel(label)
-    axes[0].legend(fontsize=8)
-    figure.suptitle(title, fontsize=10)
+        axis.set_ylim(bottom=0.0)
+    axes[0].legend()
+    figure.suptitle(title)
     figures.save(path, figure)
 
 

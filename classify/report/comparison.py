@@ -3,14 +3,12 @@
 from __future__ import annotations
 
 import base64
-import io
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
 import jinja2
 import numpy as np
-from matplotlib import pyplot as plt
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 
@@ -18,7 +16,8 @@ from classify.classifiers.evaluate import Result, rivals
 from classify.classifiers.names import NAMES
 from classify.intervals import Interval
 from classify.pictures.feature_table import Features
-from generator.files.writing import atomic, csv_text, write_text
+from generator.files.writing import csv_text, write_text
+from generator.measure import figures
 from generator.model.grid import VoxelGrid
 
 # Table 1 of the paper: accuracy, precision, recall, F1. Its data set 1 is the sheet and 2 the sphere (5.2, and the
@@ -44,8 +43,7 @@ PAPER: dict[str, dict[str, tuple[float, float, float, float]]] = {
     },
 }
 
-_COLOURS = {"paper": "#8a8f98", "tuned": "#1f6feb"}
-_MOST_LABELS = 30
+_COLOURS = {"paper": figures.SKY, "tuned": figures.BLUE}
 
 
 def paper_row(result: Result) -> tuple[float, float, float, float] | None:
@@ -82,7 +80,7 @@ def write(
             [row for r in results for row in _confusion_rows(r)],
         ),
     )
-    figures = {"comparison.png": comparison_figure(results)}
+    drawn = {"comparison.png": comparison_figure(results)}
     best = {}
     for scenario in dict.fromkeys(r.scenario for r in results):
         subset = [r for r in results if r.scenario == scenario]
@@ -90,23 +88,23 @@ def write(
         shown = {
             (r.classifier, r.settings): r for r in [*(r for r in subset if r.classifier == "SVM"), best[scenario]]
         }
-        figures[f"confusion-{_slug(scenario)}.png"] = confusion_figure(list(shown.values()))
+        drawn[f"confusion-{_slug(scenario)}.png"] = confusion_figure(list(shown.values()))
     images = {}
-    for name, figure in figures.items():
-        images[name] = _png(figure)
-        with atomic(folder / name) as temporary:
-            temporary.write_bytes(images[name])
+    for name, figure in drawn.items():
+        figures.save(folder / name, figure)
+        images[name] = (folder / name).read_bytes()
     page = _page(results, sets, names, folds, best, images)
     write_text(folder / "report.html", page)
     return folder / "report.html"
 
 
+@figures.styled
 def comparison_figure(results: Sequence[Result]) -> Figure:
     """The paper's figure 6: accuracy of each classifier, fold by fold, one panel per scenario."""
     scenarios = list(dict.fromkeys(r.scenario for r in results))
     columns = min(2, len(scenarios))
     rows = -(-len(scenarios) // columns)
-    figure, axes = plt.subplots(rows, columns, figsize=(6.2 * columns, 3.4 * rows), squeeze=False, sharey=True)
+    figure, axes = figures.subplots(rows, columns, size=(6.2 * columns, 3.2 * rows + 0.5), sharey=True)
     for axis in axes.flat[len(scenarios) :]:
         axis.set_visible(False)
     for axis, scenario in zip(axes.flat, scenarios, strict=False):
@@ -122,66 +120,55 @@ def comparison_figure(results: Sequence[Result]) -> Figure:
         if any(p for _, p in published):
             axis.plot(
                 [i for i, p in published if p],
-                [p[0] for _, p in published if p],
+                [100.0 * p[0] for _, p in published if p],
                 "D",
-                color="#d1242f",
+                color=figures.VERMILION,
                 ms=5,
                 zorder=4,
             )
         chance = 1.0 / len(subset[0].labels)
-        axis.axhline(chance, color="#57606a", lw=0.8, ls=":")
+        axis.axhline(100.0 * chance, color=figures.GREY, lw=0.8, ls=":")
         axis.set_xticks(range(len(order)), order)
-        axis.set_title(
-            f"trained and tested on the {scenario}" if "->" not in scenario else _words(scenario), fontsize=10
-        )
-        axis.set_ylim(0.0, 1.0)
-        axis.grid(axis="y", color="#d0d7de", lw=0.5)
-        axis.set_axisbelow(True)
+        axis.set_title(f"trained and tested on the {scenario}" if "->" not in scenario else _words(scenario))
+        axis.set_ylim(0.0, 102.0)
+        axis.grid(axis="x", visible=False)
     for row in axes:
-        row[0].set_ylabel("accuracy")
+        row[0].set_ylabel("accuracy, %")
     handles = [Line2D([], [], color=c, lw=6, label=f"{s} settings") for s, c in _COLOURS.items()]
     handles += [
-        Line2D([], [], color="#d1242f", marker="D", ls="", label="the paper's figure"),
-        Line2D([], [], color="#57606a", ls=":", label="chance"),
+        Line2D([], [], color=figures.VERMILION, marker="D", ls="", label="the paper's figure"),
+        Line2D([], [], color=figures.GREY, ls=":", label="chance"),
     ]
-    figure.legend(handles=handles, loc="lower center", ncols=4, frameon=False, fontsize=9)
-    figure.tight_layout(rect=(0, 0.05 if rows > 1 else 0.09, 1, 1))
+    figure.legend(handles=handles, loc="outside lower center", ncols=4, frameon=False)
     return figure
 
 
 def _draw_accuracy(axis: Any, x: float, width: float, r: Result) -> None:
     colour = _COLOURS[r.settings]
     if len(r.folds) > 1:
-        box = axis.boxplot([r.folds], positions=[x], widths=width * 0.85, patch_artist=True, manage_ticks=False)
-        box["boxes"][0].set(facecolor=colour, alpha=0.55)
+        box = axis.boxplot(
+            [[100.0 * f for f in r.folds]], positions=[x], widths=width * 0.85, patch_artist=True, manage_ticks=False
+        )
+        box["boxes"][0].set(facecolor=colour)
         box["medians"][0].set(color="black")
         for flier in box["fliers"]:
             flier.set(marker=".", markersize=4)
     else:  # a single test set has no folds: draw its interval instead
-        a = r.accuracy
-        axis.errorbar([x], [a.value], [[a.value - a.low], [a.high - a.value]], fmt="o", color=colour, ms=4, capsize=3)
+        value, low, high = (100.0 * v for v in (r.accuracy.value, r.accuracy.low, r.accuracy.high))
+        axis.errorbar([x], [value], [[value - low], [high - value]], fmt="o", color=colour, ms=4, capsize=3)
 
 
+@figures.styled
 def confusion_figure(results: Sequence[Result]) -> Figure:
     """Confusion matrices side by side, each row in per cent of the pictures of that true voxel."""
-    figure, axes = plt.subplots(1, len(results), figsize=(4.3 * len(results), 4.4), squeeze=False)
+    figure, axes = figures.subplots(1, len(results), size=(4.8 * len(results), 4.4))
     for axis, r in zip(axes[0], results, strict=True):
         share = 100.0 * r.confusion / np.maximum(r.confusion.sum(axis=1, keepdims=True), 1)
-        axis.imshow(share, cmap="Blues", vmin=0, vmax=100)
-        n = len(r.labels)
-        if n <= _MOST_LABELS:
-            axis.set_xticks(range(n), r.labels)
-            axis.set_yticks(range(n), r.labels)
-        if n <= 12:
-            for i, j in np.argwhere(r.confusion > 0):
-                colour = "white" if share[i, j] > 55 else "black"
-                axis.text(j, i, f"{share[i, j]:.0f}", ha="center", va="center", fontsize=8, color=colour)
-        axis.set_title(
-            f"{_words(r.scenario)}: {r.classifier}, {r.settings}\naccuracy {r.accuracy.value:.1%}", fontsize=9
-        )
+        figures.heat_map(axis, share, r.labels)
+        accuracy = f"accuracy {100.0 * r.accuracy.value:.1f} %"
+        axis.set_title(f"{_words(r.scenario)}: {r.classifier}, {r.settings}\n{accuracy}")
         axis.set_xlabel("predicted voxel")
-    axes[0][0].set_ylabel("true voxel (rows in %)")
-    figure.tight_layout()
+    axes[0][0].set_ylabel("true voxel")
     return figure
 
 
@@ -261,13 +248,6 @@ def _slug(scenario: str) -> str:
 def _words(scenario: str) -> str:
     train, arrow, test = scenario.partition(" -> ")
     return f"trained on {train}, tested on {test}" if arrow else scenario
-
-
-def _png(figure: Figure) -> bytes:
-    buffer = io.BytesIO()
-    figure.savefig(buffer, format="png", dpi=130, bbox_inches="tight", pad_inches=0.12)
-    plt.close(figure)
-    return buffer.getvalue()
 
 
 def _map(result: Result, grid: VoxelGrid) -> list[list[tuple[str, float | None]]]:

@@ -4,21 +4,23 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from itertools import combinations
 from typing import Any
 
 import bpy
 import numpy as np
+from numpy.typing import NDArray
 
 from generator.blender.engines import renderers
 from generator.blender.engines.renderer import Renderer, Shot
-from generator.blender.scene import geometry, posing
+from generator.blender.scene import geometry, posing, roles
 from generator.blender.scene.description import read_scene
+from generator.blender.scene.quiet import Overrides
 from generator.files.pictures import Picture
 from generator.measure import student
 from generator.model import poses
-from generator.model.arrays import Array
+from generator.model.arrays import Array, Vector
 from generator.model.engines import traits_of
 from generator.model.poses import Pose
 from generator.model.scene import Target
@@ -45,6 +47,10 @@ class Experiment:
         Distance from one pose to the next: metres; degrees in experiment 3.
     signals : ndarray of shape (repeats, 3, 5, height, width, 3)
         Change of the empty scene by the object, W/m^2/sr; the repeats differ in noise only.
+    voxel : (float, float, float)
+        Edges of a voxel, metres.
+    corners : ndarray of shape (4, 2)
+        Where the picture's corners lie on the wall, x and z, metres: top right, bottom right, bottom left, top left.
     """
 
     number: int
@@ -53,6 +59,8 @@ class Experiment:
     poses: list[list[Pose]]
     step: float
     signals: Array
+    voxel: Vector = (math.nan,) * 3
+    corners: Array = field(default_factory=lambda: np.full((4, 2), math.nan))
 
     @property
     def differences(self) -> Array:
@@ -66,6 +74,31 @@ class Experiment:
         """Change of the empty scene by the object at rest, averaged over repeats, (height, width, 3), W/m^2/sr."""
         signal: Array = self.signals[:, 0, self._rest].mean(axis=0)
         return signal
+
+    @property
+    def rounding(self) -> float:
+        """Largest change of a picture, relative to the signal at rest, that may be a rounding error of a float32.
+
+        Poses and pictures are such; without noise, smaller changes mean nothing.
+        """
+        return float(np.finfo(np.float32).eps)
+
+    def noise(self) -> tuple[Array, NDArray[np.bool_]]:
+        """Return the noise of each difference, grey, root mean square, and whether it is above the signal, (3, 5).
+
+        With noise it is the standard error of the mean over the repeats, and the mean square of the signal is that of
+        the difference less that of its noise; NaN with a single repeat. Without noise it is `rounding`.
+        """
+        grey = self.signals.mean(axis=-1)
+        changes = grey - grey[:, :, [self._rest]]
+        measured = (changes.mean(axis=0) ** 2).mean(axis=(-2, -1))
+        if not traits_of(self.engine).noisy:
+            level = self.rounding * math.sqrt(float((self.rest.mean(axis=-1) ** 2).mean()))
+            return np.full(measured.shape, level), measured <= level**2
+        if len(changes) == 1:
+            return np.full(measured.shape, math.nan), np.zeros(measured.shape, dtype=bool)
+        error = (changes.var(axis=0, ddof=1) / len(changes)).mean(axis=(-2, -1))
+        return np.sqrt(error), measured <= 2.0 * error
 
     def changes(self) -> list[tuple[float, float]]:
         """Return the change of the signal along each axis, per metre or degree, and its distance to the upper bound.
@@ -154,10 +187,14 @@ def run(
     NlosError
         The scene cannot be read, or there is no such experiment.
     """
-    size = min(read_scene(scene).grid.size) / 2.0
+    voxel = read_scene(scene).grid.size
+    size = min(voxel) / 2.0
     position = tuple(float(v) for v in geometry.snapshot(scene).matrices["target"][:3, 3])
     rows = poses.experiment(number, (position[0], position[1], position[2]), step=size / 4.0, turn=TURN)
     model = Target(kind="sphere" if target == "sphere" else "sheet", size=size, albedo=Target.named(target).albedo)
+    with Overrides() as overrides:
+        geometry.shape_pictures(scene, (pixels, pixels), overrides)
+        _, corners = geometry.view(scene, roles.find(scene, "camera"), geometry.snapshot(scene).matrices["camera"])
     with posing.stand_in(scene, model):
         engine, _ = renderers.choose(scene)
         with renderers.opened(scene, engine, resolution=(pixels, pixels), accuracy=ACCURACY) as renderer:
@@ -165,7 +202,8 @@ def run(
                 signals = _sampled(scene, renderer, rows, samples, repeats, progress)
             else:
                 signals = np.array([[[renderer.difference(Shot(*pose)) for pose in row] for row in rows]])
-    return Experiment(number, target, engine, rows, TURN if number == 3 else size / 4.0, signals)
+    step = TURN if number == 3 else size / 4.0
+    return Experiment(number, target, engine, rows, step, signals, voxel, corners[:, [0, 2]])
 
 
 def draw(scene: bpy.types.Scene, number: int, *, pixels: int = 64) -> Picture:

@@ -16,14 +16,18 @@ from generator.blender.scene import blend_file, build
 from generator.files.pictures import write_picture
 from generator.files.toml import from_dict, to_dict
 from generator.files.writing import csv_text, write_text
-from generator.measure import figures
+from generator.measure import difference_panels
+from generator.model.engines import traits_of
 from generator.model.presets import preset
 from generator.model.scene import Scene
 
 Open = Callable[[float], bpy.types.Scene]
 """Returns a scene under uniform ambient light of a radiance, W/m^2/sr."""
 
-_COLUMNS = ["target", "place", "engine", "axis", "unit", "change_percent", "half_interval_percent"]
+_COLUMNS = [
+    *("target", "place", "engine", "axis", "unit", "change_percent", "half_interval_percent", "step", "step_unit"),
+    *("step_voxels", "pictures", "below_noise"),
+]
 
 
 def presets() -> dict[str, Open]:
@@ -86,18 +90,29 @@ def run(
                 row = np.concatenate(result.differences[axis], axis=1).astype(np.float32)
                 write_picture(folder / f"{target}-{name.replace(' ', '-')}-{letter}.exr", row, {"units": "W/m^2/sr"})
         path = folder / f"experiment-{number}-{target}.png"
-        _draw(path, done)
-        yield f"{path}"
+        yield from map(str, _draw(path, done))
     write_text(folder / "changes.csv", csv_text(_COLUMNS, rows))
     yield f"{folder / 'changes.csv'}"
 
 
 def _cells(found: Experiment) -> list[list[str]]:
     unit, factor = _unit(found)
+    turned, (_, drowned) = found.number == 3, found.noise()
+    moved = drowned[:, _moved(found)]
     return [
-        [axis, unit, f"{100.0 * factor * value:.5g}", f"{100.0 * factor * half:.3g}"]
-        for axis, (value, half) in zip("xyz", found.changes(), strict=True)
+        [
+            *(axis, unit, f"{100.0 * factor * value:.5g}", f"{100.0 * factor * half:.3g}"),
+            *(f"{found.step:.4g}", "degree" if turned else "m", "" if turned else f"{found.step / voxel:.4g}"),
+            *(str(len(lost)), str(int(lost.sum()))),
+        ]
+        for axis, (value, half), voxel, lost in zip("xyz", found.changes(), found.voxel, moved, strict=True)
     ]
+
+
+def _moved(found: Experiment) -> list[int]:
+    """Return the columns of the poses in which the object is not at rest."""
+    middle = len(found.poses[0]) // 2
+    return [k for k in range(len(found.poses[0])) if k != middle]
 
 
 def _unit(found: Experiment) -> tuple[str, float]:
@@ -109,9 +124,11 @@ def _sentence(found: Experiment, place: str) -> str:
     """Return a sentence: the change along each axis, strongest first, and whether the paper's claim holds."""
     unit, factor = _unit(found)
     changes = found.changes()
+    # Without noise, what rounding alone may bring about.
+    floor = 0.0 if traits_of(found.engine).noisy else found.rounding / (2.0 * found.step)
     order = sorted(range(3), key=lambda axis: -changes[axis][0])
     listed = ", ".join(
-        f"{'xyz'[axis]} {100.0 * factor * changes[axis][0]:.3g}"
+        f"{'xyz'[axis]} {_number(100.0 * factor * changes[axis][0], 100.0 * factor * floor)}"
         + (f" ± {100.0 * factor * changes[axis][1]:.2g}" if changes[axis][1] else "")
         for axis in order
     )
@@ -121,6 +138,11 @@ def _sentence(found: Experiment, place: str) -> str:
             f"{found.target}, {place} ({found.engine}): noise drowns the signal; ask for more --samples or --repeats"
         )
     return f"{found.target}, {place} ({found.engine}): {how} {listed} % of the signal per {unit}; {_claim(found)}"
+
+
+def _number(value: float, floor: float) -> str:
+    """Return a value as text, or that it is less than what rounding errors amount to."""
+    return f"{value:.3g}" if value > floor or not floor else f"less than {floor:.1g} (rounding)"
 
 
 def _claim(found: Experiment) -> str:
@@ -139,23 +161,35 @@ def _claim(found: Experiment) -> str:
     return unsure if None in stronger else f"{claim}: so it is"
 
 
-def _draw(path: Path, done: Mapping[str, Experiment]) -> None:
+def _draw(path: Path, done: Mapping[str, Experiment]) -> list[Path]:
     first = next(iter(done.values()))
-    steps = np.arange(len(first.poses[0])) - len(first.poses[0]) // 2
-    columns = [k for k in range(len(steps)) if steps[k]]
-    blocks = [(place, result.differences[:, columns].mean(axis=-1)) for place, result in done.items()]
-    signal = [float(np.quantile(np.abs(result.rest.mean(axis=-1)), 0.995)) for result in done.values()]
     how = "turned" if first.number == 3 else "moved"
-    title = f"Experiment {first.number}: a {first.target} is {how}; × is how far a difference is amplified to be as "
-    figures.experiment(
-        path,
-        title + "bright as the signal at rest",
-        blocks,
-        [_shift(first.number, int(s)) for s in steps[columns]],
-        signal,
+    title = (
+        f"Experiment {first.number}: a {first.target} is {how}; × is how far a row is amplified to be as bright as "
+        "the signal at rest"
     )
+    return difference_panels.draw(path, title, [_block(place, result) for place, result in done.items()])
 
 
-def _shift(number: int, steps: int) -> str:
-    """Return the heading of a column; a step is an eighth of the voxel."""
-    return f"{steps * experiment.TURN:+.3g}°" if number == 3 else f"{steps:+d}/8 voxel"
+def _block(place: str, found: Experiment) -> difference_panels.Block:
+    columns, middle, turned = _moved(found), len(found.poses[0]) // 2, found.number == 3
+    noise, drowned = found.noise()
+    threshold = f"rounding of float32, {found.rounding:.1e} of the signal"
+    if traits_of(found.engine).noisy:
+        count = len(found.signals)
+        threshold = f"standard error of {count} repeats" if count > 1 else "not known from one repeat"
+    steps = [(k - middle) * found.step for k in columns]
+    return difference_panels.Block(
+        name=f"{place} ({found.engine})",
+        rows=found.differences[:, columns].mean(axis=-1),
+        noise=noise[:, columns],
+        drowned=drowned[:, columns],
+        full_scale=float(np.quantile(np.abs(found.rest.mean(axis=-1)), 0.995)),
+        corners=found.corners,
+        threshold=threshold,
+        columns=[f"{step:+.3g}°" if turned else f"{100.0 * step:+.3g} cm" for step in steps],
+        axes=[
+            f"about {axis}" if turned else f"along {axis}, voxel {100.0 * size:.3g} cm"
+            for axis, size in zip("xyz", found.voxel, strict=True)
+        ],
+    )

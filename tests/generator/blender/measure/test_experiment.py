@@ -4,18 +4,26 @@ from __future__ import annotations
 
 import contextlib
 import csv
+from dataclasses import replace
 
 import bpy
 import numpy as np
 import pytest
+from figure_texts import misplaced
+from matplotlib.collections import QuadMesh
 
-from generator.blender.measure import experiment
+from generator.blender.measure import experiment, experiment_report
 from generator.blender.measure.experiment import Experiment
 from generator.blender.scene import blend_file, build, posing, roles
 from generator.files.pictures import read_picture
+from generator.measure import difference_panels, figures
 from generator.model import poses
+from generator.model.arrays import rotation_matrix
 from generator.model.presets import preset
 from generator.model.scene import Target
+
+CORNERS = np.array([[-0.5, 1.2], [-0.5, 0.6], [0.5, 0.6], [0.5, 1.2]])
+"""A picture half a metre to each side of the origin, from the top right clockwise: the camera's right is -x."""
 
 
 def made(repeats, noise, seed=0, size=24):
@@ -50,6 +58,75 @@ def test_noise_adds_nothing_and_the_interval_holds_the_truth():
 def test_what_noise_drowns_is_not_a_number():
     values = [made(2, 100.0, seed).changes()[0][0] for seed in range(12)]
     assert np.isnan(values).any()
+
+
+def exact(relative):
+    """Noise-free pictures of a mean of 3 whose changes have a root mean square of a share of the signal."""
+    found = made(1, 0.0)
+    rest = found.signals[0, 0, 2]
+    steps = np.array([-2.0, -1.0, 0.0, 1.0, 2.0])[:, None, None, None]
+    row = rest + steps * relative * np.sqrt((rest**2).mean())
+    return replace(found, engine="surfel", signals=np.broadcast_to(row, (1, 3, *row.shape)).copy())
+
+
+@pytest.mark.parametrize(("relative", "lost"), [(1e-9, [True] * 5), (1e-5, [False, False, True, False, False])])
+def test_rounding_errors_are_no_signal(relative, lost):
+    """In the middle stands the picture at rest itself."""
+    noise, drowned = exact(relative).noise()
+    assert (drowned == lost).all()
+    assert noise == pytest.approx(noise[0, 0])
+
+
+def test_a_panel_is_drowned_where_its_noise_is_above_its_signal():
+    """Of 6 repeats with noise of 0.03, a difference has a standard error of 0.03 * sqrt(2 / 6): less than 0.1 * 3."""
+    noise, drowned = made(6, 0.03).noise()
+    assert noise[:, [0, 1, 3, 4]] == pytest.approx(0.03 * np.sqrt(2.0 / 6.0), rel=0.1)
+    assert not drowned[:2, [0, 1, 3, 4]].any()
+    assert drowned[2].all(), "nothing changes along the third axis"
+    assert np.isnan(made(1, 0.0).noise()[0]).all(), "of Cycles, from one repeat"
+
+
+def test_steps_are_told_in_metres_and_each_voxel_axis_of_its_own():
+    found = replace(made(1, 0.0), voxel=(0.2, 0.5, 1.4))
+    cells = experiment_report._cells(found)
+    assert [row[4:7] for row in cells] == [["0.1", "m", "0.5"], ["0.1", "m", "0.2"], ["0.1", "m", "0.07143"]]
+    block = experiment_report._block("room", replace(found, corners=CORNERS))
+    assert block.axes == ["along x, voxel 20 cm", "along y, voxel 50 cm", "along z, voxel 140 cm"]
+    assert list(block.columns) == ["-20 cm", "-10 cm", "+10 cm", "+20 cm"]
+
+
+def test_panels_below_noise_are_marked_and_not_amplified(tmp_path, monkeypatch):
+    caught = []
+    save = figures.save
+    monkeypatch.setattr(figures, "save", lambda path, figure: [caught.append(figure), *save(path, figure)][1:])
+    places = {"dark": replace(exact(1e-9), corners=CORNERS), "lit": replace(exact(1e-5), corners=CORNERS)}
+    files = experiment_report._draw(tmp_path / "e.png", places)
+    assert [file.name for file in files] == ["e.png", "e.svg"]
+    [figure] = caught
+    texts = [text.get_text() for axis in figure.axes for text in axis.texts]
+    assert len([words for words in texts if words.startswith("below noise")]) == 12
+    drawn = [axis for axis in figure.axes if any(isinstance(c, QuadMesh) for c in axis.collections)]
+    bars = [axis for axis in figure.axes if "W/m²/sr" in axis.get_ylabel()]
+    assert len(drawn) == 12 + len(bars)
+    assert len(bars) == 3, "a row each"
+    assert misplaced(figure) == []
+
+
+def test_pictures_lie_on_the_wall_as_the_camera_sees_them():
+    """A frontal camera by its rectangle; an oblique one by the projection of a point inside."""
+    x, z = difference_panels.on_wall(CORNERS, 2, 4)
+    assert x[0] == pytest.approx([0.5, 0.25, 0.0, -0.25, -0.5])
+    assert z[:, 0] == pytest.approx([1.2, 0.9, 0.6])
+    camera = np.array([0.3, 2.0, 0.1])
+    ways = np.array([[x, -1.0, z] for x, z in ((-0.5, 0.4), (-0.5, -0.4), (0.5, -0.4), (0.5, 0.4))])
+    turn = rotation_matrix((10.0, 0.0, 25.0))
+
+    def hit(way):
+        ray = turn @ way
+        return (camera - ray * camera[1] / ray[1])[[0, 2]]
+
+    x, z = difference_panels.on_wall(np.array([hit(way) for way in ways]), 4, 4)
+    assert (x[1, 3], z[1, 3]) == pytest.approx(tuple(hit(np.array([-0.25, -1.0, 0.2]))))
 
 
 def test_a_stand_in_leaves_no_trace():
@@ -89,7 +166,10 @@ def test_the_command_line(tmp_path, scene_file, command):
     assert len(rows) == 6
     assert {row["unit"] for row in rows} == {"degree"}
     assert read_picture(tmp_path / "out" / "sheet-room-x.exr")[0].shape == (12, 60, 3)
-    assert (tmp_path / "out" / "experiment-3-sphere.png").is_file()
+    assert all((tmp_path / "out" / f"experiment-3-sphere.{kind}").is_file() for kind in ("png", "svg"))
+    sphere, sheet = ([row for row in rows if row["target"] == kind] for kind in ("sphere", "sheet"))
+    assert [row["below_noise"] for row in sphere] == ["4", "4", "4"], "what it shows is rounding"
+    assert "0" in {row["below_noise"] for row in sheet}
 
 
 @pytest.mark.parametrize(
