@@ -15,7 +15,7 @@ from generator.blender.finding import ERROR, GOOD, NOTE, WARNING, Finding
 from generator.blender.scene.description import read_scene
 from generator.measure import student
 from generator.model.arrays import Array
-from generator.model.quantities import byte_size, rough_time
+from generator.model.quantities import ROUNDING, byte_size, rough_time
 from generator.model.settings import Sweep
 
 _PROBE_SAMPLES, _PROBES, _PATIENCE = 16, 64, 8.0
@@ -69,7 +69,8 @@ class Probe:
 
     def _signal(self) -> Finding:
         if self.exact and self.signal_to_noise == 0.0:
-            return Finding(ERROR, "The object changes nothing in the pictures, where it stands now")
+            rounding = f"above the rounding of float32, {_share(ROUNDING)} of a pixel"
+            return Finding(ERROR, f"The object makes no change {rounding}, where it stands now")
         more = " or the engine 'surfel'" if self.other and self.engine != "surfel" else ""
         missed = f"none of {self.missed:,} samples of {self.engine!r} met it"
         if self.missed and not self.exact:

@@ -18,6 +18,7 @@ import numpy as np
 from generator.files.writing import fingerprint
 from generator.model.engines import traits_of
 from generator.model.poses import PoseRecord, noise_seed
+from generator.model.quantities import NO_CHANGE
 from generator.sets import seal
 from generator.sets.manifest import LOG, MANIFEST, PLAN, POSES, SCENE, plan_hash, scene_hash
 from generator.sets.readable import RENDER_AGAIN, rendered
@@ -263,9 +264,9 @@ def alike(dataset: Dataset) -> list[str]:
 
 def _nothing(dataset: Dataset) -> str:
     if not traits_of(dataset.settings["engine"]).noisy:
-        return "the object changes nothing there, so it is in full shadow or hidden by something"
+        return f"{NO_CHANGE}, so it is in full shadow or hidden by something"
     samples = dataset.settings["samples"]
-    return f"the object changes nothing there, or no path met it in {samples} samples a pixel"
+    return f"{NO_CHANGE}, or no path met it in {samples} samples a pixel"
 
 
 def words(dataset: Dataset) -> str:

@@ -16,6 +16,7 @@ from generator.files.limits import MUCH, check_heaps, exceeds_limit, limited
 from generator.model.arrays import Array
 from generator.model.errors import NlosError
 from generator.model.poses import Pose
+from generator.model.quantities import NO_CHANGE
 from generator.sets.bulk_settings import Layout
 from generator.sets.hdf5 import VERSIONS, describe_file, short_size, write_image
 
@@ -268,8 +269,8 @@ class Alike:
             first = next(number for number in self._empty if number % n == voxel)
             faults.append(
                 f"{self._named(first)} equals the background to the bit, as {count} of "
-                f"{len(range(voxel, layout.plan.pictures, n))} pictures of voxel {labels[voxel]} do: the object "
-                "changes nothing there, so it is in full shadow or hidden by something"
+                f"{len(range(voxel, layout.plan.pictures, n))} pictures of voxel {labels[voxel]} do: "
+                f"{NO_CHANGE}, so it is in full shadow or hidden by something"
             )
         if self._same:
             first, second = self._same[0]
