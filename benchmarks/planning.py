@@ -29,6 +29,7 @@ from generator.measure import effects, scene_plan
 from generator.measure.intervals import relative
 from generator.measure.scene_plan import Effect, Plan
 from generator.model import poses
+from generator.model.deadline import Deadline
 from generator.model.errors import NlosError
 from generator.model.presets import preset
 from generator.transport import Transport
@@ -168,7 +169,7 @@ def again(source: Path, plan: Plan, most: float) -> dict[str, tuple[float, float
     sky = planning.ambient(source, [p for round_poses in rounds[: scene_plan.POSES] for p in round_poses])
     pieces = [name for name in pieces if name != simplify.AMBIENT or sky is None]
     orders = [o for o in (4, 5) if any(e.name == paired.order_name(o) for e in plan.effects)]
-    measured = paired.measure(probe, pieces, orders=orders, tolerance=plan.tolerance, most=most)
+    measured = paired.measure(probe, pieces, orders=orders, tolerance=plan.tolerance, deadline=Deadline(most))
     if sky is not None:
         measured[sky.name] = sky.share
     if plan.settings["engine"] == "surfel":
@@ -247,7 +248,9 @@ def run_effects(options: argparse.Namespace) -> None:
             )
             print(" | ".join(table[-1]), flush=True)
         known = plan.predicted
-        print(f"{name}: {plan.settings}, {known['seconds_full'] / known['seconds']:.3g} times as fast", flush=True)
+        if "seconds_full" in known:
+            gain = known["seconds_full"] / known["seconds"]
+            print(f"{name}: {plan.settings}, {gain:.3g} times as fast", flush=True)
         write_text(options.output / "effects.csv", csv_text(("scene", "left out", "plan", "measured", "", ""), table))
 
 
@@ -293,7 +296,7 @@ def run_random(options: argparse.Namespace) -> None:
         tolerance = (0.01, 0.02, 0.05, 0.1)[seed % 4]
         source = saved(random_scene(seed), options.output / f"random-{seed}.blend")
         try:
-            plan = planning.make(source, tolerance=tolerance, most=0.0, predict=False)
+            plan = planning.make(source, tolerance=tolerance, by_cycles=False, predict=False)
             places, turns = other_poses(source, scene_plan.POSES)
         except NlosError as error:
             print(f"{seed}: left out: {error}", flush=True)

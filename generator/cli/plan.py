@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import argparse
-import functools
+import time
 from pathlib import Path
 
 from generator.cli.options import (
@@ -12,7 +12,7 @@ from generator.cli.options import (
     add_links_option,
     option,
 )
-from generator.cli.terminal import print_table
+from generator.cli.terminal import Status, print_table
 from generator.measure import scene_plan
 from generator.model.errors import NlosError
 from generator.model.quantities import fraction, seconds
@@ -43,9 +43,9 @@ def _add_tradeoff(commands: Commands) -> None:
     parser.add_argument(
         "--most",
         type=option(seconds),
-        default=600.0,
+        default=1200.0,
         metavar="T",
-        help="leave out what would take longer, judged by the cheaper (default: 10min)",
+        help="time for all of it: what would end later is left out, and named (default: 20min)",
     )
     parser.add_argument("--workers", type=int, default=0, metavar="W", help="processes (default: one per core)")
     add_force_option(parser)
@@ -81,9 +81,9 @@ def _add_plan(commands: Commands) -> None:
     parser.add_argument(
         "--most",
         type=option(seconds),
-        default=180.0,
+        default=scene_plan.MOST,
         metavar="T",
-        help="time for what only Cycles models, which has noise (default: 3min)",
+        help="time for all of it: what cannot be measured in it is kept, and named (default: 5min)",
     )
     parser.add_argument("--workers", type=int, default=0, metavar="W", help="of the sweep (default: one per core)")
     add_links_option(parser)
@@ -99,12 +99,14 @@ def run_tradeoff(options: argparse.Namespace) -> int:
     if options.output.exists() and not options.output.is_dir():
         raise NlosError(f"{options.output}: is a file; name a folder")
     names = ("poses", "seed", "resolution", "most", "workers", "force")
-    costs = tradeoff.run(
-        options.scene,
-        options.output,
-        **{name: getattr(options, name) for name in names},
-        tell=functools.partial(print, flush=True),
-    )
+    with Status() as status:
+        costs = tradeoff.run(
+            options.scene,
+            options.output,
+            **{name: getattr(options, name) for name in names},
+            tell=status.tell,
+            progress=status.progress,
+        )
     title = f"{options.scene.name}, {options.poses} poses a voxel, seed {options.seed}"
     print_table(f"{title}; intervals of 95 %", tradeoff.HEADINGS, tradeoff.rows(costs))
     for line in tradeoff.advice(costs):
@@ -116,21 +118,23 @@ def run_tradeoff(options: argparse.Namespace) -> int:
 
 def run_plan(options: argparse.Namespace) -> int:
     """Measure what a scene needs modelled, and write the plan."""
+    begun = time.monotonic()  # loading Blender takes some of the time
     from generator.blender.measure import planning
 
     if options.output and options.output.exists() and not options.output.is_dir():
         raise NlosError(f"{options.output}: is a file; name a folder")
     if not 2 <= options.poses <= Sweep.poses:
         raise NlosError(f"--poses {options.poses}: must be from 2 to {Sweep.poses}")
-    plan = planning.make(
-        options.scene,
-        tolerance=options.tolerance,
-        count=options.poses,
-        seed=options.seed,
-        most=options.most,
-        workers=options.workers,
-        tell=functools.partial(print, flush=True),
-    )
+    with Status() as status:
+        plan = planning.make(
+            options.scene,
+            tolerance=options.tolerance,
+            count=options.poses,
+            seed=options.seed,
+            most=options.most - (time.monotonic() - begun),
+            workers=options.workers,
+            tell=status.tell,
+        )
     title = f"{options.scene.name}, seed {options.seed}, tolerance {100.0 * options.tolerance:g} %"
     print_table(f"{title}; intervals of 95 %", scene_plan.HEADINGS, scene_plan.rows(plan))
     for line in scene_plan.words(plan):

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import sys
+import threading
 import time
 from collections.abc import Callable, Iterator, Sequence
 from typing import TYPE_CHECKING
@@ -76,6 +77,69 @@ class LineProgress:
             return
         self._last = now
         print(f"{done} of {total} {self._what}{left_words(left if done < total else None)}", flush=True)
+
+
+class Status:
+    """Tells sentences, and between them every few seconds what is being done and for how long.
+
+    At a terminal that is a line on standard error that changes; in a log, a line after some seconds of silence.
+
+    Parameters
+    ----------
+    every : float
+        Longest silence in a log, seconds.
+    """
+
+    def __init__(self, every: float = 5.0) -> None:
+        self._every = every
+        self._live = sys.stderr is not None and sys.stderr.isatty()
+        self._lock = threading.Lock()
+        self._ended = threading.Event()
+        self._doing, self._count = "starting", ""
+        self._since = self._last = time.monotonic()
+        self._thread = threading.Thread(target=self._watch, daemon=True)
+
+    def __enter__(self) -> Status:
+        self._thread.start()
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self._ended.set()
+        self._thread.join()
+        self._clear()
+
+    def tell(self, words: str) -> None:
+        """Print a sentence about what begins now, or has ended."""
+        with self._lock:
+            self._clear()
+            print(words, flush=True)
+            self._doing, self._count = words, ""
+            self._since = self._last = time.monotonic()
+
+    def progress(self, done: int, total: int) -> None:
+        """Take note of how many pictures of what is being done are there."""
+        self._count = f", {done} of {total} pictures" if total else ""
+
+    def _watch(self) -> None:
+        while not self._ended.wait(1.0 if self._live else 0.2 * self._every):
+            with self._lock:
+                now = time.monotonic()
+                if self._live:
+                    self._clear()
+                    sys.stderr.write(f"{self._words(now)[:100]}")
+                    sys.stderr.flush()
+                elif now - self._last >= self._every:
+                    self._last = now
+                    with contextlib.suppress(console.Unwritable):  # the next sentence finds out
+                        print(f"... {self._words(now)}", flush=True)
+
+    def _words(self, now: float) -> str:
+        return f"{self._doing.partition(':')[0]}{self._count}, {clock(now - self._since)}"
+
+    def _clear(self) -> None:
+        if self._live:
+            sys.stderr.write("\r\x1b[K")
+            sys.stderr.flush()
 
 
 def left_words(left: float | None) -> str:

@@ -15,6 +15,7 @@ import numpy as np
 
 from generator.jobs.protocol import TrialRender
 from generator.jobs.workers import Launch, Worker, available_cores, python
+from generator.model.deadline import Deadline, Late
 from generator.model.engines import traits_of
 from generator.model.errors import NlosError
 from generator.model.quantities import clock, percent
@@ -213,7 +214,7 @@ def choose(
     chosen : mapping
         Fields of `Sweep` that the user chose; the engine is ``auto`` if it is not among them.
     budget : float
-        Seconds, from now on, the rehearsal included.
+        Seconds, from now on, the rehearsal included; compiling, which is done once, comes on top.
     accuracy : float
         Relative root mean square error of a difference picture, in the median pose; 0 is as exact as possible.
     workers : int
@@ -232,11 +233,13 @@ def choose(
     """
     if "samples" in chosen:
         raise NlosError("samples: follow from --budget and --accuracy; leave them out, or leave these out")
-    begun = time.monotonic()
     settings = {"engine": "auto", **{k: v for k, v in chosen.items() if k != "accuracy"}}
-    if words := caching.compiling_words(str(settings["engine"])):
-        tell(words)
-    measured = measured_by_trial(scene, settings, workers, launch, force=force)
+    compiled(scene, settings, tell=tell, launch=launch, force=force)
+    begun = time.monotonic()
+    try:
+        measured = measured_by_trial(scene, settings, workers, launch, force=force, deadline=Deadline(budget))
+    except Late:
+        raise NlosError(f"--budget: {clock(budget)} are over before a few pictures are; ask for more time") from None
     pictures = int(settings.get("poses", Sweep.poses)) * measured.voxels
     exact = not traits_of(measured.engine).noisy
     left = budget - (time.monotonic() - begun)
@@ -270,6 +273,33 @@ def choose(
     return Choice(settings, pace)
 
 
+def compiled(
+    scene: Path,
+    settings: Mapping[str, Any],
+    *,
+    tell: Callable[[str], None] = lambda words: None,
+    launch: Launch = python,
+    force: bool = False,
+) -> float:
+    """Compile `surfel` if a sweep may use it and it is not compiled yet; return the seconds that took.
+
+    Parameters are those of `choose`. A time limit begins afterwards: what is done once says nothing of a sweep.
+    """
+    begun = time.monotonic()
+    if not (words := caching.compiling_words(str(settings["engine"]))):
+        return 0.0
+    tell(words)
+    measured_by_trial(scene, {**settings, "resolution": "8"}, 1, launch, force=force)
+    taken = time.monotonic() - begun
+    tell(f"compiled in {clock(taken)}, which no time limit counts")
+    return taken
+
+
+def _kill(workers: Sequence[Worker]) -> None:
+    for worker in workers:
+        worker.kill()
+
+
 def measured_by_trial(
     scene: Path,
     settings: Mapping[str, Any],
@@ -277,8 +307,17 @@ def measured_by_trial(
     launch: Launch = python,
     *,
     force: bool = False,
+    deadline: Deadline | None = None,
 ) -> Measured:
-    """Measure a sweep by a trial, on as many parallel workers as it will have; 0 is one per core."""
+    """Measure a sweep by a trial, on as many parallel workers as it will have; 0 is one per core.
+
+    Raises
+    ------
+    NlosError
+        The scene cannot be swept with these settings.
+    Late
+        The deadline was over before the trial was.
+    """
     cores = available_cores()
     crew = max(1, min(workers or cores, REHEARSED))
     begun = time.monotonic()
@@ -293,7 +332,13 @@ def measured_by_trial(
     )
     with contextlib.ExitStack() as stack:
         trial_workers = [stack.enter_context(Worker(replace(trial, share=i), launch)) for i in range(crew)]
+        if deadline and math.isfinite(deadline.left):
+            timer = threading.Timer(deadline.left, _kill, [trial_workers])
+            stack.callback(timer.cancel)
+            timer.start()
         answers = [worker.answer() for worker in trial_workers]
+        if deadline and not all(answers):
+            deadline.check()
         for worker, answer in zip(trial_workers, answers, strict=True):
             if answer is None:
                 raise NlosError(f"{scene}: could not be rehearsed: {worker.last_words()}")

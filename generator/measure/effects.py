@@ -13,12 +13,15 @@ import cv2
 import numpy as np
 
 from generator.measure.intervals import relative
-from generator.measure.scene_plan import Effect
+from generator.measure.scene_plan import UNKNOWN, Effect
 from generator.model.arrays import Array
+from generator.model.deadline import Deadline, Late
 from generator.transport import Transport, World
 from generator.transport.left_out import PARTS, PATCH
 
 _FEWEST_PIXELS = 4
+_TOGETHER = 3
+"""Sets of effects left out together that time is planned for."""
 SAFE = 0.5
 """Share of the tolerance that the effects left out may take, by the upper end of their interval. The rest is for
 what only shows at rare poses, a few of which a plan has not seen."""
@@ -42,6 +45,7 @@ def measure(
     tolerance: float = 0.01,
     accuracy: float = 1e-3,
     planned: float = 0.0,
+    deadline: Deadline | None = None,
     progress: Callable[[int, int, str], None] = lambda done, total, what: None,
 ) -> tuple[list[Effect], list[str], Effect]:
     """Leave out one effect after the other, and then together all that a tolerance allows.
@@ -63,6 +67,9 @@ def measure(
         Accuracy of the engine with which effects are measured.
     planned : float
         Accuracy of the engine in the planned sweep; 0 takes `accuracy`.
+    deadline : Deadline, optional
+        Fewer rounds are taken, two at least, so that all effects can be measured in time; those that cannot have NaN
+        for an error, and are not left out.
     progress : callable
         Called with the number of effects measured, their total, and the name of the next.
 
@@ -80,8 +87,14 @@ def measure(
     NlosError
         The object cannot stand at a pose.
     """
-    planned = planned or accuracy
-    whole, seconds = differences(variant, (), positions, rotations, accuracy)
+    planned, deadline = planned or accuracy, deadline or Deadline()
+    if math.isfinite(deadline.left):
+        rounds, each = _rounds_in_time(variant, every, positions, rotations, rounds, accuracy, deadline)
+        positions, rotations = positions[: rounds * each], rotations[: rounds * each]
+    try:
+        whole, seconds = differences(variant, (), positions, rotations, accuracy, deadline)
+    except Late:
+        return [Effect(name, UNKNOWN) for name in every], [], Effect("nothing", UNKNOWN)
     scale = (whole**2).mean(axis=(1, 2)).reshape(rounds, -1)
 
     def compared(name: str, made: Array, gain: float = math.nan, note: str = "") -> Effect:
@@ -89,7 +102,10 @@ def measure(
         return Effect(name, relative(error, scale), gain, note)
 
     def effect(name: str, dropped: Sequence[str], precision: float = accuracy) -> Effect:
-        made, took = differences(variant, dropped, positions, rotations, precision)
+        try:
+            made, took = differences(variant, dropped, positions, rotations, precision, deadline)
+        except Late:
+            return Effect(name, UNKNOWN)
         return compared(name, made, seconds / max(took, 1e-9))
 
     effects = []
@@ -117,17 +133,43 @@ def measure(
             name = f"pixels beyond {width // factor} x {height // factor}"
             effects.append(compared(name, made, note="kept: each counts its own photons"))
     progress(len(every) + 1, len(every) + 1, "done")
-    return sorted(effects, key=lambda e: -e.share[0]), dropped, together
+    return sorted(effects, key=Effect.rank), dropped, together
+
+
+def _rounds_in_time(
+    variant: Variant,
+    every: Sequence[str],
+    positions: Array,
+    rotations: Array,
+    rounds: int,
+    accuracy: float,
+    deadline: Deadline,
+) -> tuple[int, int]:
+    """Return how many rounds are likely to end in time, at least two, and the number of poses of each."""
+    each = len(positions) // rounds
+    begun = deadline.clock()
+    _, seconds = differences(variant, (), positions[:1], rotations[:1], accuracy, Deadline())
+    setting_up = deadline.clock() - begun
+    renders = len(every) + 2 + _TOGETHER
+    return max(2, min(rounds, int((deadline.left / renders - setting_up) / (each * seconds)))), each
 
 
 def differences(
-    variant: Variant, dropped: Sequence[str], positions: Array, rotations: Array, accuracy: float
+    variant: Variant,
+    dropped: Sequence[str],
+    positions: Array,
+    rotations: Array,
+    accuracy: float,
+    deadline: Deadline,
 ) -> tuple[Array, float]:
-    """Return difference pictures (n, height, width), and the seconds that one takes."""
+    """Return difference pictures (n, height, width), and the seconds that one takes; raise `Late` if that is late."""
     world, shadows = variant(dropped)
+    deadline.check()
     engine = Transport(world, accuracy=accuracy)
     engine.difference(positions[0], rotations[0], shadows=shadows)  # warm-up, not timed: one-off work
-    start = time.perf_counter()
-    pictures = [engine.difference(*pose, shadows=shadows) for pose in zip(positions, rotations, strict=True)]
+    start, pictures = time.perf_counter(), []
+    for position, rotation in zip(positions, rotations, strict=True):
+        deadline.check()
+        pictures.append(engine.difference(position, rotation, shadows=shadows))
     seconds = (time.perf_counter() - start) / len(positions)
     return np.array(pictures).mean(axis=3), seconds

@@ -8,11 +8,8 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-
 from generator.files.toml import dump_toml
 from generator.files.writing import csv_text, write_text
-from generator.model.engines import traits_of
 from generator.model.quantities import clock
 from generator.sets.manifest import scene_hash
 from generator.sets.plan_file import FILE, FORMAT
@@ -20,7 +17,12 @@ from generator.sets.plan_file import FILE, FORMAT
 POSES = 10
 """Poses per voxel that `surfel` renders for a plan; five missed an effect of few poses in 1 of 24 random rooms."""
 
+MOST = 300.0
+"""Time limit of a plan unless another is given, seconds."""
+
 NEEDED, LEFT_OUT = "needed", "left out"
+UNKNOWN = (math.nan, 0.0, math.inf)
+"""Share of what could not be measured, and its interval."""
 
 
 @dataclass(frozen=True)
@@ -43,6 +45,10 @@ class Effect:
     share: tuple[float, float, float]
     gain: float = math.nan
     note: str = ""
+
+    def rank(self) -> float:
+        """Return a key that sorts the largest effect first, and what was not measured before all others."""
+        return -math.inf if math.isnan(self.share[0]) else -self.share[0]
 
     def percent(self) -> str:
         """Return the share as text."""
@@ -71,7 +77,9 @@ class Plan:
         Further sentences for the reader.
     predicted : dict
         ``seconds`` of a sweep of this number of ``pictures``, ``bytes`` on disk, and the seconds of a sweep that
-        leaves nothing out (``seconds_full``).
+        leaves nothing out (``seconds_full``), as far as there was time to measure them.
+    unmeasured : list of str
+        What there was no time to measure, by name.
     """
 
     effects: list[Effect]
@@ -81,6 +89,7 @@ class Plan:
     tolerance: float = 0.01
     words: list[str] = field(default_factory=list)
     predicted: dict[str, float] = field(default_factory=dict)
+    unmeasured: list[str] = field(default_factory=list)
 
 
 HEADINGS = ("left out", "error of a difference picture", "pictures a second", "")
@@ -108,40 +117,27 @@ def words(plan: Plan) -> list[str]:
     else:
         sentences.append(f"within {percent} nothing may be left out")
     engine, settings = plan.settings["engine"], plan.settings
-    how = f"accuracy {settings['accuracy']:g}" if "accuracy" in settings else f"{settings.get('samples', 0)} samples"
-    noise = "" if not traits_of(engine).noisy else f", and noise of {percent} in the median pose"
+    how, noise = "samples not known", ""
+    if "accuracy" in settings:
+        how = f"accuracy {settings['accuracy']:g}"
+    elif "samples" in settings:
+        how, noise = f"{settings['samples']} samples", f", and noise of {percent} in the median pose"
     sentences.append(f"plan: {engine}, {how}; error {plan.together.percent()}{noise}")
     cost = plan.predicted
-    if cost:
-        gain = cost["seconds_full"] / max(cost["seconds"], 1e-9)
+    if "seconds" in cost:
         sentences.append(
-            f"{cost['pictures']} pictures take about {clock(cost['seconds'])} and {cost['bytes'] / 1e6:.3g} MB; "
-            f"with nothing left out, as exactly, {clock(cost['seconds_full'])}: {gain:.3g} times as long"
+            f"{cost['pictures']} pictures take about {clock(cost['seconds'])} and {cost['bytes'] / 1e6:.3g} MB"
+        )
+    if "seconds_full" in cost:
+        gain = cost["seconds_full"] / max(cost["seconds"], 1e-9)
+        sentences[-1] += (
+            f"; with nothing left out, as exactly, {clock(cost['seconds_full'])}: {gain:.3g} times as long"
+        )
+    if plan.unmeasured:
+        sentences.append(
+            f"not measured, for the time was over: {', '.join(plan.unmeasured)}; more time (--most) would tell"
         )
     return sentences
-
-
-def draw(path: Path, plan: Plan, title: str) -> None:
-    """Write a picture: a bar for each effect, and the tolerance."""
-    from matplotlib import pyplot as plt
-
-    from generator.measure import figures
-
-    effects = [effect for effect in plan.effects[::-1] if effect.share[2] > 0.0 and math.isfinite(effect.share[2])]
-    figure, axis = plt.subplots(figsize=(8.0, 0.9 + 0.4 * max(1, len(effects))), layout="constrained")
-    if effects:
-        value, low, high = (np.array([100.0 * e.share[k] for e in effects]) for k in range(3))
-        floor = 0.5 * min(100.0 * plan.tolerance, *value[value > 0.0], *high)
-        shown = np.maximum(value, floor)
-        colours = ["#d4a72c" if e.note else "#8b949e" if e.name in plan.dropped else "#1f6feb" for e in effects]
-        axis.barh([e.name for e in effects], shown, color=colours)
-        reach = [shown - np.maximum(np.minimum(low, shown), floor), np.maximum(high - shown, 0.0)]
-        axis.errorbar(shown, range(len(effects)), xerr=reach, fmt="none", ecolor="#24292f", capsize=2)
-        axis.set_xscale("log")
-    axis.axvline(100.0 * plan.tolerance, color="#cf222e", lw=1.0, ls="--")
-    axis.set_xlabel("error of a difference picture without it, % (blue: needed; grey: left out; yellow: told)")
-    axis.set_title(title, fontsize=10)
-    figures.save(path, figure)
 
 
 def write(folder: Path, scene: Path, plan: Plan, title: str) -> list[Path]:
@@ -160,8 +156,10 @@ def write(folder: Path, scene: Path, plan: Plan, title: str) -> list[Path]:
     }
     write_text(folder / FILE, dump_toml(document))
     write_text(folder / "plan.csv", csv_text(HEADINGS, rows(plan)))
-    draw(folder / "plan.png", plan, title)
-    return [folder / name for name in (FILE, "plan.csv", "plan.png")]
+    from generator.measure import plan_figure
+
+    pictures = plan_figure.draw(folder / "plan.png", plan, title)
+    return [folder / FILE, folder / "plan.csv", *pictures]
 
 
 def _numbers(share: Sequence[float]) -> list[float]:

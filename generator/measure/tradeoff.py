@@ -2,32 +2,42 @@
 
 from __future__ import annotations
 
-import tempfile
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+import threading
+import time
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from itertools import cycle
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-from matplotlib import pyplot as plt
 
 from generator.files.writing import csv_text, write_text
-from generator.jobs import local
+from generator.jobs import budget, local
+from generator.jobs.budget import Measured
 from generator.jobs.request import SweepRequest
 from generator.jobs.workers import available_cores
 from generator.measure import figures
 from generator.measure.intervals import mean, median
 from generator.model.arrays import Array
+from generator.model.deadline import Deadline, Late
 from generator.model.errors import NlosError
-from generator.model.quantities import clock
+from generator.model.quantities import NO_CHANGE, Progress, clock
 from generator.sets.dataset import Dataset
-from generator.transport import caching
 
 REFERENCE = "reference"
+_PATCH = "patch True False"
 
-_FINEST = {"engine": "surfel", "accuracy": 1e-5}
+_REFERENCES = (1e-5, 1e-4, 1e-3)
+"""Accuracies of the reference by `surfel`: the finest that the time allows."""
+_GROWTH = 0.9
+"""Power of the accuracy with which the time of `surfel` grows at most beyond the trial's 1e-3; 0.87 in the room."""
 _MOST = 4
 """Samples of the reference where `surfel` is not valid, in units of those of the most expensive rung."""
+_FOR_REFERENCE = 0.5
+"""Share of the time that is left of which the reference may take all."""
+_EVALUATING = 1.0
+"""Seconds to compare the pictures and to draw."""
 _SAMPLES = (4, 16, 64, 256, 1024)
 _ACCURACIES = (1e-1, 1e-2, 1e-3)
 
@@ -48,18 +58,45 @@ class Rung:
     settings: dict[str, Any]
 
 
-def ladder(surfel: bool) -> list[Rung]:
-    """Return the rungs for a scene: the reference first."""
-    rungs = [Rung(f"patch-{n}", {"engine": "patch", "samples": n}) for n in _SAMPLES]
-    rungs += [Rung(f"patch-{n}-denoised", {"engine": "patch", "samples": n, "denoise": True}) for n in _SAMPLES[:3]]
-    rungs += [
-        Rung(f"patch-{n}-unpaired", {"engine": "patch", "samples": n, "paired": False}) for n in _SAMPLES[1:4:2]
-    ]
-    rungs += [Rung(f"path-{n}", {"engine": "path", "samples": n}) for n in _SAMPLES[1:4:2]]
-    if surfel:
-        exact = [Rung(f"surfel-{a:g}", {"engine": "surfel", "accuracy": a}) for a in _ACCURACIES]
-        return [Rung(REFERENCE, dict(_FINEST)), *exact, *rungs]
-    return [Rung(REFERENCE, {"engine": "patch", "samples": _MOST * _SAMPLES[-1]}), *rungs]
+def ladder(reference: Mapping[str, Any]) -> list[Rung]:
+    """Return the rungs that a reference of given settings can judge: it is first, then the quick ones."""
+    surfel = reference["engine"] == "surfel"
+    most = _SAMPLES[-1] if surfel else reference["samples"] // _MOST
+    counts = [n for n in _SAMPLES if n <= most]
+    fine = [a for a in _ACCURACIES if surfel and a > reference["accuracy"]]
+    rungs = [Rung(f"surfel-{a:g}", {"engine": "surfel", "accuracy": a}) for a in fine]
+    rungs += [Rung(f"patch-{n}", {"engine": "patch", "samples": n}) for n in counts]
+    rungs += [Rung(f"patch-{n}-denoised", {"engine": "patch", "samples": n, "denoise": True}) for n in counts[:3]]
+    rungs += [Rung(f"patch-{n}-unpaired", {"engine": "patch", "samples": n, "paired": False}) for n in counts[1:4:2]]
+    rungs += [Rung(f"path-{n}", {"engine": "path", "samples": n}) for n in counts[1:4:2]]
+    quick_first = sorted(rungs, key=lambda rung: rung.settings.get("samples", 0))
+    return [Rung(REFERENCE, dict(reference)), *quick_first]
+
+
+def references(measured: Measured, pictures: int) -> list[tuple[dict[str, Any], float]]:
+    """Return settings of the references that a scene allows, the best first, each with its likely time.
+
+    Parameters
+    ----------
+    measured : Measured
+        From a trial with the cheapest engine of the scene.
+    pictures : int
+
+    Returns
+    -------
+    list of (dict, float)
+        Fields of `generator.model.settings.Sweep`; seconds.
+    """
+    if measured.engine != "surfel":
+        counts = [_MOST * n for n in reversed(_SAMPLES)]
+        return [({"engine": "patch", "samples": n}, measured.total(n, pictures)) for n in counts]
+    finest = 1e-3
+    ways = []
+    for accuracy in _REFERENCES:
+        seconds = measured.total(1.0 / finest, pictures) - measured.start
+        seconds = measured.start + seconds * (finest / accuracy) ** max(measured.power, _GROWTH)
+        ways.append(({"engine": "surfel", "accuracy": accuracy}, seconds))
+    return ways
 
 
 @dataclass(frozen=True)
@@ -95,10 +132,12 @@ def run(
     poses: int = 3,
     seed: int = 0,
     resolution: str | None = None,
-    most: float = 600.0,
+    most: float = 1200.0,
     workers: int = 0,
     tell: Callable[[str], None] = lambda words: None,
+    progress: Progress = lambda done, total: None,
     force: bool = False,
+    now: Callable[[], float] = time.monotonic,
 ) -> list[Cost]:
     """Render the same poses on every rung, each as a separate data set in a folder, and measure them.
 
@@ -114,47 +153,104 @@ def run(
     resolution : str, optional
         Size of the pictures; by default the scene's.
     most : float
-        Time limit of a rung, seconds; one that is predicted from the rung below it to take longer is left out.
+        Time limit for all of it, seconds; compiling, which is done once, comes on top. A rung that is predicted to
+        take longer than what is left is left out, and one that does is stopped; the reference is as good as half of
+        the time allows.
     workers : int
         As for `generator.jobs.local.run`.
     tell : callable
         Called with a sentence about each rung.
+    progress : callable
+        Called with (done, total) pictures of a rung.
     force : bool
         As for `generator.jobs.local.run`.
+    now : callable
+        Returns the time in seconds.
 
     Raises
     ------
     NlosError
-        The scene cannot be swept, or the folder holds something else.
+        The scene cannot be swept, the folder holds something else, or the limit is too short for two rungs.
     """
     common: dict[str, Any] = {"poses": poses, "seed": seed}
     if resolution:
         common["resolution"] = resolution
-    if words := caching.compiling_words("auto"):
-        tell(words)
-    with tempfile.TemporaryDirectory(prefix="nlos-") as trial:
-        settings = {**common, "poses": 1, "engine": "auto"}
-        request = SweepRequest(
-            scene=scene, path=Path(trial) / "plan", chosen=settings, workers=workers, force=force, probe=False
-        )
-        planned = local.prepare(request, tell=tell)
-    cheapest = planned.sweep.engine
-    if cheapest == "path":
+    settings = {**common, "engine": "auto"}
+    budget.compiled(scene, settings, tell=tell, force=force)
+    deadline = Deadline(most - _EVALUATING, now)
+    tell("rehearsing a few pictures")
+    try:
+        measured = budget.measured_by_trial(scene, settings, workers, force=force, deadline=deadline)
+    except Late:
+        raise NlosError(f"--most: {clock(most)} are over before a few pictures are; ask for more time") from None
+    if measured.engine == "path":
         raise NlosError(f"{scene}: only the engine 'path' can render it, so there is nothing to trade")
-    seconds_per_work: dict[str, float] = {}
-    for rung in ladder(cheapest == "surfel"):
+    reference, seconds = _reference(folder, measured, poses * measured.voxels, deadline)
+    wanted, rendered = ladder(reference), 0
+    finest, _ = references(measured, poses * measured.voxels)[0]
+    if too_fine := {rung.name for rung in ladder(finest)} - {rung.name for rung in wanted}:
+        tell(f"{', '.join(sorted(too_fine))}: left out, too fine for the reference that there is time for")
+    expected = {wanted[0].name: seconds}
+    per_work: dict[str, float] = {}
+    for rung in wanted:
         kind, work = _kind(rung), float(rung.settings.get("samples", 1))
-        estimate = seconds_per_work.get(kind, 0.0) * work
-        if estimate > most:
-            tell(f"{rung.name}: left out, would take about {clock(estimate)}")
+        known = per_work.get(kind, 0.0 if rung.settings["engine"] == "surfel" else per_work.get(_PATCH, 0.0))
+        estimate = expected.get(rung.name, measured.start + known * work)
+        path = folder / rung.name
+        if estimate > deadline.left and not _finished(path):
+            if rung.name == REFERENCE:
+                break
+            tell(f"{rung.name}: left out, would take about {clock(estimate)}; {clock(deadline.left)} are left")
             continue
-        outcome = local.run(replace(request, path=folder / rung.name, chosen={**common, **rung.settings}))
+        tell(f"{rung.name}: {', '.join(f'{name} {value}' for name, value in rung.settings.items())}")
+        request = SweepRequest(
+            scene=scene,
+            path=path,
+            chosen={**common, **rung.settings},
+            workers=workers,
+            force=force,
+            probe=False,
+        )
+        outcome = _run_until(deadline, request, progress)
         if outcome.failed:
-            raise NlosError(f"{folder / rung.name}: {outcome.failed[0]}")
-        seconds = sum(record.seconds for record in outcome.dataset.records)
-        seconds_per_work[kind] = seconds / work / max(1, workers or available_cores())
-        tell(f"{rung.name}: {seconds / len(outcome.dataset.records):.3g} core seconds a picture")
+            raise NlosError(f"{path}: {outcome.failed[0]}")
+        if outcome.remaining:
+            tell(f"{rung.name}: stopped and left out, the time is over")
+            continue
+        rendered += 1
+        spent = sum(record.seconds for record in outcome.dataset.records)
+        per_work[kind] = spent / work / measured.workers
+        tell(f"{rung.name}: {spent / len(outcome.dataset.records):.3g} core seconds a picture")
+    if rendered < 2 or not _finished(folder / REFERENCE):
+        raise NlosError(
+            f"--most: {clock(most)} are too short for a reference, which takes about {clock(seconds)}, and one more; "
+            "ask for more time, or for fewer --poses; the same command goes on with what is there"
+        )
     return costs(folder)
+
+
+def _reference(folder: Path, measured: Measured, pictures: int, deadline: Deadline) -> tuple[dict[str, Any], float]:
+    """Return the settings of a folder's reference, or of a new one, and the seconds that it is likely to take."""
+    if Dataset.exists(folder / REFERENCE):
+        settings = Dataset.open(folder / REFERENCE).settings
+        return {name: settings[name] for name in ("engine", "accuracy", "samples") if name in settings}, 0.0
+    ways = references(measured, pictures)
+    return next((way for way in ways if way[1] <= _FOR_REFERENCE * deadline.left), ways[-1])
+
+
+def _finished(path: Path) -> bool:
+    return Dataset.exists(path) and len((made := Dataset.open(path)).records) == made.planned
+
+
+def _run_until(deadline: Deadline, request: SweepRequest, progress: Progress) -> local.Outcome:
+    """Render a data set until it is finished or the time is over."""
+    stop = threading.Event()
+    timer = threading.Timer(deadline.left, stop.set)
+    timer.start()
+    try:
+        return local.run(request, progress=progress, stop=stop)
+    finally:
+        timer.cancel()
 
 
 def _kind(rung: Rung) -> str:
@@ -193,7 +289,7 @@ def costs(folder: Path) -> list[Cost]:
     expected = differences(reference)
     scale = np.sqrt((expected**2).mean(axis=(1, 2)))
     if not scale.all():
-        raise NlosError(f"{folder}: the object changes nothing in some pictures, so there is no error relative to it")
+        raise NlosError(f"{folder}: in some pictures {NO_CHANGE}, so there is no error relative to it")
     results = []
     for dataset in others:
         measured = differences(dataset)
@@ -272,27 +368,38 @@ def advice(found: Sequence[Cost], budgets: Sequence[float] = (60.0, 600.0, 3600.
     return lines
 
 
+@figures.styled
 def write(folder: Path, found: Sequence[Cost], title: str) -> list[Path]:
-    """Write the table and the picture into the folder; return their paths."""
+    """Write the table and the figure into the folder; return their paths."""
     table, picture = folder / "costs.csv", folder / "costs.png"
     write_text(table, csv_text(HEADINGS, rows(found)))
-    figure, axis = plt.subplots(figsize=(7.5, 5.0), layout="constrained")
+    figure, [[axis]] = figures.subplots(size=(7.5, 5.0))
     seconds, errors = [c.seconds for c in found], [100.0 * c.error[0] for c in found]
-    for kind in dict.fromkeys(family(c.name) for c in found):
+    for kind, marker in zip(sorted({family(c.name) for c in found}), cycle(figures.MARKERS)):
         group = [c for c in found if family(c.name) == kind]
         value, low, high = (np.array([100.0 * c.error[k] for c in group]) for k in range(3))
         spread = np.maximum([value - low, np.where(np.isfinite(high), high - value, np.nan)], 0.0)
-        axis.errorbar([c.seconds for c in group], value, yerr=spread, marker="o", ms=4, lw=1.0, capsize=2, label=kind)
+        axis.errorbar(
+            [c.seconds for c in group], value, yerr=spread, marker=marker, ms=5, lw=1.0, capsize=2, label=kind
+        )
     best = front(found)
-    axis.plot([seconds[k] for k in best], [errors[k] for k in best], color="#57606a", lw=3.0, alpha=0.3, label="best")
+    axis.plot(
+        [seconds[k] for k in best],
+        [errors[k] for k in best],
+        color=figures.GREY,
+        lw=5.0,
+        alpha=0.3,
+        zorder=1,
+        label="best at its price",
+    )
     axis.set_xscale("log")
     axis.set_yscale("log")
+    figures.plain_numbers(axis.xaxis, axis.yaxis)
     axis.set_xlabel("core seconds a picture")
     axis.set_ylabel("error of a difference picture, % of it (median pose)")
-    axis.set_title(title, fontsize=10)
-    axis.legend(fontsize=8)
-    figures.save(picture, figure)
-    return [table, picture]
+    axis.set_title(title)
+    axis.legend()
+    return [table, *figures.save(picture, figure)]
 
 
 def family(name: str) -> str:

@@ -30,7 +30,8 @@ def followed(path: Path, scene: Path, chosen: Mapping[str, Any]) -> dict[str, An
         As `read`; or the user chose what follows from the plan.
     """
     settings = read(path, scene)
-    if conflicts := [name for name in SETTINGS if name in chosen]:
+    free = {"samples"} - set(settings)  # of a plan that had no time to measure how many are needed
+    if conflicts := [name for name in SETTINGS if name in chosen and name not in free]:
         raise NlosError(f"{conflicts[0]}: follows from --plan; leave it out, or leave --plan out")
     return {**chosen, **settings}
 

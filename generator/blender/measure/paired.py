@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-import time
+import contextlib
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -13,7 +13,9 @@ import numpy as np
 from generator.blender.engines import renderers, simplify
 from generator.blender.scene import blend_file, posing, roles
 from generator.measure.intervals import relative
+from generator.measure.scene_plan import UNKNOWN
 from generator.model.arrays import Array
+from generator.model.deadline import Deadline, Late
 from generator.model.poses import PoseRecord
 
 PIXELS = 8
@@ -49,6 +51,8 @@ class PairedMeasurement:
         Poses of each round.
     aspect : float
         Width over height of the picture.
+    deadline : Deadline
+        When it is over, rendering raises `Late`.
     """
 
     source: Path
@@ -56,6 +60,7 @@ class PairedMeasurement:
     rounds: Sequence[Sequence[PoseRecord]]
     aspect: float = 1.0
     lights: list[str] = field(default_factory=list)
+    deadline: Deadline = field(default_factory=Deadline)
     _made: dict[tuple[frozenset[str], frozenset[str] | None, int, int], Array] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
@@ -136,6 +141,7 @@ class PairedMeasurement:
         differences = []
         with renderers.opened(scene, engine, resolution=resolution, denoise=denoise) as renderer:
             for pose in poses:
+                self.deadline.check()
                 posing.move_target(scene, pose.position, pose.rotation)
                 seed = (pose.seed + 7919 * twin) % 2**31
                 picture, background = (
@@ -179,10 +185,12 @@ def measure(
     *,
     orders: Sequence[int] = (),
     tolerance: float = 0.01,
-    most: float = 300.0,
+    deadline: Deadline,
     progress: Callable[[str], None] = lambda words: None,
 ) -> dict[str, tuple[float, float, float]]:
     """Measure pieces one by one until each is decided, or the time is up.
+
+    What the time does not allow `ROUNDS` of is left out, the further reflections first.
 
     Parameters
     ----------
@@ -193,40 +201,42 @@ def measure(
         Reflection orders beyond the scene's, whose light is measured too.
     tolerance : float
         A piece is decided when its interval lies on one side of it.
-    most : float
-        Time limit, seconds.
+    deadline : Deadline
     progress : callable
         Called with a sentence about what is done.
 
     Returns
     -------
     dict of str to (float, float, float)
-        Results of `share`, by the piece's name, or the name of an order (`order_name`).
+        Results of `share`, by the piece's name, or the name of an order (`order_name`); `UNKNOWN` if left out.
     """
-    start = time.monotonic()
-    todo = [*(("", order) for order in orders), *((name, 0) for name in names)]
+    todo = [*((name, 0) for name in names), *(("", order) for order in orders)]
     errors: dict[tuple[str, int], list[Array]] = {key: [] for key in todo}
-    shares: dict[str, tuple[float, float, float]] = {}
-    for number in range(min(ROUNDS[1], len(probe.rounds))):
-        for name, order in todo:
-            change = probe.raised(order, number) if order else probe.errors([name], number)
-            errors[name, order].append(change)
-        wholes = [probe.whole(k) for k in range(number + 1)]
-        for key in todo:
-            shares[key[0] or order_name(key[1])] = share(errors[key], wholes)
-        if number + 1 >= ROUNDS[0]:
-            todo = [key for key in todo if not _decided(shares[key[0] or order_name(key[1])], key[1], tolerance)]
-        progress(f"round {number + 1}: {len(todo)} of {len(errors)} effects not decided yet")
-        if not todo or _late(start, number + 1, most):
-            break
-    return shares
+    spent, shares = dict.fromkeys(todo, 0.0), dict.fromkeys(todo, UNKNOWN)
+    probe.deadline = deadline
+    with contextlib.suppress(Late):
+        for number in range(min(ROUNDS[1], len(probe.rounds))):
+            while todo and not _time_for_more(sum(spent[key] for key in todo), number, deadline):
+                todo = todo[:-1] if number < ROUNDS[0] else []
+            if not todo:
+                break
+            for key in todo:
+                begun = deadline.clock()
+                errors[key].append(probe.raised(key[1], number) if key[1] else probe.errors([key[0]], number))
+                spent[key] += deadline.clock() - begun
+            if number + 1 >= ROUNDS[0]:
+                wholes = [probe.whole(k) for k in range(number + 1)]
+                shares |= {key: share(errors[key], wholes) for key in todo}
+                todo = [key for key in todo if not _decided(shares[key], key[1], tolerance)]
+            progress(f"round {number + 1}: {len(todo)} of {len(errors)} effects not decided yet")
+    return {name or order_name(order): found for (name, order), found in shares.items()}
 
 
 def denoiser_bias(
     probe: PairedMeasurement,
     resolution: tuple[int, int],
     *,
-    most: float = 60.0,
+    deadline: Deadline,
     progress: Callable[[str], None] = lambda words: None,
 ) -> tuple[float, float, float]:
     """Measure the bias of denoised pictures: the error of their mean, apart from their noise.
@@ -236,33 +246,36 @@ def denoiser_bias(
     probe : PairedMeasurement
     resolution : (int, int)
         Width and height of the sweep's pictures.
-    most : float
-        Time limit, seconds.
+    deadline : Deadline
     progress : callable
         Called with a sentence about what is done.
 
     Returns
     -------
     (float, float, float)
-        See `share`.
+        See `share`; `UNKNOWN` if the time does not allow `ROUNDS`.
     """
-    start, errors, wholes = time.monotonic(), [], []
-    for number in range(min(ROUNDS[1], len(probe.rounds))):
-        error, whole = probe.denoised(resolution, number)
-        errors.append(error)
-        wholes.append(whole)
-        bias = share(errors, wholes)
-        progress(f"round {number + 1} of the denoiser's bias")
-        value, low, high = bias
-        if (number + 1 >= ROUNDS[0] and high - low < SURE * value) or _late(start, number + 1, most):
-            break
+    start, errors, wholes, bias = deadline.clock(), [], [], UNKNOWN
+    probe.deadline = deadline
+    with contextlib.suppress(Late):
+        for number in range(min(ROUNDS[1], len(probe.rounds))):
+            if not _time_for_more(deadline.clock() - start, number, deadline):
+                break
+            error, whole = probe.denoised(resolution, number)
+            errors.append(error)
+            wholes.append(whole)
+            progress(f"round {number + 1} of the denoiser's bias")
+            if number + 1 >= ROUNDS[0]:
+                bias = value, low, high = share(errors, wholes)
+                if high - low < SURE * value:
+                    break
     return bias
 
 
-def _late(begun: float, done: int, most: float) -> bool:
-    """Whether there are enough rounds, and no time for one more."""
-    elapsed = time.monotonic() - begun
-    return done >= ROUNDS[0] and most - elapsed < elapsed / done
+def _time_for_more(spent: float, done: int, deadline: Deadline) -> bool:
+    """Whether the rounds that are needed, or one more, are likely to end in time, judged by those that are done."""
+    more = max(1, ROUNDS[0] - done)
+    return not done or spent / done * more <= deadline.left
 
 
 def order_name(order: int) -> str:

@@ -20,12 +20,14 @@ from generator.blender.scene.description import read_scene
 from generator.jobs import budget
 from generator.measure import effects
 from generator.measure.intervals import relative
-from generator.measure.scene_plan import POSES, Effect, Plan
+from generator.measure.scene_plan import MOST, POSES, UNKNOWN, Effect, Plan
 from generator.model import poses
+from generator.model.deadline import Deadline, Late
 from generator.model.errors import NlosError
 from generator.model.poses import PoseRecord
+from generator.model.quantities import clock
 from generator.model.settings import Sweep
-from generator.transport import Transport, World, left_out
+from generator.transport import Transport, World, caching, left_out
 
 _REFERENCE = 1 / 10
 """Accuracy of the engine that effects are measured with, in units of the tolerance."""
@@ -35,6 +37,10 @@ _COARSEST = 0.1
 _ORDERS = (4, 5)
 _NOTHING = Effect("nothing", (0.0, 0.0, 0.0))
 _PIXEL_BYTES = 12
+_SHARE, _EXACT = 0.4, 0.7
+"""Shares of the remaining time for effects that only Cycles models, and for those that `surfel` models."""
+_LEAST_TRIAL = 4.0
+"""Seconds below which no trial of a sweep ends, since Blender has to start."""
 _SKY = 0.01
 """Accuracy of the lamp's light where ambient light is measured."""
 _SMALL = (16, 16)
@@ -47,8 +53,9 @@ def make(
     tolerance: float = 0.01,
     count: int = POSES,
     seed: int = 0,
-    most: float = 180.0,
+    most: float = MOST,
     workers: int = 0,
+    by_cycles: bool = True,
     predict: bool = True,
     tell: Callable[[str], None] = lambda words: None,
 ) -> Plan:
@@ -69,9 +76,12 @@ def make(
     seed : int
         Seed of the poses.
     most : float
-        Time limit for Cycles' effects, seconds; 0 measures none of them, and keeps them all.
+        Time limit, seconds, for all of it; compiling, which is done once, comes on top. What cannot be measured in
+        time is kept, and named (`Plan.unmeasured`).
     workers : int
         Number of workers of the predicted sweep.
+    by_cycles : bool
+        Whether to measure Cycles' effects; else they are all kept.
     predict : bool
         Whether to predict the cost of the sweep, by rehearsing it; else a plan for Cycles has no samples.
     tell : callable
@@ -82,6 +92,7 @@ def make(
     NlosError
         The scene cannot be swept.
     """
+    deadline = Deadline(most)
     scene = blend_file.open_file(source)
     described = read_scene(scene)
     pieces = simplify.removable_pieces(scene)
@@ -91,25 +102,25 @@ def make(
     fine = [piece for piece in pieces if piece.startswith(simplify.FINE)]  # costs Cycles nothing
     others = [piece for piece in pieces if piece not in fine]
     records = sorted((p for p in all_records if p.index < count), key=lambda p: (p.index, p.voxel))
-    sky = ambient(source, records) if simplify.AMBIENT in others else None
+    _compile(source, records[0], deadline, tell)
+    sky = ambient(source, records, deadline.part(_SHARE)) if simplify.AMBIENT in others else None
     if sky is not None:
         others.remove(simplify.AMBIENT)
-    measured = [Effect(name, (math.nan, 0.0, math.inf)) for name in others]
+    measured = [Effect(name, UNKNOWN) for name in others]
     dropped: list[str] = []
     words: list[str] = []
     spent = _NOTHING
     if engine == "path":
         words.append(f"only path can render this scene, too noisily to measure anything by: {'; '.join(reasons)}")
-    elif most > 0.0:
-        orders = [more for more in _ORDERS if more > order >= MAX_ORDER]
+    elif by_cycles:
         rounds = [[p for p in all_records if p.index == k] for k in range(paired.ROUNDS[1])]
         probe = paired.PairedMeasurement(source, engine, rounds, described.resolution[0] / described.resolution[1])
-        tell(f"rendering {len(others) + len(orders)} effects that only Cycles models, for up to {most:.0f} s")
-        shares = paired.measure(probe, others, orders=orders, tolerance=tolerance, most=most, progress=tell)
+        part = deadline.part(_SHARE)
+        if others:
+            tell(f"rendering {len(others)} effects that only Cycles models, for up to {clock(part.left)}")
+        shares = paired.measure(probe, others, tolerance=tolerance, deadline=part, progress=tell)
         measured = [Effect(name, shares[name]) for name in others]
         dropped, spent = _droppable(probe, measured, tolerance)
-        names = map(paired.order_name, orders)
-        measured += [Effect(name, shares[name], note="not in the scene") for name in names]
     if sky is not None:
         measured.append(sky)
         joined = _joined(spent, sky)
@@ -118,20 +129,45 @@ def make(
     if dropped and not {effect.name for effect in measured if not effect.note} - set(dropped):
         _, reasons = _simplified(source, dropped)
     if reasons:
-        if engine != "path" and most > 0.0:
-            bias = paired.denoiser_bias(probe, described.resolution, most=most / 3.0, progress=tell)
+        if engine != "path" and by_cycles:
+            part = deadline.part(_SHARE)
+            bias = paired.denoiser_bias(probe, described.resolution, deadline=part, progress=tell)
             measured.append(Effect(paired.DENOISER, bias, note="not used"))
         words += [f"surfel cannot render this: {reason}" for reason in reasons if engine != "path"]
-        plan = Plan(_sorted(measured), dropped, spent, {"engine": engine}, tolerance, words)
+        plan = Plan(sorted(measured, key=Effect.rank), dropped, spent, {"engine": engine}, tolerance, words)
     else:
         remaining = tolerance - spent.share[2]
-        exact, more, together, accuracy = _exact(source, dropped, fine, records, remaining, tell)
+        part = deadline.part(_EXACT if predict else 1.0)
+        exact, more, together, accuracy = _exact(source, dropped, fine, records, remaining, part, tell)
         together = _joined(together, spent)
         settings = {"engine": "surfel", "accuracy": accuracy}
-        plan = Plan(_sorted([*measured, *exact]), [*dropped, *more], together, settings, tolerance, words)
-    if not predict:
-        return plan
-    return _predicted(source, plan, described.grid.n_voxels, described.resolution, workers, tell)
+        plan = Plan(
+            sorted([*measured, *exact], key=Effect.rank), [*dropped, *more], together, settings, tolerance, words
+        )
+    if predict:
+        plan = _predicted(source, plan, described.grid.n_voxels, described.resolution, workers, deadline, tell)
+    if by_cycles and engine != "path":
+        further = _further(probe, [k for k in _ORDERS if k > order >= MAX_ORDER], tolerance, deadline, tell)
+        plan = replace(plan, effects=sorted([*plan.effects, *further], key=Effect.rank))
+        unknown = [effect.name for effect in plan.effects if math.isnan(effect.share[0])]
+        plan = replace(plan, unmeasured=[*plan.unmeasured, *unknown])
+    return plan
+
+
+def _further(
+    probe: paired.PairedMeasurement,
+    orders: Sequence[int],
+    tolerance: float,
+    deadline: Deadline,
+    tell: Callable[[str], None],
+) -> list[Effect]:
+    """Return what reflections beyond the scene's own would add; last, for no plan depends on it."""
+    if not orders:
+        return []
+    tell(f"rendering {len(orders)} further reflections, for up to {clock(deadline.left)}")
+    shares = paired.measure(probe, [], orders=orders, tolerance=tolerance, deadline=deadline, progress=tell)
+    names = map(paired.order_name, orders)
+    return [Effect(name, shares[name], note="not in the scene") for name in names]
 
 
 def _joined(one: Effect, other: Effect) -> Effect:
@@ -140,7 +176,21 @@ def _joined(one: Effect, other: Effect) -> Effect:
     return replace(one, share=(value, low, high))
 
 
-def ambient(source: Path, some: Sequence[PoseRecord]) -> Effect | None:
+def _compile(source: Path, pose: PoseRecord, deadline: Deadline, tell: Callable[[str], None]) -> None:
+    """Compile `surfel`, if that is still to be done; the time does not count."""
+    if not (words := caching.compiling_words("auto")):
+        return
+    world, _ = survey.world(blend_file.open_file(source), ambient=True)
+    if world is None:  # compiled later, if the engine is used after all
+        return
+    tell(words)
+    begun = deadline.clock()
+    Transport(world.seen_by(*_SMALL), accuracy=_SKY).difference(pose.position, pose.rotation)
+    deadline.extend(deadline.clock() - begun)
+    tell(f"compiled in {clock(deadline.clock() - begun)}, which no time limit counts")
+
+
+def ambient(source: Path, some: Sequence[PoseRecord], deadline: Deadline | None = None) -> Effect | None:
     """Return the contribution of uniform ambient light by `surfel`; None if it cannot model the rest of the scene.
 
     Cycles' noise from a sky that any ray may hit would hide it; an error of a few per cent of it changes no decision.
@@ -151,15 +201,25 @@ def ambient(source: Path, some: Sequence[PoseRecord]) -> Effect | None:
         The ``.blend`` file, which is opened.
     some : sequence of PoseRecord
         Poses of the object: round by round, in each one pose of every voxel.
+    deadline : Deadline, optional
+        Only rounds that end in time are used; without one, the contribution is `UNKNOWN`.
     """
     world, _ = survey.world(blend_file.open_file(source), ambient=True)
     if world is None or world.ambient is None:
         return None
     engine = Transport(world.seen_by(*_SMALL), accuracy=_SKY)
-    renders = [engine.render(pose.position, pose.rotation) for pose in some]
+    renders, deadline = [], deadline or Deadline()
+    for pose in some:
+        if not deadline.left:
+            break
+        renders.append(engine.render(pose.position, pose.rotation))
+    every = 1 + max(pose.index for pose in some)
+    rounds = len(renders) * every // len(some)
+    if not rounds:
+        return Effect(simplify.AMBIENT, UNKNOWN)
+    renders = renders[: rounds * len(some) // every]
     sky = np.array([render.ambient.mean(axis=2) for render in renders])
     lamp = np.array([(render.added - render.hidden).mean(axis=2) for render in renders])
-    rounds = 1 + max(pose.index for pose in some)
     error, signal = ((x**2).mean(axis=(1, 2)).reshape(rounds, -1) for x in (sky, lamp + sky))
     return Effect(simplify.AMBIENT, relative(error, signal))
 
@@ -170,6 +230,7 @@ def _exact(
     fine: Sequence[str],
     some: Sequence[PoseRecord],
     tolerance: float,
+    deadline: Deadline,
     tell: Callable[[str], None],
 ) -> tuple[list[Effect], list[str], Effect, float]:
     """Return what `effects.measure` does for a scene without some pieces, and the accuracy of its sweep."""
@@ -185,6 +246,7 @@ def _exact(
         tolerance=tolerance,
         accuracy=max(budget.FINE, min(accuracy, _REFERENCE * tolerance)),
         planned=accuracy,
+        deadline=deadline,
         progress=lambda done, total, what: tell(f"{done} of {total} measured without noise; next: {what}"),
     )
     return *measured, accuracy
@@ -216,7 +278,10 @@ def _droppable(
             break
         tried, share = [*dropped, candidate.name], candidate.share
         if dropped:
-            share = probe.together(tried)
+            try:
+                share = probe.together(tried)
+            except Late:  # what was not measured together is not left out together
+                break
         if share[2] <= tolerance:
             dropped, together = tried, Effect(" and ".join(tried), share)
     return dropped, together
@@ -245,25 +310,38 @@ def _room(source: Path, dropped: Sequence[str]) -> list[str]:
     return [name for name in survey.room_names(scene) if name in scene.objects]
 
 
-def _sorted(found: Sequence[Effect]) -> list[Effect]:
-    return sorted(found, key=lambda effect: -math.inf if math.isnan(effect.share[0]) else -effect.share[0])
-
-
 def _predicted(
-    source: Path, plan: Plan, voxels: int, resolution: tuple[int, int], workers: int, tell: Callable[[str], None]
+    source: Path,
+    plan: Plan,
+    voxels: int,
+    resolution: tuple[int, int],
+    workers: int,
+    deadline: Deadline,
+    tell: Callable[[str], None],
 ) -> Plan:
     """Return the plan with the cost of its sweep, and of one that leaves nothing out at the same accuracy."""
     pictures = voxels * Sweep.poses
     costs: dict[str, float] = {}
+    unmeasured, took = list(plan.unmeasured), _LEAST_TRIAL
     for name, settings in (
         ("seconds", {**plan.settings, "leave_out": plan.dropped}),
         ("seconds_full", {"engine": "auto"}),
     ):
         if name == "seconds_full" and not plan.dropped and plan.settings["engine"] != "surfel":
-            costs[name] = costs["seconds"]  # it is the same sweep
+            if "seconds" in costs:
+                costs[name] = costs["seconds"]  # it is the same sweep
             continue
-        tell(f"rehearsing {'the plan' if name == 'seconds' else 'the whole'}")
-        trial = budget.measured_by_trial(source, settings, workers, force=True)
+        what = "the plan" if name == "seconds" else "the whole"
+        begun = deadline.clock()
+        try:
+            if deadline.left < took:
+                raise Late
+            tell(f"rehearsing {what}")
+            trial = budget.measured_by_trial(source, settings, workers, force=True, deadline=deadline)
+        except Late:
+            unmeasured.append(f"what {what} costs")
+            continue
+        took = deadline.clock() - begun
         if trial.engine == "surfel":
             work = 1.0 / plan.settings["accuracy"]
         else:
@@ -272,4 +350,4 @@ def _predicted(
             plan.settings["samples"] = math.ceil(work)
         costs[name] = float(f"{trial.total(work, pictures):.3g}")
     size = resolution[0] * resolution[1] * _PIXEL_BYTES * pictures
-    return replace(plan, predicted={"pictures": pictures, **costs, "bytes": size})
+    return replace(plan, predicted={"pictures": pictures, **costs, "bytes": size}, unmeasured=unmeasured)

@@ -2,12 +2,16 @@
 
 from __future__ import annotations
 
+import contextlib
+
 import numpy as np
 import pytest
 
 from classify.cli import main as classify_cli
 from generator.cli import main as cli
 from generator.files.toml import to_dict
+from generator.jobs import local
+from generator.jobs.budget import Measured
 from generator.measure import tradeoff
 from generator.measure.tradeoff import Cost, Rung
 from generator.model.errors import NlosError
@@ -108,13 +112,14 @@ def test_from_scene_to_worth(tmp_path, scene_file, command, monkeypatch, capsys)
         Rung("patch-4", {"engine": "patch", "samples": 4}),
         Rung("patch-4096", {"engine": "patch", "samples": 2**24}),
     ]
-    monkeypatch.setattr(tradeoff, "ladder", lambda surfel: few if surfel else [])
+    monkeypatch.setattr(tradeoff, "ladder", lambda reference: few)
     out = tmp_path / "trade"
-    arguments = ["tradeoff", str(scene_file), "-o", str(out), "--poses", "1", "--resolution", "8", "--most", "60"]
+    arguments = ["tradeoff", str(scene_file), "-o", str(out), "--poses", "1", "--resolution", "8", "--most", "10min"]
     assert cli.main(arguments) == 0
     told = capsys.readouterr().out
     assert "patch-4096: left out, would take about" in told
-    assert {p.name for p in out.iterdir()} == {"reference", "surfel-0.1", "patch-4", "costs.csv", "costs.png"}
+    files = {"costs.csv", "costs.png", "costs.svg"}
+    assert {p.name for p in out.iterdir()} == {"reference", "surfel-0.1", "patch-4", *files}
     exact, noisy = sorted(tradeoff.costs(out), key=lambda cost: cost.error[0])
     assert exact.name == "surfel-0.1"
     assert exact.error[0] < 0.15
@@ -128,7 +133,7 @@ def test_from_scene_to_worth(tmp_path, scene_file, command, monkeypatch, capsys)
     told = capsys.readouterr().out
     assert "Without noise of rendering" in told
     assert "18 answers each" in told
-    assert {"worth.png", "report.html"} <= {p.name for p in out.iterdir()}
+    assert {"worth.png", "worth.svg", "report.html"} <= {p.name for p in out.iterdir()}
 
 
 @pytest.mark.parametrize(
@@ -144,9 +149,78 @@ def test_bad_input_is_one_sentence(tmp_path, scene_file, command, arguments, wor
 
 def test_the_reference_does_not_price_the_quick_rungs():
     """Its accuracy of 1e-5 may take minutes; a rung at 10 % that takes none is not left out for it."""
-    reference, *others = tradeoff.ladder(True)
+    reference, *others = tradeoff.ladder({"engine": "surfel", "accuracy": 1e-5})
     kinds = [tradeoff._kind(rung) for rung in others]
     assert tradeoff._kind(reference) not in kinds
     assert len({kind for kind in kinds if kind.startswith("surfel")}) == 3
     of_patch = {tradeoff._kind(Rung(str(n), {"engine": "patch", "samples": n})) for n in (4, 64, 1024)}
     assert len(of_patch) == 1, "whose time is known from that of fewer samples"
+
+
+SURFEL = Measured("surfel", 9, 4.0, 0.002, 0.02, 0.2, 0.0, 2.0)
+PATCH = Measured("patch", 9, 4.0, 0.01, 0.015, 1.0, 10.0, 2.0)
+
+
+def test_a_reference_judges_only_what_is_coarser():
+    coarse = tradeoff.ladder({"engine": "surfel", "accuracy": 1e-3})
+    assert [rung.name for rung in coarse if rung.name.startswith("surfel")] == ["surfel-0.1", "surfel-0.01"]
+    few = tradeoff.ladder({"engine": "patch", "samples": 64})
+    assert {rung.settings["samples"] for rung in few[1:]} == {4, 16}
+    finest, *_, coarsest = tradeoff.references(SURFEL, 27)
+    assert (finest[0]["accuracy"], coarsest[0]["accuracy"]) == (1e-5, 1e-3)
+    assert finest[1] > 10.0 * coarsest[1] / 2.0
+    assert [settings["samples"] for settings, _ in tradeoff.references(PATCH, 27)] == [4096, 1024, 256, 64, 16]
+
+
+class Machine:
+    """Renders in no time, and tells how long it would have taken: a clock, and stand-ins for trial and sweep."""
+
+    def __init__(self, measured, slower=1.0):
+        self.now, self.measured, self.slower, self.made = 0.0, measured, slower, []
+
+    def clock(self):
+        return self.now
+
+    def trial(self, *_, deadline=None, **__):
+        self.now += 6.0
+        if deadline:
+            deadline.check()
+        return self.measured
+
+    def run_until(self, deadline, request, progress):
+        chosen = request.chosen
+        each = self.slower * 0.015 * (chosen.get("samples") or 1.0 + (1e-3 / chosen["accuracy"]) ** 0.87)
+        count = self.measured.voxels * chosen["poses"]
+        taken = self.measured.start + count * each / self.measured.workers
+        self.now += min(taken, deadline.left)
+        rng = np.random.default_rng(len(self.made))
+        signal = 0.1 + 1e-3 * rng.random((count, *SHAPE))
+        done = count if deadline.left else 0
+        if done:
+            make(request.path.parent, request.path.name, signal, each)
+            self.made.append(request.path.name)
+        dataset = Dataset.open(request.path) if done else None
+        return local.Outcome(dataset, done, [], count - done)
+
+
+@pytest.mark.parametrize(("measured", "slower"), [(SURFEL, 1.0), (SURFEL, 40.0), (PATCH, 1.0), (PATCH, 5.0)])
+@pytest.mark.parametrize("most", [30.0, 120.0, 3600.0])
+def test_the_limit_holds_for_all_of_it(tmp_path, monkeypatch, measured, slower, most):
+    """Also where pictures take far longer than the trial said; what is left out or stopped is named."""
+    machine, told = Machine(measured, slower), []
+    monkeypatch.setattr(tradeoff.budget, "measured_by_trial", machine.trial)
+    monkeypatch.setattr(tradeoff.budget, "compiled", lambda *_, **__: 0.0)
+    monkeypatch.setattr(tradeoff, "_run_until", machine.run_until)
+    options = {"poses": 1, "most": most, "tell": told.append, "now": machine.clock}
+    costs = None
+    with contextlib.suppress(NlosError):
+        costs = tradeoff.run(tmp_path / "a.blend", tmp_path, **options)
+    assert machine.now <= most
+    assert (costs is None) == (len(machine.made) < 2 or tradeoff.REFERENCE not in machine.made)
+    if costs is not None:
+        assert {cost.name for cost in costs} == set(machine.made) - {tradeoff.REFERENCE}
+        left_out = {name for words in told if "left out" in words for name in words.partition(":")[0].split(", ")}
+        every = {rung.name for rung in tradeoff.ladder(tradeoff.references(measured, 9)[0][0])}
+        assert left_out | set(machine.made) == every
+        assert not left_out & set(machine.made)
+    assert costs is not None or most < 60.0 or slower > 1.0

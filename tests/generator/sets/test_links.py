@@ -258,7 +258,7 @@ def test_nothing_in_a_scene_runs_or_writes(edited, tmp_path, command):
     result = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, check=False, cwd=tmp_path)
     assert result.returncode == 0, result.stderr
     assert check.check_scene(blend_file.open_file(path), {"resolution": "8", "samples": 4})
-    assert planning.make(path, tolerance=0.1, count=2, most=0.0, predict=False).effects
+    assert planning.make(path, tolerance=0.1, count=2, by_cycles=False, predict=False).effects
     assert files(tmp_path) == before
     asked = f"import bpy; bpy.ops.wm.open_mainfile(filepath={str(path)!r}, use_scripts=True)"
     subprocess.run([sys.executable, "-c", asked], capture_output=True, check=True)

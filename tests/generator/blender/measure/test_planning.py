@@ -14,6 +14,7 @@ from generator.blender.scene import blend_file, build, materials, roles
 from generator.blender.scene.description import read_scene
 from generator.measure import scene_plan
 from generator.measure.scene_plan import Effect, Plan
+from generator.model.deadline import Deadline
 from generator.model.errors import NlosError
 from generator.model.presets import preset
 from generator.sets import plan_file
@@ -183,7 +184,7 @@ def test_a_small_mirror_far_away_is_left_out_and_surfel_takes_over(tmp_path):
     add("Speck", at=(-2.3, 3.3, 0.1), size=0.02, gloss=True)
     path = tmp_path / "speck.blend"
     blend_file.save_file(path)
-    plan = planning.make(path, tolerance=0.1, count=4, most=20.0)
+    plan = planning.make(path, tolerance=0.1, count=4, most=60.0)
     speck = next(effect for effect in plan.effects if "Speck" in effect.name)
     assert speck.share[2] < 0.1
     assert "the material 'of Speck'" in plan.dropped
@@ -204,7 +205,7 @@ def test_a_faint_sky_is_left_out_and_surfel_takes_over(tmp_path):
         planned = planning._planned(scene, read_scene(scene), "patch", 2, 0)
         shares.append(planning.ambient(path, sorted(planned, key=lambda p: (p.index, p.voxel))).share)
     assert shares[1][0] == pytest.approx(2.0 * shares[0][0], rel=0.1)
-    plan = planning.make(tmp_path / "0.blend", tolerance=0.3, count=2, most=0.0, predict=False)
+    plan = planning.make(tmp_path / "0.blend", tolerance=0.3, count=2, by_cycles=False, predict=False)
     assert simplify.AMBIENT in plan.dropped
     assert plan.settings["engine"] == "surfel"
     assert plan.together.share[0] > plan.effects[[e.name for e in plan.effects].index(simplify.AMBIENT)].share[0]
@@ -223,7 +224,7 @@ def test_the_denoiser_is_wrong_in_the_mean_and_its_noise_is_not_counted(tmp_path
     planned = planning._planned(scene, described, "patch", paired.ROUNDS[0], 0)
     rounds = [[p for p in planned if p.index == k] for k in range(paired.ROUNDS[0])]
     probe = paired.PairedMeasurement(path, "patch", rounds)
-    value, low, high = paired.denoiser_bias(probe, (24, 24), most=1.0)
+    value, low, high = paired.denoiser_bias(probe, (24, 24), deadline=Deadline())
     error, plain = probe.denoised((24, 24), 0)
     signal = (plain[0] * plain[1]).mean()
     assert 0.02 < value < np.sqrt((error**2).mean() / signal)

@@ -1,0 +1,42 @@
+"""Draws what a scene needs modelled. Apart from the plan itself, which Blender reads without matplotlib."""
+
+from __future__ import annotations
+
+import math
+from pathlib import Path
+
+import numpy as np
+from matplotlib.lines import Line2D
+from matplotlib.patches import Patch
+
+from generator.measure import figures
+from generator.measure.scene_plan import LEFT_OUT, NEEDED, Plan
+
+
+@figures.styled
+def draw(path: Path, plan: Plan, title: str) -> list[Path]:
+    """Write a figure: a bar for each effect, and the tolerance; return the files."""
+    effects = [effect for effect in plan.effects[::-1] if effect.share[2] > 0.0 and math.isfinite(effect.share[2])]
+    figure, [[axis]] = figures.subplots(size=(8.5, 1.5 + 0.32 * max(1, len(effects))))
+    kinds = {NEEDED: figures.BLUE, LEFT_OUT: figures.PALE, "told only": figures.ORANGE}
+    if effects:
+        value, low, high = (np.array([100.0 * e.share[k] for e in effects]) for k in range(3))
+        floor = 0.5 * min(100.0 * plan.tolerance, *value[value > 0.0], *high)
+        shown = np.maximum(value, floor)
+        told = ["told only" if e.note else LEFT_OUT if e.name in plan.dropped else NEEDED for e in effects]
+        axis.barh([e.name for e in effects], shown, color=[kinds[kind] for kind in told], ec=figures.GREY, lw=0.5)
+        reach = [shown - np.maximum(np.minimum(low, shown), floor), np.maximum(high - shown, 0.0)]
+        axis.errorbar(shown, range(len(effects)), xerr=reach, fmt="none", ecolor=figures.BLACK, capsize=2)
+        axis.set_xscale("log")
+        figures.plain_numbers(axis.xaxis)
+    else:
+        axis.text(0.5, 0.5, "nothing was measured", ha="center", transform=axis.transAxes)
+        axis.set_yticks([])
+    axis.axvline(100.0 * plan.tolerance, color=figures.VERMILION, lw=1.2, ls="--")
+    axis.grid(axis="y", visible=False)
+    axis.set_xlabel("error of a difference picture without it, %")
+    handles: list[Patch | Line2D] = [Patch(fc=c, ec=figures.GREY, lw=0.5, label=kind) for kind, c in kinds.items()]
+    handles.append(Line2D([], [], color=figures.VERMILION, ls="--", label="tolerance"))
+    figure.legend(handles=handles, loc="outside lower center", ncols=len(handles))
+    figure.suptitle(title)
+    return figures.save(path, figure)
