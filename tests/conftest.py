@@ -86,3 +86,18 @@ def tiny_dataset(tmp_path_factory, scene_file, command):
     result = command("generator", "sweep", scene_file, "-o", path, *TINY, process=True)
     assert result.returncode == 0, result.stderr
     return path
+
+
+@pytest.fixture
+def drawn(monkeypatch):
+    """The figures that a test saves, in order."""
+    from generator.measure import figures
+
+    save, found = figures.save, []
+
+    def keep(path, figure):
+        found.append(figure)
+        return save(path, figure)
+
+    monkeypatch.setattr(figures, "save", keep)
+    return found

@@ -23,7 +23,10 @@ def add_parsers(commands: Commands) -> None:
     parser.add_argument("atlas", type=Path, metavar="FILE.atlas")
     parser.add_argument("simulated", type=Path, metavar="SET", help="folder of the simulated set that it is of")
     parser.add_argument(
-        "--map", type=Path, metavar="FILE.png", help="draw the bounds over the hidden volume, seen from above"
+        "--map",
+        type=Path,
+        metavar="FILE",
+        help="draw the bounds over the hidden volume, seen from above: .png, with an .svg beside it, .svg or .pdf",
     )
     parser.add_argument("--count", type=int, default=3000, metavar="N", help="pictures to try (default: 3000)")
     add_seed(parser, "of pictures and noise")
@@ -36,6 +39,7 @@ def run_bound(options: argparse.Namespace) -> int:
     from classify.classifiers import models
     from classify.inference import bound
     from classify.inference.posterior import Synthesis
+    from generator.measure import figures
     from generator.sets.bulk_set import Bulk
 
     models.check_seed(options.seed)
@@ -43,6 +47,7 @@ def run_bound(options: argparse.Namespace) -> int:
         raise NlosError(f"--count {options.count}: must be 1 or more")
     if options.map:
         check_output(options.map)
+        figures.check_format(options.map)
     atlas, simulated = loaded(options), Bulk.open(options.simulated)
     if atlas.about.get("fingerprints") != [simulated.meta["fingerprint"]]:
         raise NlosError(f"{options.atlas}: is not an atlas of {options.simulated}; make it anew")
@@ -78,6 +83,6 @@ def run_bound(options: argparse.Namespace) -> int:
     if options.map:
         with progress_bar("mapping", "places") as progress:
             bounds_map = bound.over_volume(synthesis, progress=lambda done, total: progress(done, total, ""))
-        bound.draw(options.map, atlas, bounds_map)
-        print(options.map)
+        for path in bound.draw(options.map, atlas, bounds_map):
+            print(path)
     return 0

@@ -288,8 +288,8 @@ def over_volume(
 
 
 @figures.styled
-def draw(path: Path, atlas: Atlas, found: Map) -> None:
-    """Write a figure of the bounds over the hidden volume, seen from above.
+def draw(path: Path, atlas: Atlas, found: Map) -> list[Path]:
+    """Write a figure of the bounds over the hidden volume, seen from above; return the files.
 
     Lengths are capped at the volume's diagonal: an error as long as that says that the position is not known.
     """
@@ -325,7 +325,7 @@ def draw(path: Path, atlas: Atlas, found: Map) -> None:
     frames = atlas.sensor.frames
     words = f"{frames} frame{'s' if frames > 1 else ''}; object not turned, {height:.3g} m high"
     figure.suptitle(f"What a picture can tell at most: {words}")
-    figures.save(path, figure)
+    return figures.save(path, figure)
 
 
 def _log_norm(values: Array) -> LogNorm:

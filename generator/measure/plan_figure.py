@@ -10,7 +10,10 @@ from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
 
 from generator.measure import figures
-from generator.measure.scene_plan import LEFT_OUT, NEEDED, Plan
+from generator.measure.scene_plan import KEPT, LEFT_OUT, NEEDED, Plan
+
+_TOLD = "told only"
+"""What no plan can leave out: it is not in the scene, or always done."""
 
 
 @figures.styled
@@ -18,12 +21,12 @@ def draw(path: Path, plan: Plan, title: str) -> list[Path]:
     """Write a figure: a bar for each effect, and the tolerance; return the files."""
     effects = [effect for effect in plan.effects[::-1] if effect.share[2] > 0.0 and math.isfinite(effect.share[2])]
     figure, [[axis]] = figures.subplots(size=(8.5, 1.5 + 0.32 * max(1, len(effects))))
-    kinds = {NEEDED: figures.BLUE, LEFT_OUT: figures.PALE, "told only": figures.ORANGE}
+    kinds = {NEEDED: figures.BLUE, KEPT: figures.SKY, LEFT_OUT: figures.PALE, _TOLD: figures.ORANGE}
     if effects:
         value, low, high = (np.array([100.0 * e.share[k] for e in effects]) for k in range(3))
         floor = 0.5 * min(100.0 * plan.tolerance, *value[value > 0.0], *high)
         shown = np.maximum(value, floor)
-        told = ["told only" if e.note else LEFT_OUT if e.name in plan.dropped else NEEDED for e in effects]
+        told = [_TOLD if e.note else plan.verdict(e) for e in effects]
         axis.barh([e.name for e in effects], shown, color=[kinds[kind] for kind in told], ec=figures.GREY, lw=0.5)
         reach = [shown - np.maximum(np.minimum(low, shown), floor), np.maximum(high - shown, 0.0)]
         axis.errorbar(shown, range(len(effects)), xerr=reach, fmt="none", ecolor=figures.BLACK, capsize=2)

@@ -20,7 +20,7 @@ POSES = 10
 MOST = 300.0
 """Time limit of a plan unless another is given, seconds."""
 
-NEEDED, LEFT_OUT = "needed", "left out"
+NEEDED, LEFT_OUT, KEPT = "needed", "left out", "kept"
 UNKNOWN = (math.nan, 0.0, math.inf)
 """Share of what could not be measured, and its interval."""
 
@@ -91,6 +91,13 @@ class Plan:
     predicted: dict[str, float] = field(default_factory=dict)
     unmeasured: list[str] = field(default_factory=list)
 
+    def verdict(self, effect: Effect) -> str:
+        """Return whether an effect is needed, left out, or kept though it may be small enough to be left out."""
+        if effect.name in self.dropped:
+            return LEFT_OUT
+        small = effect.share[2] <= self.tolerance or math.isnan(effect.share[0])
+        return effect.note or (KEPT if small else NEEDED)
+
 
 HEADINGS = ("left out", "error of a difference picture", "pictures a second", "")
 
@@ -102,7 +109,7 @@ def rows(plan: Plan) -> list[tuple[str, ...]]:
             effect.name,
             effect.percent(),
             "" if math.isnan(effect.gain) else f"x {effect.gain:.2g}",
-            effect.note or (LEFT_OUT if effect.name in plan.dropped else NEEDED),
+            plan.verdict(effect),
         )
         for effect in plan.effects
     ]

@@ -192,10 +192,11 @@ def run(
         tell(f"{', '.join(sorted(too_fine))}: left out, too fine for the reference that there is time for")
     expected = {wanted[0].name: seconds}
     per_work: dict[str, float] = {}
+    starting = measured.start
     for rung in wanted:
         kind, work = _kind(rung), float(rung.settings.get("samples", 1))
         known = per_work.get(kind, 0.0 if rung.settings["engine"] == "surfel" else per_work.get(_PATCH, 0.0))
-        estimate = expected.get(rung.name, measured.start + known * work)
+        estimate = expected.get(rung.name, starting + known * work)
         path = folder / rung.name
         if estimate > deadline.left and not _finished(path):
             if rung.name == REFERENCE:
@@ -211,6 +212,7 @@ def run(
             force=force,
             probe=False,
         )
+        begun = now()
         outcome = _run_until(deadline, request, progress)
         if outcome.failed:
             raise NlosError(f"{path}: {outcome.failed[0]}")
@@ -220,6 +222,8 @@ def run(
         rendered += 1
         spent = sum(record.seconds for record in outcome.dataset.records)
         per_work[kind] = spent / work / measured.workers
+        if outcome.rendered:
+            starting = max(0.0, now() - begun - spent / measured.workers)
         tell(f"{rung.name}: {spent / len(outcome.dataset.records):.3g} core seconds a picture")
     if rendered < 2 or not _finished(folder / REFERENCE):
         raise NlosError(

@@ -39,6 +39,8 @@ _NOTHING = Effect("nothing", (0.0, 0.0, 0.0))
 _PIXEL_BYTES = 12
 _SHARE, _EXACT = 0.4, 0.7
 """Shares of the remaining time for effects that only Cycles models, and for those that `surfel` models."""
+_ENDING = 1.0
+"""Seconds to write and draw what was found."""
 _LEAST_TRIAL = 4.0
 """Seconds below which no trial of a sweep ends, since Blender has to start."""
 _SKY = 0.01
@@ -92,7 +94,7 @@ def make(
     NlosError
         The scene cannot be swept.
     """
-    deadline = Deadline(most)
+    deadline = Deadline(most - _ENDING)
     scene = blend_file.open_file(source)
     described = read_scene(scene)
     pieces = simplify.removable_pieces(scene)

@@ -8,6 +8,7 @@ import joblib
 import numpy as np
 import pytest
 from classify_helpers import make_dataset
+from figure_texts import misplaced
 from scipy.stats import norm
 
 from classify.classifiers import curves
@@ -86,7 +87,7 @@ def test_a_set_is_not_tested_on_itself(rendered):
         curves.curves(features, features)
 
 
-def test_from_the_shell(rendered, tmp_path, capsys):
+def test_from_the_shell(rendered, tmp_path, capsys, drawn):
     feature_table.write(tmp_path / "a.h5", rendered)
     out = tmp_path / "learned"
     command = ["learn", str(tmp_path / "a.h5"), "-o", str(out), "--classifiers", "NB", "KNN", "--counts", "18", "27"]
@@ -94,7 +95,8 @@ def test_from_the_shell(rendered, tmp_path, capsys):
     told = capsys.readouterr().out
     assert "is right most often" in told
     assert "of it, held out" in " ".join(told.split())
-    assert {p.name for p in out.iterdir()} == {"learn.csv", "learn.png", "report.html"}
+    assert {p.name for p in out.iterdir()} == {"learn.csv", "learn.png", "learn.svg", "report.html"}
+    assert misplaced(drawn[0]) == []
     assert (out / "learn.csv").read_text().splitlines()[0] == ",".join(curves.HEADINGS).replace(
         "answer, each", '"answer, each"'
     )

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 import skops.io
 from classify_helpers import make_dataset
+from figure_texts import misplaced
 
 from classify.classifiers import evaluate, models
 from classify.classifiers.names import NAMES
@@ -188,12 +189,15 @@ def test_report_is_one_page_that_needs_nothing_else(pair, tmp_path):
     assert len(rows) == 1 + len(results)
 
 
-def test_report_of_many_voxels(tmp_path):
+def test_report_of_many_voxels(tmp_path, drawn):
     grid = VoxelGrid(lo=(0.8, 0.4, 0.4), hi=(2.3, 1.9, 2.2), shape=(4, 3, 3))
     features = feature_table.extract(make_dataset(tmp_path / "d", n=4, grid=grid), FeatureSettings())
     results = evaluate.compare([features], ["d"], classifiers=("NB",), settings=["paper"], folds=3)
     page = comparison.write(tmp_path / "r", results, [features], ["d"], 3)
     assert "AJ" in page.read_text()
+    assert len(drawn) == 2
+    assert [words for figure in drawn for words in misplaced(figure)] == []
+    assert {"comparison.svg", "confusion-sheet.svg"} <= {p.name for p in (tmp_path / "r").iterdir()}
 
 
 def test_confused_voxels_are_told_by_how_they_lie():

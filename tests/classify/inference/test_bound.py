@@ -7,6 +7,7 @@ import math
 import numpy as np
 import pytest
 from classify_helpers import make_bulk, plain_atlas
+from figure_texts import misplaced
 from scipy.stats import norm
 
 from classify.inference import atlas_build, bound
@@ -128,3 +129,34 @@ def test_the_map_holds_the_bounds_of_its_places(simulated, tmp_path):
     assert found.movement[0, 2] == pytest.approx(there.movement.max())
     bound.draw(tmp_path / "map.png", synthesis.atlas, found)
     assert (tmp_path / "map.png").stat().st_size > 5000
+    assert (tmp_path / "map.svg").is_file()
+
+
+def test_a_map_is_capped_at_the_volumes_size_and_its_labels_are_seen(tmp_path, drawn):
+    """Where nothing is known the bound is infinite: no length beyond the volume's diagonal is on the scale."""
+    grid = VoxelGrid(lo=(0.0, 0.4, 0.0), hi=(1.5, 1.9, 0.8), shape=(3, 3, 2))
+    atlas = plain_atlas(np.zeros((9, 2), np.float32), np.zeros((9, 3)), np.arange(9), grid)
+    x, y = np.linspace(0.25, 1.25, 3), np.linspace(0.65, 1.65, 3)
+    lengths = np.array([[0.01, 0.1, 0.5], [1.0, 40.0, math.inf], [0.02, math.nan, 7.0]])
+    bound.draw(tmp_path / "map.svg", atlas, bound.Map(x, y, 1.0 / lengths, lengths, 2.0 * lengths))
+    [figure] = drawn
+    assert misplaced(figure) == []
+    diagonal = 100.0 * math.sqrt(1.5**2 + 1.5**2 + 0.8**2)
+    for axis in figure.axes[1:3]:
+        [image] = axis.images
+        assert image.norm.vmax == pytest.approx(diagonal)
+        assert f"{diagonal:.3g} cm is the volume's diagonal" in image.colorbar.ax.get_ylabel()
+    for axis in figure.axes[:3]:
+        assert [text.get_text() for text in axis.texts] == list(grid.labels[9:]), "of the layer that is drawn"
+        for text in axis.texts:
+            assert axis.bbox.contains(*text.get_window_extent().min)
+            assert axis.bbox.contains(*text.get_window_extent().max)
+            assert text.get_path_effects(), "an outline, without which white is not seen on yellow"
+
+
+def test_the_map_of_a_volume_where_nothing_is_known(tmp_path):
+    grid = VoxelGrid(lo=(0.0, 0.4, 0.0), hi=(1.5, 1.9, 0.8), shape=(3, 3, 1))
+    atlas = plain_atlas(np.zeros((9, 2), np.float32), np.zeros((9, 3)), np.arange(9), grid)
+    unknown = np.full((3, 3), math.nan)
+    bound.draw(tmp_path / "map.pdf", atlas, bound.Map(np.arange(3.0), np.arange(3.0), unknown, unknown, unknown))
+    assert (tmp_path / "map.pdf").is_file()

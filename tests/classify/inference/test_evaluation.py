@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 import worlds
 from classify_helpers import make_bulk, make_dataset, make_seen, plain_atlas
+from figure_texts import misplaced
 from scipy import stats
 
 from classify.cli.main import main
@@ -105,7 +106,7 @@ def test_the_command_line(simulated, seen, tmp_path, command):
     located = command("classify", "locate", file, seen.path, "-o", tmp_path / "answers")
     assert located.returncode == 0, located.stderr
     assert "in empty scenes, something is found in" in located.stdout
-    assert (tmp_path / "answers" / "answers.csv").is_file()
+    assert {"answers.csv", "answers.png", "answers.svg"} <= {p.name for p in (tmp_path / "answers").iterdir()}
     page = (tmp_path / "answers" / "report.html").read_text(encoding="utf-8")
     assert "Where is the hidden object?" in page
     assert "data:image/png;base64," in page
@@ -189,7 +190,7 @@ def test_longer_exposures_find_what_short_ones_miss_as_two_normal_variables_woul
         assert told[at] == pytest.approx(truth, abs=0.05)
 
 
-def test_detection_from_the_shell(tmp_path, capsys):
+def test_detection_from_the_shell(tmp_path, capsys, drawn):
     """A table, a picture and a file; exposures that the atlas cannot have are one sentence."""
     floor = worlds.quad((-2.0, 0.0, -1.0), (4.0, 0.0, 0.0), (0.0, 3.0, 0.0), 0.5)
     found = make_bulk(tmp_path / "set", pictures=200, room=(floor,))
@@ -201,6 +202,8 @@ def test_detection_from_the_shell(tmp_path, capsys):
     out = capsys.readouterr().out
     assert "10 frames" in out
     assert (tmp_path / "out" / "detect.png").stat().st_size > 5000
+    assert (tmp_path / "out" / "detect.svg").is_file()
+    assert misplaced(drawn[0]) == []
     assert "Is there something?" in (tmp_path / "out" / "report.html").read_text(encoding="utf-8")
     lines = list(csv.reader((tmp_path / "out" / "detect.csv").read_text().splitlines()))
     assert lines[0] == ["voxel", "from the wall", "1 frame", "3 frames", "10 frames"]

@@ -197,6 +197,7 @@ def test_lost_and_found_again(tmp_path, command):
         rows = list(csv.DictReader(file))
     assert [int(row["there"]) for row in rows] == [1] * 15 + [0] * 10 + [1] * 15
     assert (tmp_path / "out" / "track.png").stat().st_size > 10_000
+    assert (tmp_path / "out" / "track.svg").is_file()
     assert "How does it move?" in (tmp_path / "out" / "report.html").read_text(encoding="utf-8")
     other = command("classify", "track", tmp_path / "a.atlas", make_seen(tmp_path / "seen", simulated).path)
     assert other.returncode == 2

@@ -16,7 +16,7 @@ from generator.blender.measure import experiment, experiment_report
 from generator.blender.measure.experiment import Experiment
 from generator.blender.scene import blend_file, build, posing, roles
 from generator.files.pictures import read_picture
-from generator.measure import difference_panels, figures
+from generator.measure import difference_panels
 from generator.model import poses
 from generator.model.arrays import rotation_matrix
 from generator.model.presets import preset
@@ -95,19 +95,16 @@ def test_steps_are_told_in_metres_and_each_voxel_axis_of_its_own():
     assert list(block.columns) == ["-20 cm", "-10 cm", "+10 cm", "+20 cm"]
 
 
-def test_panels_below_noise_are_marked_and_not_amplified(tmp_path, monkeypatch):
-    caught = []
-    save = figures.save
-    monkeypatch.setattr(figures, "save", lambda path, figure: [caught.append(figure), *save(path, figure)][1:])
+def test_panels_below_noise_are_marked_and_not_amplified(tmp_path, drawn):
     places = {"dark": replace(exact(1e-9), corners=CORNERS), "lit": replace(exact(1e-5), corners=CORNERS)}
     files = experiment_report._draw(tmp_path / "e.png", places)
     assert [file.name for file in files] == ["e.png", "e.svg"]
-    [figure] = caught
+    [figure] = drawn
     texts = [text.get_text() for axis in figure.axes for text in axis.texts]
     assert len([words for words in texts if words.startswith("below noise")]) == 12
-    drawn = [axis for axis in figure.axes if any(isinstance(c, QuadMesh) for c in axis.collections)]
+    meshes = [axis for axis in figure.axes if any(isinstance(c, QuadMesh) for c in axis.collections)]
     bars = [axis for axis in figure.axes if "W/m²/sr" in axis.get_ylabel()]
-    assert len(drawn) == 12 + len(bars)
+    assert len(meshes) == 12 + len(bars)
     assert len(bars) == 3, "a row each"
     assert misplaced(figure) == []
 

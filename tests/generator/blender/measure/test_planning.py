@@ -242,7 +242,7 @@ def test_from_the_shell(tmp_path, command):
     assert result.returncode == 0, result.stderr
     assert SHADOW in result.stdout
     assert "within 2 % one may leave out" in result.stdout
-    assert {p.name for p in folder.iterdir()} == {"plan.toml", "plan.csv", "plan.png"}
+    assert {p.name for p in folder.iterdir()} == {"plan.toml", "plan.csv", "plan.png", "plan.svg"}
     settings = tomllib.loads((folder / "plan.toml").read_text())["settings"]
     assert PATCH in settings["leave_out"]
     sweep = ("generator", "sweep", scene_file, "-o", data, "--poses", "1", "--resolution", "16")
