@@ -107,7 +107,8 @@ def run_tradeoff(options: argparse.Namespace) -> int:
             tell=status.tell,
             progress=status.progress,
         )
-    title = f"{options.scene.name}, {options.poses} poses a voxel, seed {options.seed}"
+    poses = f"{options.poses} poses a voxel, seed {options.seed}"
+    title = f"{options.scene.name}, {poses}, {tradeoff.reference_words(options.output)}"
     print_table(f"{title}; intervals of 95 %", tradeoff.HEADINGS, tradeoff.rows(costs))
     for line in tradeoff.advice(costs):
         print(line)

@@ -141,10 +141,11 @@ def plain_numbers(*axes: Axis) -> None:
 
 
 def _between_decades(axis: Axis, value: float, _: object = None) -> str:
-    """Return the label of a tick between two powers of ten: only where the axis is too short for several of these."""
+    """Return the label of a tick between two powers of ten: the fewer, the more of these the axis holds."""
     low, high = sorted(axis.get_view_interval())
     digit = round(value / 10.0 ** math.floor(math.log10(value)))
-    return f"{value:g}" if high < 30.0 * low and digit in (2, 3, 5) else ""
+    shown = (2, 3, 5) if high < 30.0 * low else (3,) if high < 300.0 * low else ()
+    return f"{value:g}" if digit in shown else ""
 
 
 def outlined(text: Text) -> Text:

@@ -304,6 +304,13 @@ def costs(folder: Path) -> list[Cost]:
     return sorted(results, key=lambda cost: cost.seconds)
 
 
+def reference_words(folder: Path) -> str:
+    """Return what the errors of a folder are relative to."""
+    settings = Dataset.open(folder / REFERENCE).settings
+    name = "accuracy" if settings["engine"] == "surfel" else "samples"
+    return f"reference {settings['engine']}, {name} {settings[name]:g}"
+
+
 def differences(found: Dataset) -> Array:
     """Return a data set's pictures minus its background, grey, (n, height, width), W/m^2/sr."""
     background = found.background().astype(np.float64).mean(axis=2)

@@ -5,7 +5,9 @@ from __future__ import annotations
 import functools
 import heapq
 import queue
+import sys
 import threading
+import time
 from dataclasses import replace
 
 import numpy as np
@@ -14,6 +16,7 @@ import pytest
 from generator.jobs import budget
 from generator.jobs.budget import Measured
 from generator.measure.tradeoff import differences
+from generator.model.deadline import Deadline, Late
 from generator.model.errors import NlosError
 from generator.model.quantities import fraction, seconds
 from generator.sets.dataset import Dataset
@@ -133,6 +136,32 @@ def test_pictures_are_as_exact_as_asked_for(tmp_path, scene_file, command):
     error = np.sqrt(((got - wanted) ** 2).mean(axis=(1, 2)) / (wanted**2).mean(axis=(1, 2)))
     # Noise differs from voxel to voxel by more than what nine poses tell of the median of all.
     assert 0.6 / 2.5 < np.median(error) < 0.6 * 2.5
+
+
+def asleep(arguments):
+    return [sys.executable, "-c", "import time; time.sleep(600)"]
+
+
+def test_a_trial_that_takes_too_long_is_ended(monkeypatch):
+    begun = time.monotonic()
+    with pytest.raises(Late):
+        budget.measured_by_trial("room.blend", {}, 2, asleep, deadline=Deadline(1.0))
+    monkeypatch.setattr(budget, "compiled", lambda *_, **__: 0.0)
+    with pytest.raises(NlosError, match="--budget: 0:01 are over before a few pictures are"):
+        budget.choose("room.blend", {}, budget=1.0, launch=asleep)
+    assert time.monotonic() - begun < 60.0
+
+
+def test_compiling_is_told_and_timed(monkeypatch):
+    told = []
+    monkeypatch.setattr(budget, "measured_by_trial", lambda *_, **__: PATCH)
+    monkeypatch.setattr(
+        budget.caching, "compiling_words", lambda engine: "compiled first" if engine == "auto" else ""
+    )
+    assert budget.compiled("room.blend", {"engine": "patch"}, tell=told.append) == 0.0
+    assert told == []
+    budget.compiled("room.blend", {"engine": "auto"}, tell=told.append)
+    assert told == ["compiled first", "compiled in 0:00, which no time limit counts"]
 
 
 @pytest.mark.slow

@@ -9,6 +9,7 @@ import pytest
 import worlds
 
 from generator.measure import effects
+from generator.model.deadline import Deadline
 from generator.transport import Sphere, Transport, left_out
 from generator.transport.left_out import PATCH, SHADOW
 
@@ -55,6 +56,38 @@ def test_what_matters_is_needed_and_what_does_not_is_left_out(plan):
     assert "far" in dropped
     assert "floor" not in dropped
     assert together.share[2] <= 0.02
+
+
+class Ticking:
+    """A clock by which a second passes whenever it is looked at."""
+
+    def __init__(self):
+        self.now = 0.0
+
+    def __call__(self):
+        self.now += 1.0
+        return self.now
+
+
+def test_an_unlimited_time_changes_nothing(plan):
+    found, dropped, _ = measured(ball(), NAMES, *poses(20, 0), tolerance=0.02, deadline=Deadline(1e6))
+    assert [(one.name, one.share) for one in found] == [(one.name, one.share) for one in plan[0]]
+    assert dropped == plan[1]
+
+
+@pytest.mark.parametrize("limit", [1.0, 30.0, 60.0, 100.0])
+def test_what_there_is_no_time_for_is_kept_and_not_measured(limit):
+    """Each pose costs a second here, whatever was predicted for it."""
+    clock = Ticking()
+    deadline = Deadline(limit, clock)
+    found, dropped, together = measured(ball(), NAMES, *poses(20, 0), tolerance=0.02, deadline=deadline)
+    names = [one.name for one in found]
+    assert set(names) >= {*NAMES, PATCH, SHADOW}
+    unknown = {one.name for one in found if np.isnan(one.share[0])}
+    assert not unknown & set(dropped)
+    assert (len(unknown) == 4) == (limit <= 30.0), "the whole alone takes 20"
+    assert clock.now <= limit + 20.0, "it is looked at now and then besides"
+    assert limit > 30.0 or np.isnan(together.share[0])
 
 
 def test_digits_and_pixels_are_told_and_kept(plan):

@@ -151,6 +151,68 @@ def test_noise_that_hides_the_whole_decides_nothing():
     assert (low, high) == (0.0, np.inf)
 
 
+class Probe:
+    """Difference pictures with little noise, whose rendering takes as long as a clock says."""
+
+    def __init__(self, seconds):
+        self.rounds, self.deadline, self.now, self.seconds = range(48), Deadline(), 0.0, seconds
+        self.signal = np.random.default_rng(0).uniform(0.5, 1.5, size=(9, 64))
+
+    def _rendered(self, share, number):
+        for _ in self.signal:
+            self.deadline.check()
+            self.now += self.seconds / len(self.signal)
+        return noisy(share * self.signal, 0.01, number)
+
+    def errors(self, dropped, number):
+        return self._rendered(0.5 if dropped == ["Wall"] else 1e-4, number)
+
+    def raised(self, order, number):
+        return self._rendered(0.2, 1000 * order + number)
+
+    def whole(self, number):
+        return noisy(self.signal, 0.01, 500 + number)
+
+
+@pytest.mark.parametrize(
+    ("limit", "measured"), [(4.0, set()), (8.0, {"Wall"}), (11.0, {"Wall", "Dust"}), (100.0, {"Wall", "Dust", "4th"})]
+)
+def test_rounds_end_in_time_and_what_they_leave_out_is_unknown(limit, measured):
+    """A second a round of each effect, four rounds at least: 12 for three; further reflections are left out first."""
+    probe = Probe(1.0)
+    deadline = Deadline(limit, lambda: probe.now)
+    shares = paired.measure(probe, ["Wall", "Dust"], orders=[4], tolerance=0.01, deadline=deadline)
+    known = {name for name, found in shares.items() if not np.isnan(found[0])}
+    assert known == {paired.order_name(4) if name == "4th" else name for name in measured}
+    assert probe.now <= limit
+    if "Dust" in known:
+        assert shares["Dust"][2] < 0.01 < shares["Wall"][1]
+
+
+def test_a_plan_says_what_it_keeps_for_want_of_time():
+    effects = [
+        Effect("Wall", (0.5, 0.4, 0.6)),
+        Effect("Dust", (1e-4, 0.0, 2e-4)),
+        Effect("Air", (1e-5, 0.0, 2e-5)),
+        Effect("Fog", scene_plan.UNKNOWN),
+    ]
+    settings = {"engine": "patch"}
+    plan = Plan(effects, ["Air"], effects[2], settings, unmeasured=["Fog", "what the plan costs"])
+    assert [row[-1] for row in scene_plan.rows(plan)] == ["needed", "kept", "left out", "kept"]
+    words = scene_plan.words(plan)
+    assert "plan: patch, samples not known; error 0.001 % (0 to 0.002)" in words
+    assert "not measured, for the time was over: Fog, what the plan costs; more time (--most) would tell" in words
+
+
+def test_a_plan_without_samples_takes_those_of_the_user(tmp_path):
+    scene = tmp_path / "room.blend"
+    scene.write_bytes(b"not read")
+    scene_plan.write(tmp_path, scene, Plan([], [], Effect("nothing", (0.0, 0.0, 0.0)), {"engine": "patch"}), "title")
+    assert plan_file.followed(tmp_path, scene, {"samples": 7}) == {"engine": "patch", "samples": 7}
+    with pytest.raises(NlosError, match="engine: follows from --plan"):
+        plan_file.followed(tmp_path, scene, {"engine": "path"})
+
+
 def test_a_plan_is_written_and_followed(tmp_path):
     scene = tmp_path / "room.blend"
     scene.write_bytes(b"not read")
