@@ -52,7 +52,7 @@ with atheris.instrument_imports(
     from generator.files.toml import dump_toml, from_dict, read_toml, to_dict
     from generator.jobs import journal
     from generator.model.errors import NlosError
-    from generator.model.poses import POSE_COLUMNS
+    from generator.model.poses import pose_columns
     from generator.model.presets import preset
     from generator.model.scene import MESH_SUFFIXES, Scene, Target
     from generator.model.settings import Sweep
@@ -260,7 +260,7 @@ def seeds(target: str, folder: Path) -> None:
     folder.mkdir(parents=True, exist_ok=True)
     text = io.StringIO()
     rows = csv.writer(text)
-    rows.writerow(POSE_COLUMNS)
+    rows.writerow(pose_columns([]))
     rows.writerow([0, 0, "A", 1.0, 1.0, 1.0, 0.0, 0.0, 0.0, 7, "A/0000.exr", "", "", ""])
     _SOUND["poses"] = text.getvalue().encode()
     if target == "exr":

@@ -57,12 +57,14 @@ def build(
     Raises
     ------
     NlosError
-        If a set is not finished or has no light, or the sets are not of one scene.
+        If a set is not finished or has no light, has a background a picture, or the sets are not of one scene.
     """
     bulks = [bulk, *others]
     if unknown and (mixed := [b for b in bulks if b.plan.unknown]):
         raise NlosError(f"--unknown: {mixed[0].path} is of objects of all sizes and albedos already; leave it out")
     _check_alike(bulks)
+    if own := [b for b in bulks if b.backgrounds is not None]:
+        raise NlosError(f"{own[0].path}: has a background a picture, and an atlas has one; vary the target alone")
     background = bulk.background
     blacks = [_Black(b) for b in bulks] if unknown else []
     share = math.ceil(_FOR_BASIS / len(bulks))

@@ -228,11 +228,14 @@ def run(
     camera = Camera(dataset, atlas.sensor, seed, like=atlas.background)
     measured, clean = [camera.background(k) for k in range(min(backgrounds, len(records)))], camera.empty()
     draws, empty_draws = (np.arange(n) % len(measured) for n in (len(records), empty))
+    if dataset.own_backgrounds:
+        draws = np.arange(len(records))
     codes, places, seconds = [], [], []
     for done, record in enumerate(records):
         picture = camera.picture(record)
         start = time.perf_counter()
-        codes.append(atlas.code(picture, measured[draws[done]], name=str(dataset.path / record.file)))
+        background = camera.background_of(record) if dataset.own_backgrounds else measured[draws[done]]
+        codes.append(atlas.code(picture, background, name=str(dataset.path / record.file)))
         places.append(locate(atlas, codes[-1], seed=seed))
         seconds.append(time.perf_counter() - start)
         progress(done + 1, len(records))

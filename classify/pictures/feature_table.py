@@ -5,7 +5,7 @@ from __future__ import annotations
 import contextlib
 import json
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import asdict, dataclass, replace
+from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
@@ -31,6 +31,8 @@ FORMAT = 1
 
 _BLOCK, _FEW = 64, 32
 """Pictures per block, and number of blocks up to which one process is as fast as several."""
+_VARIED = "varied "
+"""Start of the names of the columns of what varies from pose to pose."""
 _SPARE, _COPIES = 2**28, 3
 """Memory that reading a file may take: bytes, plus this many times the size that the file declares."""
 
@@ -59,6 +61,8 @@ class Features:
         sheet, sphere or mesh.
     provenance : dict
         The data set's name, fingerprint, sweep settings and software.
+    varied : dict of str to ndarray of shape (n_samples,)
+        What varies from pose to pose (`generator.model.variation`), by name; no feature, only metadata.
     """
 
     values: NDArray[np.float64]
@@ -74,6 +78,7 @@ class Features:
     grid: VoxelGrid
     target: str
     provenance: dict[str, Any]
+    varied: dict[str, NDArray[np.float64]] = field(default_factory=dict)
 
     @property
     def colour_space(self) -> str:
@@ -128,12 +133,13 @@ def extract(
         settings = replace(settings, setup=Setup.of(from_dict(Scene, dataset.meta["scene"], "scene.")))
     camera = dataset if sensor is None else Camera(dataset, sensor, seed)
     background = camera.background()
+    shared = None if dataset.own_backgrounds else background
     blocks = [records[start : start + _BLOCK] for start in range(0, len(records), _BLOCK)]
     # Starting a process costs more than describing a few pictures.
     workers = joblib.Parallel(n_jobs=-1 if len(blocks) > _FEW else 1, return_as="generator")
     rows: list[NDArray[np.float64]] = []
     for block_rows in workers(
-        joblib.delayed(_described)(camera, dataset.path, block, settings, dataset.reference_radiance, background)
+        joblib.delayed(_described)(camera, dataset.path, block, settings, dataset.reference_radiance, shared)
         for block in blocks
     ):
         rows += block_rows
@@ -159,6 +165,10 @@ def extract(
             **({"sensor": asdict(camera.sensor), "noise_seed": seed} if isinstance(camera, Camera) else {}),
             "software": {**dataset.meta.get("software", {}), **software()},
         },
+        varied={
+            name: np.array([record.values[k][1] for record in records])
+            for k, (name, _) in enumerate(records[0].values)
+        },
     )
 
 
@@ -168,15 +178,15 @@ def _described(
     records: Sequence[PoseRecord],
     settings: FeatureSettings,
     reference: float,
-    background: Picture,
+    shared: Picture | None,
 ) -> list[NDArray[np.float64]]:
-    """Features of the pictures of some records."""
+    """Features of the pictures of some records, which share a background, or have one each if it is None."""
     return [
         describe(
             camera.picture(record),
             settings,
             reference=reference,
-            background=background,
+            background=camera.background_of(record) if shared is None else shared,
             name=str(path / record.file),
         )
         for record in records
@@ -205,6 +215,8 @@ def write(path: Path, features: Features) -> None:
         file["position"].attrs["units"] = "m"
         file["rotation"].attrs["units"] = "degrees about x, y, z"
         file["background"].attrs["units"] = "W/m^2/sr"
+        for name, values in features.varied.items():
+            file[f"{_VARIED}{name}"] = values
 
 
 @contextlib.contextmanager
@@ -294,13 +306,19 @@ def read(path: Path) -> Features:
             grid=from_dict(VoxelGrid, json.loads(str(file.attrs["grid"])), "grid."),
             target=str(file.attrs["target"]),
             provenance=json.loads(str(file.attrs["provenance"])),
+            varied={
+                name.removeprefix(_VARIED): numbers(file, name, np.float64)
+                for name in file
+                if name.startswith(_VARIED)
+            },
         )
     if features.background.ndim != 3 or features.background.shape[2] != 3:
         raise NlosError(f"{path}: its background has shape {features.background.shape}, not (height, width, 3)")
     provenance = features.provenance
     if not isinstance(provenance, dict) or not isinstance(provenance.get("sensor", {}), dict):
         raise NlosError(f"{path}: does not tell where its features come from (attribute provenance)")
-    columns = (features.labels, features.voxels, features.positions, features.rotations, features.files)
+    columns: list[Any] = [features.labels, features.voxels, features.positions, features.rotations, features.files]
+    columns += features.varied.values()
     if features.values.ndim != 2 or {features.positions.ndim, features.rotations.ndim} != {2}:
         raise NlosError(f"{path}: its features and poses are not tables")
     if any(len(column) != len(features.values) for column in columns):

@@ -254,10 +254,14 @@ class Camera:
     Raises
     ------
     NlosError
-        If the data set has no light, or a picture is broken.
+        If the data set has no light, a picture is broken, or ambient light drifts where each pose has a background.
     """
 
     def __init__(self, dataset: PictureSet, sensor: Sensor, seed: int = 0, *, like: Array | None = None) -> None:
+        if sensor.drift and dataset.own_backgrounds:
+            raise NlosError(
+                f"{dataset.path}: has a background a pose, for which drift is not modelled; leave --drift out"
+            )
         self._dataset = dataset
         self._seed = seed
         self.level = 1.0 if like is None else _level(_grey(dataset.background()), like)
@@ -277,6 +281,12 @@ class Camera:
     def empty(self) -> Picture:
         """Return the clean background, (height, width, 3), W/m^2/sr, at the level of all pictures."""
         return self._dataset.background() * np.float32(self.level)
+
+    def background_of(self, record: PoseRecord) -> Picture:
+        """Return the measured background of a pose of a set in which each has its own."""
+        rng = np.random.default_rng([self._seed, 2, self._set, record.voxel, record.index])
+        clean = self._dataset.background_of(record) * np.float32(self.level)
+        return self.sensor.measure(clean, rng, frames=self.sensor.background_frames, pattern=self._seed)
 
     def picture(self, record: PoseRecord) -> Picture:
         """Return a measured picture, (height, width, 3), W/m^2/sr."""

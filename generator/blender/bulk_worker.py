@@ -24,6 +24,7 @@ from generator.blender.engines.settings import TURNS, with_defaults
 from generator.blender.scene import blend_file, geometry, references, roles
 from generator.blender.scene.clearance import Surroundings, clearance
 from generator.blender.scene.description import read_scene
+from generator.blender.scene.varying import Varying
 from generator.files.toml import from_dict, to_dict
 from generator.jobs.bulk import Engine
 from generator.jobs.protocol import PlanBulk, RenderBulk, answer, batches
@@ -35,7 +36,7 @@ from generator.sets.bulk_set import Bulk
 from generator.sets.bulk_settings import Settings
 from generator.sets.manifest import SCENE, scene_hash
 from generator.sets.unknown_objects import unknown_object
-from generator.transport import Transport
+from generator.transport import Transport, World
 
 
 def plan(
@@ -85,6 +86,8 @@ def plan(
             f"{source}: a bulk set is made by the engine 'surfel', which cannot honour that "
             f"{', nor that '.join(reasons)}; use nlos-generate sweep"
         )
+    Varying(scene, settings.sweep.variations)  # raises now, and not later, if a value cannot vary
+    _refuse_gains(scene, source, world, settings)
     doubts = misgivings.look(scene)
     if not force:
         misgivings.refuse(doubts)
@@ -118,6 +121,22 @@ def plan(
                 path / SCENE, source, linked_files, check_meta, pose, settings.pictures, sweep_worker.render
             )
     return Bulk.create(path, settings, meta, world, background, scene_hash(source))
+
+
+def _refuse_gains(scene: bpy.types.Scene, source: Path, world: World, settings: Settings) -> None:
+    """Raise NlosError if pictures are not proportional to what varies (`generator.transport.Gains`)."""
+    names = [variation.name for variation in settings.sweep.variations]
+    if names and world.ambient is not None:
+        raise NlosError(
+            f"{source}: a bulk set cannot honour that {names[0]} varies under ambient light; use nlos-generate sweep"
+        )
+    if "room.albedo" in names:
+        for name, mesh in zip(survey.room_names(scene), world.room, strict=True):
+            if mesh.albedo.any() and scene.objects[name].get(roles.ROLE) != "room":
+                raise NlosError(
+                    f"{source}: a bulk set cannot honour that room.albedo varies and that of {name!r}, which is no "
+                    "surface of the room, does not; use nlos-generate sweep"
+                )
 
 
 def _first(scene: bpy.types.Scene, settings: Settings) -> PoseRecord | None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import functools
 import time
 from collections.abc import Callable, Iterable, Mapping
@@ -22,6 +23,7 @@ from generator.blender.scene import blend_file, geometry, references, replaced, 
 from generator.blender.scene.clearance import clearance
 from generator.blender.scene.description import read_scene
 from generator.blender.scene.quiet import Overrides
+from generator.blender.scene.varying import Varying
 from generator.files.pictures import COLOUR_SPACE, Picture, write_picture
 from generator.files.toml import to_dict
 from generator.model import poses
@@ -95,6 +97,7 @@ def plan(
     doubts = doubted(scene, sweep, force=force)
     for words in doubts.notes:
         tell(words)
+    Varying(scene, sweep.variations)  # raises now, and not later, if a value cannot vary
     records = placed(scene, described, sweep)
     simplify.apply(scene, sweep.leave_out)
     with renderers.opened(scene, sweep.engine, **renderers.settings(sweep)) as renderer:
@@ -208,10 +211,14 @@ def render(
         Called with the records of each finished batch.
     """
     sweep = dataset.sweep
-    with (
-        renderers.opened(scene, sweep.engine, threads=threads, **renderers.settings(sweep)) as renderer,
-        ThreadPoolExecutor(_WRITERS) as writers,
-    ):
+    opened = functools.partial(renderers.opened, scene, sweep.engine, threads=threads, **renderers.settings(sweep))
+    varying = Varying(scene, sweep.variations)
+    if sweep.variations:
+        with opened() as renderer:
+            background = _background(renderer, dataset, sweep)
+        _render_varying(dataset, varying, opened, background, batches, report)
+        return
+    with opened() as renderer, ThreadPoolExecutor(_WRITERS) as writers:
         background = _background(renderer, dataset, sweep)
         for batch in batches:
             chosen = [dataset.poses[position] for position in batch]
@@ -227,6 +234,33 @@ def render(
 
 def _write(dataset: Dataset, seconds: float, pose: PoseRecord, pixels: Picture, samples: int) -> PoseRecord:
     return dataset.write_pose(pose, pixels, seconds=seconds, samples=samples)
+
+
+def _render_varying(
+    dataset: Dataset,
+    varying: Varying,
+    opened: Callable[[], contextlib.AbstractContextManager[Renderer]],
+    background: Picture,
+    batches: Iterable[Mapping[int, int]],
+    report: Callable[[list[PoseRecord]], None],
+) -> None:
+    """Render poses in scenes that differ, each by an engine that is opened for it."""
+    sweep = dataset.sweep
+    for batch in batches:
+        written = []
+        for position, wanted in batch.items():
+            pose, samples = dataset.poses[position], (wanted or sweep.samples) if sweep.noisy else 0
+            start = time.perf_counter()
+            varying.apply(pose.values)
+            shot, own = Shot(pose.position, pose.rotation, samples, pose.seed), None
+            with opened() as renderer:
+                shared = background if sweep.paired and not sweep.own_backgrounds else None
+                [pixels] = renderer.pictures([shot], shared)
+                if sweep.own_backgrounds:  # with the pose's own noise, which then cancels
+                    own = renderer.render(samples=samples, seed=pose.seed, target=False)
+            seconds = time.perf_counter() - start
+            written.append(dataset.write_pose(pose, pixels, seconds=seconds, samples=samples, background=own))
+        report(written)
 
 
 def _background(renderer: Renderer, dataset: Dataset, sweep: Sweep) -> Picture:

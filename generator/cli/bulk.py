@@ -12,6 +12,7 @@ from generator.cli.options import (
     add_pose_options,
     add_probe_option,
     add_setting,
+    add_vary_option,
     chosen_settings,
     farm_of,
     option,
@@ -37,6 +38,7 @@ def add_parsers(commands: Commands) -> None:
     parser.add_argument("-o", "--output", type=Path, required=True, metavar="SET", help="folder of the set")
     add_setting(parser, "pictures", Settings, default="none; needed for a new set", type=int, metavar="N")
     add_pose_options(parser)
+    add_vary_option(parser)
     add_setting(parser, "accuracy", Settings, type=option(fraction), metavar="A")
     add_setting(parser, "compress", Settings)
     add_setting(parser, "unknown", Settings)

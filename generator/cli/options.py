@@ -71,6 +71,8 @@ def add_sweep_options(parser: argparse.ArgumentParser, *, frames: bool = False) 
         add_setting(parser, "poses", type=int, metavar="N")
     add_engine_options(parser, goal=not frames)
     add_pose_options(parser, inside=not frames)
+    if not frames:
+        add_vary_option(parser)
     parser.add_argument("--shard", default="0/1", metavar="i/n", help="render the i-th of n parts only (from 0)")
     add_force_option(parser)
     add_probe_option(parser)
@@ -142,6 +144,11 @@ def add_pose_options(parser: argparse.ArgumentParser, *, inside: bool = True) ->
         add_setting(parser, "inside")
     free = "15 15 90, and none for a sphere"
     add_setting(parser, "rotation", default=free, type=float, nargs=3, metavar=("X", "Y", "Z"))
+
+
+def add_vary_option(parser: argparse.ArgumentParser) -> None:
+    """Add ``--vary``."""
+    add_setting(parser, "vary", default="nothing", more="; repeatable", action="append", metavar="NAME=LOW:HIGH")
 
 
 def batch_parser() -> argparse.ArgumentParser:

@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field, replace
 from functools import partial
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,12 +17,19 @@ from generator.jobs.workers import WorkerPool, planned_notes
 from generator.model.arrays import Array
 from generator.model.errors import NlosError
 from generator.model.quantities import Progress
+from generator.model.variation import VARIABLES, value_in
 from generator.sets import links
 from generator.sets.bulk_part import Pictures
 from generator.sets.bulk_set import Bulk, check_free
 from generator.sets.resume import check_same
 from generator.sets.unknown_objects import unknown_object
 from generator.transport.caching import compiling_words
+
+if TYPE_CHECKING:
+    from generator.transport import Gains, Transport
+
+GAINS = ("target", "wall", "room", "lamp")
+"""Fields of `generator.transport.Gains`, in the order of `VARIABLES`."""
 
 
 @dataclass
@@ -145,6 +153,7 @@ class Engine:
 
         plan = bulk.plan
         self._bulk = bulk
+        self._varies = bool(bulk.plan.vary)
         self._make = partial(Transport, accuracy=plan.accuracy, threads=threads)
         self._world = bulk.world().seen_by(*plan.resolution)
         self._known = None if plan.unknown else self._make(self._world)
@@ -164,15 +173,45 @@ class Engine:
         shadows : bool
             As for `generator.transport.Transport.pictures`.
         """
+        if self._varies:
+            return self.varied(numbers, positions, rotations, shadows=shadows)[0]
+        batches = [
+            transport.pictures(positions[rows], rotations[rows], shadows=shadows)
+            for transport, rows in self._transports(numbers)
+        ]
+        return np.concatenate(batches)
+
+    def varied(
+        self, numbers: NDArray[np.int64], positions: Array, rotations: Array, *, shadows: bool = True
+    ) -> tuple[Pictures, Pictures]:
+        """Return pictures as `pictures` does, and the background of each, of a set in which something varies."""
+        batches = [
+            transport.varied(positions[rows], rotations[rows], self._gains(numbers[rows]), shadows=shadows)
+            for transport, rows in self._transports(numbers)
+        ]
+        pictures, backgrounds = (np.concatenate(parts) for parts in zip(*batches, strict=True))
+        return pictures, backgrounds
+
+    def _gains(self, numbers: NDArray[np.int64]) -> Gains:
+        """Return how much stronger lamp and reflectors are than in the set's world, picture by picture."""
+        from generator.transport import Gains
+
+        bulk, factors = self._bulk, np.ones((len(VARIABLES), len(numbers)))
+        for k, number in enumerate(numbers.tolist()):
+            index, voxel = divmod(number, bulk.grid.n_voxels)
+            for name, value in bulk.plan.values(voxel, index):
+                factors[VARIABLES.index(name), k] = value / value_in(bulk.meta["scene"], name)
+        return Gains(**dict(zip(GAINS, factors, strict=True)))
+
+    def _transports(self, numbers: NDArray[np.int64]) -> Iterator[tuple[Transport, NDArray[np.int64]]]:
+        """Yield the transport of each object, and which of some pictures it renders."""
+        everything, bulk = np.arange(len(numbers)), self._bulk
         if self._known is not None:
-            return self._known.pictures(positions, rotations, shadows=shadows)
-        bulk = self._bulk
+            yield self._known, everything
+            return
         index = numbers // bulk.grid.n_voxels
-        batches = []
-        for rows in np.split(np.arange(len(numbers)), np.flatnonzero(np.diff(index)) + 1):
+        for rows in np.split(everything, np.flatnonzero(np.diff(index)) + 1):
             number, stream = int(index[rows[0]]), bulk.plan.numbered_stream
             body = unknown_object(bulk.grid, bulk.plan.sweep, number, stream=stream)
-            world = replace(self._world, target=(body,))
-            self._last = self._make(world, like=self._last)
-            batches.append(self._last.pictures(positions[rows], rotations[rows], shadows=shadows))
-        return np.concatenate(batches)
+            self._last = self._make(replace(self._world, target=(body,)), like=self._last)
+            yield self._last, rows

@@ -7,7 +7,7 @@ do not change it.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -19,6 +19,8 @@ from generator.model.arrays import Array, Vector, rotation_matrix, rotation_rows
 from generator.model.errors import NlosError
 from generator.model.grid import VoxelGrid
 from generator.model.settings import Sweep
+from generator.model.variation import VARIABLES, Values
+from generator.model.variation import draw as draw_values
 
 Pose = tuple[Vector, Vector]
 
@@ -78,7 +80,9 @@ def plan(
             position, rotation = sampler.draw(voxel, index)
             # Position 0 belongs to the background.
             seed = noise_seed(sweep.seed, 1 + index * grid.n_voxels + voxel)
-            records.append(PoseRecord(index, voxel, label, position, rotation, seed, file=f"{label}/{index:04d}.exr"))
+            values = draw_values(sweep.variations, sweep.seed, voxel, index)
+            file = f"{label}/{index:04d}.exr"
+            records.append(PoseRecord(index, voxel, label, position, rotation, seed, file=file, values=values))
     return records
 
 
@@ -334,10 +338,13 @@ def _spread(points: Array) -> Array:
     return farthest
 
 
-PLANNED_COLUMNS = ["index", "voxel", "label", "x", "y", "z", "rx", "ry", "rz", "seed", "file"]
+_PLANNED = ("index", "voxel", "label", "x", "y", "z", "rx", "ry", "rz", "seed", "file")
+_RENDERED = ("pixel_hash", "seconds", "samples")
 
 
-POSE_COLUMNS = [*PLANNED_COLUMNS, "pixel_hash", "seconds", "samples"]
+def pose_columns(poses: Sequence[PoseRecord]) -> list[str]:
+    """Return the columns of ``poses.csv``: those of every set, and in the middle what varies in this one."""
+    return [*_PLANNED, *(name for name, _ in (poses[0].values if poses else ())), *_RENDERED]
 
 
 @dataclass(frozen=True)
@@ -364,6 +371,8 @@ class PoseRecord:
         Time spent on rendering the picture.
     samples : int
         Camera rays per pixel.
+    values : tuple of (str, float)
+        Names and values of what varies from pose to pose (`generator.model.variation`).
     """
 
     index: int
@@ -376,11 +385,24 @@ class PoseRecord:
     pixel_hash: str = ""
     seconds: float = 0.0
     samples: int = 0
+    values: Values = ()
+
+    @property
+    def background_file(self) -> str:
+        """Path of the picture without the target, relative to the data set's folder, of a set that has one a pose."""
+        return f"{self.file.removesuffix('.exr')}-background.exr"
 
     @property
     def plan(self) -> tuple[Any, ...]:
         """The planned values, without those that rendering added."""
-        return self.index, self.voxel, self.label, self.position, self.rotation, self.seed, self.file
+        return self.index, self.voxel, self.label, self.position, self.rotation, self.seed, self.file, self.values
+
+    @property
+    def planned_row(self) -> list[str]:
+        """The planned values as strings, in the manifest's order; floats keep every digit."""
+        values = [value for _, value in self.values]
+        plan = [self.index, self.voxel, self.label, *self.position, *self.rotation, self.seed, self.file, *values]
+        return [repr(float(v)) if isinstance(v, float) else str(v) for v in plan]
 
     @property
     def done(self) -> bool:
@@ -388,22 +410,22 @@ class PoseRecord:
         return bool(self.pixel_hash)
 
     def row(self) -> list[str]:
-        """Return the record as strings, in the manifest's order; floats keep every digit."""
-        plan = [self.index, self.voxel, self.label, *self.position, *self.rotation, self.seed, self.file]
+        """Return the record as strings, in the manifest's order (`pose_columns`)."""
         result = [self.pixel_hash, f"{self.seconds:.3f}", self.samples] if self.done else ["", "", ""]
-        return [repr(float(v)) if isinstance(v, float) else str(v) for v in plan] + [str(v) for v in result]
+        return [*self.planned_row, *map(str, result)]
 
     @classmethod
     def from_row(cls, row: Mapping[str, str]) -> PoseRecord:
         """Return the record of a manifest's row; ValueError or KeyError if the row is not valid."""
-        if set(row) - set(POSE_COLUMNS):
+        if set(row) - {*_PLANNED, *VARIABLES, *_RENDERED}:
             raise ValueError("it has more columns than this software writes")
         file = row["file"]
         if Path(file).is_absolute() or ".." in Path(file).parts:
             raise ValueError(f"file {file!r} lies outside the data set")
         x, y, z, rx, ry, rz = (float(row[name]) for name in ("x", "y", "z", "rx", "ry", "rz"))
-        if not all(map(math.isfinite, (x, y, z, rx, ry, rz))):
-            raise ValueError("its place or rotation is not finite")
+        values = tuple((name, float(text)) for name, text in row.items() if name in VARIABLES)
+        if not all(map(math.isfinite, (x, y, z, rx, ry, rz, *(value for _, value in values)))):
+            raise ValueError("its place, its rotation or a value is not finite")
         return cls(
             index=int(row["index"]),
             voxel=int(row["voxel"]),
@@ -415,4 +437,5 @@ class PoseRecord:
             pixel_hash=row["pixel_hash"],
             seconds=float(row["seconds"] or 0.0),
             samples=int(row["samples"] or 0),
+            values=values,
         )

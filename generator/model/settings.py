@@ -10,6 +10,7 @@ from generator.model.arrays import Vector
 from generator.model.described import check_ranges, described, documented
 from generator.model.engines import ENGINES, traits_of
 from generator.model.errors import require
+from generator.model.variation import Variation, moves_background, parse
 
 
 @documented
@@ -66,6 +67,11 @@ class Sweep:
         "(`generator.transport.left_out`) that are not modelled",
         (),
     )
+    vary: tuple[str, ...] = described(
+        "what each pose draws anew, uniformly from a range, such as target.albedo=0.3:1; so may wall.albedo, "
+        "room.albedo and spot.power (Blender's watts)",
+        (),
+    )
 
     @classmethod
     def idle(cls, engine: str) -> tuple[str, ...]:
@@ -83,11 +89,29 @@ class Sweep:
     def unused(self) -> tuple[str, ...]:
         """Settings without effect: neither the engine nor this kind of sweep (voxels or trajectory) uses them."""
         kind = ("poses", "inside") if self.frames else ("frames", "pace")
-        return (*self.idle(self.engine), *kind, *(() if self.leave_out else ("leave_out",)))
+        empty = tuple(name for name in ("leave_out", "vary") if not getattr(self, name))
+        return (*self.idle(self.engine), *kind, *empty)
+
+    @property
+    def variations(self) -> tuple[Variation, ...]:
+        """What varies from pose to pose."""
+        return parse(self.vary)
+
+    @property
+    def own_backgrounds(self) -> bool:
+        """Whether each pose has a background picture of its own, since more than the target varies."""
+        return moves_background(self.variations)
 
     def __post_init__(self) -> None:
         check_ranges(self)
         require(0.0 < self.pace < math.inf, f"pace: {self.pace:g} must be positive, metres from frame to frame")
+        variations = self.variations
+        require(not (self.frames and variations), "vary: nothing varies along a trajectory; leave it out")
+        require(
+            self.paired or not self.own_backgrounds,
+            f"vary: {', '.join(self.vary)} gives each pose a background of its own, rendered with the pose's noise; "
+            "leave out --no-paired",
+        )
 
 
 BACKGROUND_FACTOR = 16

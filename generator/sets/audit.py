@@ -19,9 +19,10 @@ from generator.files.writing import fingerprint
 from generator.model.engines import traits_of
 from generator.model.poses import PoseRecord, noise_seed
 from generator.model.quantities import NO_CHANGE
+from generator.model.variation import draw
 from generator.sets import seal
 from generator.sets.manifest import LOG, MANIFEST, PLAN, POSES, SCENE, plan_hash, scene_hash
-from generator.sets.readable import RENDER_AGAIN, rendered
+from generator.sets.readable import RENDER_AGAIN, rendered, values_text
 
 if TYPE_CHECKING:
     from generator.sets.dataset import Dataset
@@ -59,6 +60,8 @@ def changed(dataset: Dataset) -> Iterator[str]:
             yield f"{path / name}: {seen.fault}; {RENDER_AGAIN}"
     if holds:  # else it is unknown which files belong to the set
         planned = {pose.file for pose in dataset.poses}
+        if dataset.own_backgrounds:
+            planned |= {pose.background_file for pose in dataset.poses}
         yield from foreign(path, {MANIFEST, POSES, SCENE, LOG, PLAN, *dataset.background_names, *planned})
 
 
@@ -131,6 +134,7 @@ def plan_faults(dataset: Dataset) -> Iterator[tuple[int, str]]:
         Description of the fault.
     """
     sweep, grid = dataset.sweep, dataset.grid
+    variations = sweep.variations
     wanted = sweep.frames or sweep.poses * grid.n_voxels
     if len(dataset.poses) != wanted:
         yield 0, f"holds {len(dataset.poses)} poses where the sweep has {wanted}"
@@ -153,11 +157,20 @@ def plan_faults(dataset: Dataset) -> Iterator[tuple[int, str]]:
     rows = zip(indices.tolist(), voxels.tolist(), inside.tolist(), turned.tolist(), seeds.tolist(), strict=True)
     for line, (pose, (index, voxel, held, within, seed)) in enumerate(zip(dataset.poses, rows, strict=True), start=2):
         file = f"frames/{index:05d}.exr" if sweep.frames else f"{labels[voxel]}/{index:04d}.exr"
-        planned = {"index": index, "voxel": voxel, "label": labels[voxel], "seed": seed, "file": file}
+        values = draw(variations, sweep.seed, voxel, index)
+        planned = {
+            "index": index,
+            "voxel": voxel,
+            "label": labels[voxel],
+            "seed": seed,
+            "file": file,
+            "values": values,
+        }
         actual = {name: getattr(pose, name) for name in planned}
         if actual != planned:
             name = next(name for name in planned if actual[name] != planned[name])
-            yield line, f"{name} is {actual[name]} in place of {planned[name]}"
+            shown = [values_text(v[name]) if name == "values" else v[name] for v in (actual, planned)]
+            yield line, f"{name} is {shown[0]} in place of {shown[1]}"
         elif not held:
             yield line, f"its position lies outside voxel {pose.label}"
         elif not within:
@@ -189,7 +202,7 @@ def faults(dataset: Dataset) -> list[str]:
         if faulty_file == POSES:
             lines.setdefault(line, words)
         elif words:
-            pictures.append(f"{path / pose.file}: {words}")
+            pictures.append(f"{path / faulty_file}: {words}")
     if not (holds or lines):
         lines[0] = _NOT_PLANNED
     for line, words in sorted(lines.items()):
@@ -208,7 +221,7 @@ def _background_fault(dataset: Dataset, name: str) -> str:
 
 
 def _picture_fault(dataset: Dataset, pose: PoseRecord, *, holds: bool) -> tuple[str, str]:
-    """Return the file that is at fault for a picture, its own or the plan's, and what is wrong, if anything."""
+    """Return the file at fault for a picture (it, its background or the plan), and what is wrong, if anything."""
     seen = dataset.see(pose)
     if not pose.done:
         sound = seen.pixels is not None and not seen.fault
@@ -225,10 +238,18 @@ def _picture_fault(dataset: Dataset, pose: PoseRecord, *, holds: bool) -> tuple[
         return POSES, f"its pixel_hash is not that of {pose.file}"
     if (actual.seconds, actual.samples) != (pose.seconds, pose.samples):
         return POSES, f"its seconds and samples are not those that {pose.file} tells"
+    if dataset.own_backgrounds:
+        pixels, words = dataset.see_background_of(pose, seen)
+        if pixels is None:
+            words = "missing or broken; run the sweep again to render it"
+        elif not words and np.array_equal(pixels, seen.pixels):
+            words = f"equals {pose.file} to the bit: {_nothing(dataset)}"
+        if words:
+            return pose.background_file, words
     return "", ""
 
 
-_OF_POSE = ("label", "index", "seed", "position", "rotation")
+_OF_POSE = ("label", "index", "seed", "position", "rotation", "values")
 
 
 def alike(dataset: Dataset) -> list[str]:

@@ -45,22 +45,16 @@ class Master:
 
     def _describe(self, file: Any) -> None:
         layout = self.layout
-        columns = {
-            "pictures": (layout.picture_shape, "<f4", np.nan),
-            "position": ((3,), "<f8", np.nan),
-            "rotation": ((3,), "<f8", np.nan),
-            "voxel": ((), "<i8", -1),
-            "index": ((), "<i8", -1),
-        }
+        columns = {**dict.fromkeys(layout.images, (layout.picture_shape, "<f4")), **layout.columns}
         # A part that is removed later reads as the fill value: NaN, which cannot be mistaken for a picture.
-        for name, (shape, dtype, fill) in columns.items():
+        for name, (shape, dtype) in columns.items():
             table = h5py.VirtualLayout((layout.plan.pictures, *shape), dtype)
             for number in range(layout.parts):
                 rows = layout.part_range(number)
                 source = h5py.VirtualSource(layout.part_path(number).name, name, (len(rows), *shape), dtype)
                 table[rows.start : rows.stop] = source
-            file.create_virtual_dataset(name, table, fillvalue=fill)
-        describe_file(file)
+            file.create_virtual_dataset(name, table, fillvalue=-1 if np.dtype(dtype).kind == "i" else np.nan)
+        describe_file(file, layout.plan.vary)
         file["background"] = self.background
         file["background"].attrs["units"] = "W/m^2/sr"
         file.create_dataset("label", data=layout.grid.labels, dtype=h5py.string_dtype())

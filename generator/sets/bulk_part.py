@@ -20,7 +20,6 @@ from generator.model.quantities import NO_CHANGE
 from generator.sets.bulk_settings import Layout
 from generator.sets.hdf5 import VERSIONS, describe_file, short_size, write_image
 
-COLUMNS = ("position", "rotation", "voxel", "index")
 PART_FORMAT = 1
 
 _SMALL = 2**24
@@ -38,6 +37,9 @@ class Renderer(Protocol):
 
         Positions (n, 3) are in metres, rotations (n, 3) in degrees.
         """
+
+    def varied(self, numbers: NDArray[np.int64], positions: Array, rotations: Array) -> tuple[Pictures, Pictures]:
+        """Return pictures as `pictures` does, and the background of each, where more than the target varies."""
 
 
 class Part:
@@ -112,15 +114,15 @@ class Part:
             if fingerprint_there != layout.fingerprint or number_there != self._number:
                 raise ValueError("is of another set")
             claimed = 0
-            for name in ("pictures", *COLUMNS):
+            for name in (*layout.images, *layout.columns):
                 if not isinstance(file.get(name, getlink=True), h5py.HardLink):
                     raise ValueError(f"has no {name} of its own")
                 if file[name].external or file[name].is_virtual:  # HDF5 would read any file that is named there
                     raise ValueError(f"keeps {name} in another file, which is not followed")
-                inner = layout.picture_shape if name == "pictures" else (3,) if name in COLUMNS[:2] else ()
+                inner, dtype = layout.columns.get(name, (layout.picture_shape, "<f4"))
                 if file[name].shape != (count, *inner):
                     raise ValueError(f"holds {name} of shape {file[name].shape}, not {(count, *inner)}")
-                if file[name].dtype.kind != ("i" if name in COLUMNS[2:] else "f"):
+                if file[name].dtype.kind != np.dtype(dtype).kind:
                     raise ValueError(f"holds {name} as {file[name].dtype}")
                 claimed += file[name].nbytes
             if exceeds_limit(claimed, path.stat().st_size):
@@ -149,6 +151,7 @@ class Part:
         poses = [draw(v, i) for v, i in zip(voxel.tolist(), index.tolist(), strict=True)]
         position = np.array([p for p, _ in poses], dtype=np.float64)
         rotation = np.array([r for _, r in poses], dtype=np.float64)
+        columns = {"position": position, "rotation": rotation, "voxel": voxel, "index": index, **self._values()}
         digest = hashlib.sha256()
         batch = max(1, min(1024, _BATCH // plan.picture_bytes(3)))
         chunk = min(plan.chunk(layout.channels), len(numbers))
@@ -156,22 +159,35 @@ class Part:
         with h5py.File(f"part {self._number}", "w", driver="core", backing_store=False, libver=VERSIONS) as file:
             packed = {"compression": "gzip", "compression_opts": 1, "shuffle": True} if plan.compress else {}
             shape = (len(numbers), *layout.picture_shape)
-            pictures = file.create_dataset("pictures", shape, "<f4", chunks=(chunk, *layout.picture_shape), **packed)
+            images = [
+                file.create_dataset(name, shape, "<f4", chunks=(chunk, *layout.picture_shape), **packed)
+                for name in layout.images
+            ]
             for start in range(0, len(numbers), batch):
                 rows = slice(start, start + batch)
-                rendered = renderer.pictures(numbers[rows], position[rows], rotation[rows])
-                rendered = self._checked(rendered, numbers[rows])
-                digest.update(rendered.tobytes())
-                pictures[rows] = rendered
-            for name, column in zip(COLUMNS, (position, rotation, voxel, index), strict=True):
+                posed = (numbers[rows], position[rows], rotation[rows])
+                rendered = renderer.varied(*posed) if len(images) > 1 else (renderer.pictures(*posed),)
+                for image, made in zip(images, rendered, strict=True):
+                    checked = self._checked(made, numbers[rows])
+                    digest.update(checked.tobytes())
+                    image[rows] = checked
+            for name, column in columns.items():
                 file.create_dataset(name, data=column, dtype=column.dtype.newbyteorder("<"))
                 digest.update(file[name][()].tobytes())
-            describe_file(file)
+            describe_file(file, layout.plan.vary)
             file.attrs.update(
                 format=PART_FORMAT, fingerprint=layout.fingerprint, part=self._number, first=int(numbers[0])
             )
             file.attrs["sha256"] = digest.hexdigest()
             write_image(self.path, file)
+
+    def _values(self) -> dict[str, Array]:
+        """Return the column of what varies from pose to pose, (n, variations), if anything does."""
+        plan, (_, voxel, index) = self._layout.plan, self._columns()
+        if not plan.vary:
+            return {}
+        drawn = [plan.values(v, i) for v, i in zip(voxel.tolist(), index.tolist(), strict=True)]
+        return {"values": np.array([[value for _, value in values] for values in drawn])}
 
     def _checked(self, made: Pictures, numbers: NDArray[np.int64]) -> NDArray[Any]:
         """Return pictures as they are stored; raise NlosError if they are not valid."""
@@ -200,15 +216,18 @@ class Part:
         try:
             with file:
                 for start in range(0, len(numbers), batch):
-                    pictures = np.ascontiguousarray(file["pictures"][start : start + batch], dtype="<f4")
-                    finite &= bool(np.isfinite(pictures).all())
-                    digest.update(pictures.tobytes())
+                    rows = slice(start, start + batch)
+                    images = [np.ascontiguousarray(file[name][rows], dtype="<f4") for name in layout.images]
+                    for image in images:
+                        finite &= bool(np.isfinite(image).all())
+                        digest.update(image.tobytes())
                     if alike:
-                        alike.look(numbers[start : start + batch], pictures)
-                for name in COLUMNS:
+                        alike.look(numbers[rows], *images)
+                for name in layout.columns:
                     digest.update(file[name][()].tobytes())
                 in_order = np.array_equal(file["voxel"][()], voxels)
                 in_order &= np.array_equal(file["index"][()], indices)
+                drawn = all(np.array_equal(file[name][()], column) for name, column in self._values().items())
                 placed = self._stand_right(file["position"][()], file["rotation"][()], voxels)
                 with limited(MUCH):
                     recorded = str(file.attrs.get("sha256"))
@@ -220,6 +239,8 @@ class Part:
             return f"{path}: holds NaN or infinite pixels"
         if not in_order:
             return f"{path}: its voxels and indices are not those of this part"
+        if not drawn:
+            return f"{path}: its values are not those that the seed draws"
         return "" if placed else f"{path}: its poses are not in their voxels, or turned by more than the set allows"
 
     def _stand_right(self, positions: Array, rotations: Array, voxels: NDArray[np.int64]) -> bool:
@@ -251,10 +272,11 @@ class Alike:
         grey = background if layout.channels == 3 else background[..., 0]
         self._background = np.ascontiguousarray(grey, dtype="<f4").tobytes()
 
-    def look(self, numbers: NDArray[np.int64], pictures: Pictures) -> None:
-        """Compare pictures with the background and with those before."""
-        for number, picture in zip(numbers.tolist(), pictures, strict=True):
-            if (data := picture.tobytes()) == self._background:
+    def look(self, numbers: NDArray[np.int64], pictures: Pictures, backgrounds: Pictures | None = None) -> None:
+        """Compare pictures with the background, or with one each, and with those before."""
+        for k, (number, picture) in enumerate(zip(numbers.tolist(), pictures, strict=True)):
+            background = self._background if backgrounds is None else backgrounds[k].tobytes()
+            if (data := picture.tobytes()) == background:
                 self._empty.append(number)
                 continue
             digest = hashlib.blake2b(data, digest_size=16).digest()

@@ -18,6 +18,8 @@ are spread evenly over the voxels. Poses follow from the seed, but are not those
     rotation    (n, 3) float64, degrees about x, then y, then z
     voxel       (n,) int64
     index       (n,) int64, of the pose within its voxel
+    values      (n, variations) float64, what varies from pose to pose, if anything does
+    backgrounds as pictures, without the hidden object, where more than the target varies
 
 A part is put in place by rename when it is whole, so a killed run loses only the parts in progress, and a shard needs
 nothing but the folder.
@@ -49,7 +51,7 @@ from generator.model.grid import VoxelGrid
 from generator.model.quantities import Progress
 from generator.sets import audit, seal
 from generator.sets.bulk_master import Master
-from generator.sets.bulk_part import COLUMNS, Alike, Part
+from generator.sets.bulk_part import Alike, Part
 from generator.sets.bulk_settings import Layout, Settings
 from generator.sets.hdf5 import OPENED, Rows
 from generator.sets.manifest import BACKGROUND, SCENE, check_meta, check_no_set
@@ -57,8 +59,9 @@ from generator.sets.readable import as_read
 from generator.transport.world import World
 from generator.transport.world_file import load_world, save_world, world_hash
 
-FORMAT = 3
-"""Format 1 had no seal; up to format 2, the seed drew the poses of a sweep."""
+FORMAT = 4
+"""Format 1 had no seal; up to format 2, the seed drew the poses of a sweep; up to format 3, nothing varied from pose
+to pose. A set in which nothing does is written as 3, so that older versions read it."""
 MANIFEST = "bulk.toml"
 WORLD = "world.npz"
 MASTER = "set.h5"
@@ -182,13 +185,13 @@ class Bulk:
         """
         channels = 1 if is_grey(world) else 3
         settings = {
-            **to_dict(plan.with_part(channels)),
+            **{name: value for name, value in to_dict(plan.with_part(channels)).items() if name != "vary" or value},
             "engine": "surfel",
             "scene_sha256": scene_sha256,
             "world_sha256": world_hash(world),
         }
         full = {
-            "format": FORMAT,
+            "format": FORMAT if plan.vary else FORMAT - 1,
             "fingerprint": fingerprint(settings),
             "channels": channels,
             **meta,
@@ -315,6 +318,13 @@ class Bulk:
         return np.asarray(Rows(self, "rotation", (3,), np.dtype(np.float64)))
 
     @property
+    def backgrounds(self) -> Rows | None:
+        """The background of each picture, read as `pictures` are; None where all have the same, `background`."""
+        if not self.plan.sweep.own_backgrounds:
+            return None
+        return Rows(self, "backgrounds", self.picture_shape, np.dtype(np.float32))
+
+    @property
     def voxels(self) -> NDArray[np.int64]:
         """Number of the voxel that the target stands in, (n,)."""
         return np.arange(self.planned) % self.grid.n_voxels
@@ -366,7 +376,8 @@ class Bulk:
         datasets = self._opened.pop(key, None)
         if datasets is None:
             file = self.part(number).open()
-            datasets = {"file": file} | {column: file[column] for column in ("pictures", *COLUMNS)}
+            names = (*self.layout.images, *self.layout.columns)
+            datasets = {"file": file} | {each: file[each] for each in names}
         self._opened[key] = datasets  # the last used comes last
         if len(self._opened) > OPENED:
             del self._opened[next(iter(self._opened))]

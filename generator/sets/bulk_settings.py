@@ -12,6 +12,7 @@ from generator.model.described import borrowed, check_ranges, described, documen
 from generator.model.errors import NlosError
 from generator.model.grid import VoxelGrid
 from generator.model.settings import Sweep
+from generator.model.variation import Values, draw
 
 _CHUNK = 64 * 1024
 _PART = 64 * 1024**2
@@ -46,12 +47,17 @@ class Settings:
         "pose and never to test what was trained on them",
         "sweep",  # of sets of older versions, which do not say
     )
+    vary: tuple[str, ...] = borrowed(Sweep, "vary")
 
     def __post_init__(self) -> None:
         check_ranges(self)
         if self.part < 0:
             raise NlosError(f"part: {self.part} must be 1 or more, or 0 to choose")
-        self.sweep  # noqa: B018 (raises what a sweep raises)
+        names = [variation.name for variation in self.sweep.variations]  # raises what a sweep raises
+        if self.unknown and "target.albedo" in names:
+            raise NlosError(
+                "vary: target.albedo is drawn for every unknown object already; leave it or --unknown out"
+            )
 
     @property
     def numbered_stream(self) -> int:
@@ -61,7 +67,12 @@ class Settings:
     @property
     def sweep(self) -> Sweep:
         """Settings of the poses; `numbered_stream` says which are drawn."""
-        return Sweep(seed=self.seed, resolution=self.resolution, inside=self.inside, rotation=self.rotation)
+        names = ("seed", "resolution", "inside", "rotation", "vary")
+        return Sweep(**{name: getattr(self, name) for name in names})
+
+    def values(self, voxel: int, index: int) -> Values:
+        """Return what varies at a pose."""
+        return draw(self.sweep.variations, self.seed, voxel, index, stream=self.numbered_stream)
 
     def chunk(self, channels: int) -> int:
         """Pictures per HDF5 chunk, which is read whole from disk for any of its pictures: about 64 KiB."""
@@ -111,6 +122,23 @@ class Layout:
     def parts(self) -> int:
         """Number of parts of the finished set."""
         return math.ceil(self.plan.pictures / self.plan.part)
+
+    @property
+    def images(self) -> tuple[str, ...]:
+        """Names of the datasets that hold pictures: there are backgrounds where more than the target varies."""
+        return ("pictures", "backgrounds") if self.plan.sweep.own_backgrounds else ("pictures",)
+
+    @property
+    def columns(self) -> dict[str, tuple[tuple[int, ...], str]]:
+        """The other datasets: shape of a row, and type."""
+        varying = len(self.plan.vary)
+        return {
+            "position": ((3,), "<f8"),
+            "rotation": ((3,), "<f8"),
+            "voxel": ((), "<i8"),
+            "index": ((), "<i8"),
+            **({"values": ((varying,), "<f8")} if varying else {}),
+        }
 
     @property
     def picture_shape(self) -> tuple[int, ...]:

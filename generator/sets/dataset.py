@@ -7,6 +7,7 @@ A data set is a folder::
     background.exr      no hidden object; background-ambient.exr too where ambient light is on
     poses.csv           one row per planned pose; file, hash, seconds and samples once it is rendered
     A/0000.exr ...      one float32 picture per pose, in a folder per voxel
+    A/0000-background.exr ...   its own background, where more than the target varies from pose to pose
 
 Each picture carries its pose, its pixels' hash and the fingerprint of its sweep in its header, so workers need no
 common file: a picture that was put in place by rename is done, and the manifest is gathered from the pictures.
@@ -29,7 +30,7 @@ from generator.files.toml import dump_toml, from_dict, read_toml
 from generator.files.writing import HOST, csv_text, file_hash, fingerprint, is_alive, write_text
 from generator.model.errors import NlosError
 from generator.model.grid import VoxelGrid
-from generator.model.poses import POSE_COLUMNS, PoseRecord
+from generator.model.poses import PoseRecord, pose_columns
 from generator.model.settings import Sweep
 from generator.sets import audit, seal
 from generator.sets.manifest import (
@@ -45,7 +46,7 @@ from generator.sets.manifest import (
     plan_hash,
     read_poses,
 )
-from generator.sets.readable import RENDER_AGAIN, Seen, as_read, rendered, vector_text
+from generator.sets.readable import RENDER_AGAIN, Seen, as_read, rendered, values_text, vector_text
 
 
 class Dataset:
@@ -125,7 +126,8 @@ class Dataset:
             The folder holds something else, or cannot be written.
         """
         check_no_set(path)
-        full = {"format": FORMAT, "fingerprint": fingerprint(meta["sweep"]), **meta}
+        version = FORMAT if meta["sweep"].get("vary") else FORMAT - 1
+        full = {"format": version, "fingerprint": fingerprint(meta["sweep"]), **meta}
         plain = as_read(full)
         hashes = {"poses": plan_hash(poses)}
         if (path / SCENE).is_file():
@@ -195,6 +197,11 @@ class Dataset:
         """Number of poses of the sweep."""
         return len(self.poses)
 
+    @property
+    def own_backgrounds(self) -> bool:
+        """Whether each picture has a background of its own, since more than the target varies."""
+        return self.sweep.own_backgrounds
+
     def background(self) -> Picture:
         """Return the picture without the hidden object, (height, width, 3), ambient light included where it is on.
 
@@ -204,6 +211,21 @@ class Dataset:
             The picture is missing, broken, or another one.
         """
         return self._background(self.background_names[-1])
+
+    def background_of(self, record: PoseRecord) -> Picture:
+        """Return the background of a pose's picture: its own, or `background` where all have the same.
+
+        Raises
+        ------
+        NlosError
+            The picture is missing, broken, or another one.
+        """
+        if not self.own_backgrounds:
+            return self.background()
+        pixels, fault = self.see_background_of(record, self.see(record))
+        if pixels is None or fault:
+            raise NlosError(f"{self.path / record.background_file}: {fault}; {RENDER_AGAIN}")
+        return pixels
 
     def ambient_background(self) -> Picture | None:
         """Return what ambient light alone adds to the background, (height, width, 3); None where it is off."""
@@ -235,9 +257,17 @@ class Dataset:
             raise NlosError(f"{self.path / record.file}: {seen.fault}; {RENDER_AGAIN}")
         return seen.pixels
 
-    def write_pose(self, pose: PoseRecord, pixels: Picture, *, seconds: float, samples: int) -> PoseRecord:
-        """Write a pose's picture and return its finished record; the manifest is left to `gather`."""
+    def write_pose(
+        self, pose: PoseRecord, pixels: Picture, *, seconds: float, samples: int, background: Picture | None = None
+    ) -> PoseRecord:
+        """Write a pose's picture and return its finished record; the manifest is left to `gather`.
+
+        The picture's header holds the hash of its own background, if it has one, which is written first.
+        """
         header = {**self._identity(pose), "seconds": f"{seconds:.3f}", "samples": str(samples)}
+        if background is not None:
+            of_pose = {**self._identity(pose), "background": pose.background_file}
+            header["background_hash"] = write_picture(self.path / pose.background_file, background, of_pose)
         digest = write_picture(self.path / pose.file, pixels, header)
         return replace(pose, pixel_hash=digest, seconds=round(seconds, 3), samples=samples)
 
@@ -280,11 +310,20 @@ class Dataset:
             "seed": str(pose.seed),
             "position": vector_text(pose.position),
             "rotation": vector_text(pose.rotation),
+            **({"values": values_text(pose.values)} if pose.values else {}),
         }
 
     def see(self, pose: PoseRecord) -> Seen:
         """Read a pose's picture on disk, and find how it differs from the expected one."""
         return self._see(self.path / pose.file, self._identity(pose), unlike="background")
+
+    def see_background_of(self, pose: PoseRecord, picture: Seen) -> tuple[Picture | None, str]:
+        """Read the own background of a pose, whose picture was seen; return it, if it is whole, and what is wrong."""
+        expected = {**self._identity(pose), "background": pose.background_file}
+        seen = self._see(self.path / pose.background_file, expected, unlike="")
+        if seen.pixels is not None and not seen.fault and seen.digest != picture.header.get("background_hash"):
+            return seen.pixels, f"is not the background that {pose.file} was rendered with"
+        return seen.pixels, seen.fault
 
     def _see(self, path: Path, expected: Mapping[str, str], *, unlike: str) -> Seen:
         """Read and check a picture; ``unlike`` is an attribute that pictures of the other kind have."""
@@ -328,6 +367,12 @@ class Dataset:
             return replace(pose, pixel_hash="", seconds=0.0, samples=0)
         if seen.fault:
             raise NlosError(f"{self.path / pose.file}: {seen.fault}; {RENDER_AGAIN}")
+        if self.own_backgrounds:
+            pixels, fault = self.see_background_of(pose, seen)
+            if pixels is None:
+                return replace(pose, pixel_hash="", seconds=0.0, samples=0)
+            if fault:
+                raise NlosError(f"{self.path / pose.background_file}: {fault}; {RENDER_AGAIN}")
         return rendered(pose, seen)
 
     def gather(self, some: Collection[int] | None = None) -> list[PoseRecord]:
@@ -357,7 +402,7 @@ class Dataset:
 
     def write_manifest(self) -> None:
         """Write ``poses.csv`` by temporary name and rename."""
-        write_text(self.path / POSES, csv_text(POSE_COLUMNS, (pose.row() for pose in self.poses)))
+        write_text(self.path / POSES, csv_text(pose_columns(self.poses), (pose.row() for pose in self.poses)))
 
     def _read_again(self) -> list[PoseRecord]:
         """Read ``poses.csv``, to which other shards may have added the poses that they rendered."""

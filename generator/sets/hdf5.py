@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any, Protocol
 
@@ -18,6 +19,8 @@ _ABOUT = {
     "rotation": {"units": "degrees", "about": "about x, then y, then z"},
     "voxel": {"about": "where the target stands; x runs fastest, then y, then z"},
     "index": {"about": "of the pose within its voxel"},
+    "backgrounds": {"units": "W/m^2/sr", "about": "the same without the hidden object"},
+    "values": {"about": "what varies from pose to pose, a column for each of its attribute vary"},
 }
 
 
@@ -124,10 +127,13 @@ class Rows:
         return numbers
 
 
-def describe_file(file: Any) -> None:
+def describe_file(file: Any, vary: Sequence[str]) -> None:
     """Write units and meaning of a part's datasets into their attributes."""
     for name, attributes in _ABOUT.items():
-        file[name].attrs.update(attributes)
+        if name in file:
+            file[name].attrs.update(attributes)
+    if vary:
+        file["values"].attrs["vary"] = list(vary)
 
 
 def write_image(path: Path, file: Any) -> None:

@@ -12,10 +12,11 @@ from typing import Any
 
 from generator.files.writing import file_hash
 from generator.model.errors import NlosError
-from generator.model.poses import PLANNED_COLUMNS, PoseRecord
+from generator.model.poses import PoseRecord
 
-FORMAT = 2
-"""Format 1 had no seal."""
+FORMAT = 3
+"""Format 1 had no seal; up to format 2, nothing varied from pose to pose. A set in which nothing does is written as
+2, so that older versions read it."""
 
 
 MANIFEST = "dataset.toml"
@@ -44,10 +45,10 @@ NEWER_ATTRIBUTES = ("background", "colour_space")
 
 
 def plan_hash(poses: Iterable[PoseRecord]) -> str:
-    """Return the SHA-256 of what ``poses.csv`` says was planned: all its columns up to ``file``."""
+    """Return the SHA-256 of what ``poses.csv`` says was planned: all its columns before ``pixel_hash``."""
     digest = hashlib.sha256()
     for pose in poses:
-        digest.update((",".join(pose.row()[: len(PLANNED_COLUMNS)]) + "\n").encode())
+        digest.update((",".join(pose.planned_row) + "\n").encode())
     return digest.hexdigest()
 
 

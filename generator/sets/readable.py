@@ -14,6 +14,7 @@ from generator.model.arrays import Vector
 from generator.model.errors import NlosError
 from generator.model.grid import VoxelGrid
 from generator.model.poses import PoseRecord
+from generator.model.variation import Values
 
 
 class PictureSet(Protocol):
@@ -55,8 +56,15 @@ class PictureSet(Protocol):
     def records(self) -> list[PoseRecord]:
         """The poses whose pictures exist."""
 
+    @property
+    def own_backgrounds(self) -> bool:
+        """Whether each picture has a background of its own, since more than the target varies."""
+
     def background(self) -> Picture:
         """Return the picture without the hidden object, (height, width, 3), W/m^2/sr."""
+
+    def background_of(self, record: PoseRecord) -> Picture:
+        """Return the background of a pose's picture: its own, or `background` where all have the same."""
 
     def ambient_background(self) -> Picture | None:
         """Return what ambient light alone adds to the background, or None where it is off."""
@@ -107,6 +115,11 @@ def rendered(pose: PoseRecord, seen: Seen) -> PoseRecord:
     except ValueError:
         seconds, samples = 0.0, 0
     return replace(pose, pixel_hash=seen.digest, seconds=seconds, samples=samples)
+
+
+def values_text(values: Values) -> str:
+    """Return what varies, and its values with all digits, as text for an attribute of a picture."""
+    return " ".join(f"{name}={value!r}" for name, value in values)
 
 
 def vector_text(vector: Vector) -> str:

@@ -15,6 +15,7 @@ from generator.model.grid import VoxelGrid
 from generator.model.poses import PoseRecord
 from generator.sets.bulk_set import Bulk
 from generator.sets.dataset import Dataset
+from generator.sets.hdf5 import Rows
 from generator.sets.readable import PictureSet
 
 
@@ -95,13 +96,24 @@ class SimulatedSet:
         poses = zip(self._bulk.positions[: self._count], self._bulk.rotations[: self._count], strict=True)
         for number, (position, rotation) in enumerate(poses):
             index, voxel = divmod(number, n)
-            file = f"{labels[voxel]}/{index:04d}"
-            records.append(PoseRecord(index, voxel, labels[voxel], tuple(position), tuple(rotation), 0, file=file))
+            pose, file = (tuple(position), tuple(rotation)), f"{labels[voxel]}/{index:04d}"
+            values = self._bulk.plan.values(voxel, index)
+            records.append(PoseRecord(index, voxel, labels[voxel], *pose, 0, file=file, values=values))
         return records
+
+    @property
+    def own_backgrounds(self) -> bool:
+        """Whether each picture has a background of its own, since more than the target varies."""
+        return self._bulk.backgrounds is not None
 
     def background(self) -> Picture:
         """Return the picture without the hidden object, (height, width, 3), W/m^2/sr."""
         return self._bulk.background
+
+    def background_of(self, record: PoseRecord) -> Picture:
+        """Return the background of a pose's picture: its own, or `background` where all have the same."""
+        backgrounds = self._bulk.backgrounds
+        return self.background() if backgrounds is None else self._read(backgrounds, record)
 
     def ambient_background(self) -> Picture | None:
         """Return what ambient light alone adds to the background, (height, width, 3); None where it is off."""
@@ -115,7 +127,10 @@ class SimulatedSet:
 
     def picture(self, record: PoseRecord) -> Picture:
         """Return a pose's picture, (height, width, 3), W/m^2/sr."""
-        pixels = self._bulk.pictures[record.index * self.grid.n_voxels + record.voxel]
+        return self._read(self._bulk.pictures, record)
+
+    def _read(self, rows: Rows, record: PoseRecord) -> Picture:
+        pixels = rows[record.index * self.grid.n_voxels + record.voxel]
         return pixels if pixels.ndim == 3 else np.repeat(pixels[..., None], 3, axis=2)
 
 

@@ -7,14 +7,14 @@ from typing import TYPE_CHECKING, Any
 from generator.transport.world import AmbientLight, LitPatch, Mesh, Sphere, Watched, World
 
 if TYPE_CHECKING:
-    from generator.transport.render import Rendered, Transport
+    from generator.transport.render import Gains, Rendered, Transport
 
-__all__ = ["AmbientLight", "LitPatch", "Mesh", "Rendered", "Sphere", "Transport", "Watched", "World"]
+__all__ = ["AmbientLight", "Gains", "LitPatch", "Mesh", "Rendered", "Sphere", "Transport", "Watched", "World"]
 
 
 def __getattr__(name: str) -> Any:
     # Code that only reads worlds and data sets does not need the compiler, which takes a second to load.
-    if name in ("Rendered", "Transport"):
+    if name in ("Gains", "Rendered", "Transport"):
         from generator.transport import render
 
         return getattr(render, name)

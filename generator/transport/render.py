@@ -59,6 +59,25 @@ class Rendered:
     report: dict[str, Any]
 
 
+@dataclass(frozen=True)
+class Gains:
+    """Factors on a world's reflectivities and lamp, one a picture; each of shape (n,).
+
+    With at most three reflections and no ambient light, radiance is a product of these along each path: lamp and wall
+    (order 1), or lamp, wall, target or room, and wall again (order 3).
+
+    Attributes
+    ----------
+    target, wall, room, lamp : ndarray of shape (n,)
+        On the albedo of the target, of the relay wall and of all other surfaces, and on the lamp's intensity.
+    """
+
+    target: Array
+    wall: Array
+    room: Array
+    lamp: Array
+
+
 class Transport:
     """Pictures of the relay wall after three diffuse reflections, to a relative accuracy.
 
@@ -224,6 +243,44 @@ class Transport:
         else:
             draw_batches(0, len(starts))
         return images
+
+    def varied(
+        self, positions: Any, rotations: Any, gains: Gains, *, shadows: bool = True
+    ) -> tuple[Picture, Picture]:
+        """Return pictures of many poses in worlds that differ by `Gains`, and the background of each.
+
+        Parameters
+        ----------
+        positions, rotations, shadows
+            As for `pictures`.
+        gains : Gains
+
+        Returns
+        -------
+        pictures, backgrounds : ndarray of shape (n, height, width, 3), float32
+            Radiance, W/m^2/sr.
+
+        Raises
+        ------
+        NlosError
+            In the same cases as `render`; or there is ambient light, whose paths the gains do not describe.
+        """
+        if self._ambient is not None:
+            raise NlosError("gains: describe no ambient light; make a world and a Transport for each picture")
+        places, turns = np.asarray(positions, float).reshape(-1, 3), np.asarray(rotations, float).reshape(-1, 3)
+        width, height = self.world.watched.resolution
+        pictures, backgrounds = np.empty((2, len(places), height, width, 3), dtype=np.float32)
+        direct = self._directly_lit()
+        indirect = self.background() - direct
+        for start in range(0, len(places), _BATCH):
+            rows = slice(start, start + _BATCH)
+            added, hidden, _ = self._render(places[rows], turns[rows], False, shadows)
+            for k, (light, shade) in enumerate(zip(added[:, :, 0], hidden[:, :, 0], strict=True), start=start):
+                once, thrice = gains.lamp[k] * gains.wall[k], gains.lamp[k] * gains.wall[k] ** 2
+                empty = once * direct + thrice * gains.room[k] * indirect
+                change = gains.target[k] * self._colour(light) - gains.room[k] * self._colour(shade)
+                backgrounds[k], pictures[k] = empty, empty + thrice * change
+        return pictures, backgrounds
 
     def _coloured(self, made: Picture, positions: Floats, rotations: Floats, shadows: bool) -> None:
         """Write the pictures of some poses."""

@@ -160,15 +160,7 @@ def _paint(obj: bpy.types.Object) -> None:
 
 def _make_plain(material: bpy.types.Material) -> None:
     """Make a material a Lambertian reflector of about its own colour."""
-    colour = _colour(material)
-    if not nodes.uses_nodes(material):
-        material.use_nodes = True
-    tree = material.node_tree
-    tree.nodes.clear()
-    shader, output = tree.nodes.new("ShaderNodeBsdfDiffuse"), tree.nodes.new("ShaderNodeOutputMaterial")
-    shader.inputs["Roughness"].default_value = 0.0
-    shader.inputs["Color"].default_value = (*colour, 1.0)
-    tree.links.new(shader.outputs["BSDF"], output.inputs["Surface"])
+    materials.make_lambertian(material, _colour(material))
 
 
 def _colour(material: bpy.types.Material) -> tuple[float, ...]:

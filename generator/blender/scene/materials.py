@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import Any
 
 import bpy
@@ -22,6 +23,19 @@ def diffuse_colour(obj: bpy.types.Object) -> tuple[float, float, float] | None:
     if len(materials) != 1 or None in materials:
         return None
     return nodes.diffuse(next(iter(materials)))
+
+
+def make_lambertian(material: Any, colour: Sequence[float]) -> Any:
+    """Make a material a Lambertian reflector of an RGB albedo; return the socket that holds it."""
+    if not nodes.uses_nodes(material):
+        material.use_nodes = True
+    tree = material.node_tree
+    tree.nodes.clear()
+    shader, output = tree.nodes.new("ShaderNodeBsdfDiffuse"), tree.nodes.new("ShaderNodeOutputMaterial")
+    shader.inputs["Roughness"].default_value = 0.0
+    shader.inputs["Color"].default_value = (*colour, 1.0)
+    tree.links.new(shader.outputs["BSDF"], output.inputs["Surface"])
+    return shader.inputs["Color"]
 
 
 def ambient(scene: bpy.types.Scene) -> float:
