@@ -1,7 +1,7 @@
 """Compare shadows cut out as polygons with shadows traced by rays: time and difference, with more furniture.
 
-Run: ``python benchmarks/cutting.py [--boxes 2 5 8 16 32] [--accuracy 1e-2]``. The two are independent methods for
-the same picture, so their difference shows the error of both.
+Run: ``python benchmarks/cutting.py -o DIR [--boxes 2 5 8 16 32] [--accuracy 1e-2]``. The two are independent methods
+for the same picture, so their difference shows the error of both.
 """
 
 from __future__ import annotations
@@ -9,14 +9,18 @@ from __future__ import annotations
 import argparse
 import time
 from dataclasses import replace
+from pathlib import Path
 from typing import Any
 
 import numpy as np
+import results
 import scenes
 
 from generator.model.presets import preset
 from generator.transport import Transport, fields
 from generator.transport.world import Mesh
+
+RESULTS = {"cutting": ("surfaces", "polygons, ms", "rays, ms", "difference")}
 
 
 def furnished(boxes: int) -> Any:
@@ -36,12 +40,14 @@ def furnished(boxes: int) -> Any:
 
 
 def main() -> None:
-    """Print a line for each number of boxes."""
+    """Print a line for each number of boxes, and write the table."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("-o", "--output", type=Path, required=True, help="folder for the table")
     parser.add_argument("--boxes", type=int, nargs="+", default=[2, 5, 8, 16, 32])
     parser.add_argument("--accuracy", type=float, default=1e-2)
     options = parser.parse_args()
-    print("surfaces | cut, ms | rays, ms | apart")
+    table = []
+    print(" | ".join(RESULTS["cutting"]))
     for boxes in options.boxes:
         pictures, seconds = {}, {}
         for method, limit in (("cut", 10**6), ("rays", 0)):
@@ -54,7 +60,10 @@ def main() -> None:
             seconds[method] = 1000.0 * (time.perf_counter() - start) / len(places)
         level = np.sqrt((pictures["rays"] ** 2).mean(axis=(1, 2, 3)))
         error = np.sqrt(((pictures["cut"] - pictures["rays"]) ** 2).mean(axis=(1, 2, 3))) / level
-        print(f"{6 + 6 * boxes} | {seconds['cut']:.1f} | {seconds['rays']:.1f} | {np.median(error):.1e}", flush=True)
+        times = [f"{seconds[method]:.1f}" for method in ("cut", "rays")]
+        table.append((str(6 + 6 * boxes), *times, f"{100.0 * np.median(error):.2f} %"))
+        print(" | ".join(table[-1]), flush=True)
+    results.write(options.output, "cutting", RESULTS["cutting"], table)
 
 
 if __name__ == "__main__":

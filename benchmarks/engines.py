@@ -23,13 +23,14 @@ import math
 import multiprocessing
 import time
 from collections import defaultdict
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import ProcessPoolExecutor
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+import results
 import scenes
 from scipy.stats import t as student
 
@@ -42,6 +43,11 @@ from generator.transport.world import Body, Sphere, World
 
 ROTATION = (15.0, -10.0, -35.0)
 """Rotation that turns the sheet's face to the lit patch; edge-on, there would be almost no light to compare."""
+RESULTS = {
+    "agreement": ("scene", "surfel, W/m²/sr", "hidden", "patch / surfel - 1", "Mitsuba / surfel - 1"),
+    "speed": ("method", "sphere, 1 m, bare wall", "sheet, 1 m, bare wall", "sphere, 1 m, room"),
+    "surfel-time": ("scene", "one pose at a time, ms", "in batches, ms"),
+}
 GOAL = 0.01
 REFERENCE = {False: 1e-6, True: 1e-5}
 """Accuracy of the reference pictures, before the bare wall and in the room, whose own light takes long to compute."""
@@ -425,7 +431,7 @@ def time_to(rungs: list[Rung], goal: float, rounds: slice = slice(None)) -> tupl
 
 def print_times(case: Case, found: dict[str, list[Rung]]) -> None:
     """Print one scene's table."""
-    rounds = len(found[SURFEL][0].seconds)
+    rounds = len(_rounds(found))
     bases = {name: time_to(found[name], GOAL)[0] for name in (SURFEL, BATCH)}
     print(
         f"\n{case.name}: {case.resolution} x {case.resolution} pixels, {rounds} rounds; surfel's batches are of "
@@ -435,10 +441,7 @@ def print_times(case: Case, found: dict[str, list[Rung]]) -> None:
     print(f"{'method':<16} {columns}   last rung")
     for name, rungs in sorted(found.items(), key=lambda item: time_to(item[1], GOAL)[0]):
         seconds, how = time_to(rungs, GOAL)
-        ratios = [
-            time_to(rungs, GOAL, slice(i, i + 1))[0] / time_to(found[BATCH], GOAL, slice(i, i + 1))[0]
-            for i in range(rounds)
-        ]
+        ratios = _ratios(found, name)
         spread = f"[{_short(min(ratios))} .. {_short(max(ratios))}]"
         last = rungs[-1]
         bias = f"{last.bias:.2%}" if last.bias > last.least_bias else f"< {last.least_bias:.2%}"
@@ -452,6 +455,36 @@ def print_times(case: Case, found: dict[str, list[Rung]]) -> None:
 
 def _short(value: float) -> str:
     return f"{value:.2g}" if value < 100.0 or not math.isfinite(value) else f"{value:.1e}"
+
+
+def speed_rows(found: dict[Case, dict[str, list[Rung]]]) -> list[list[str]]:
+    """Return a row per method: its time to `GOAL` in each scene, and how many times that of surfel's batches it is.
+
+    Extrapolated times have an asterisk; in brackets the least and the largest ratio of the rounds.
+    """
+    rows = []
+    for name in dict.fromkeys(name for methods in found.values() for name in methods):
+        cells = dict.fromkeys(RESULTS["speed"][1:], "")
+        for case, methods in found.items():
+            if name in methods:
+                seconds, how = time_to(methods[name], GOAL)
+                ratios = _ratios(methods, name)
+                spread = f"{_short(min(ratios))} to {_short(max(ratios))}"
+                factor = seconds / time_to(methods[BATCH], GOAL)[0]
+                star = "*" if how == "extrapolated" else ""
+                cells[case.name] = f"{_short(seconds)} s{star}, {_short(factor)} x ({spread})"
+        rows.append([name, *cells.values()])
+    return rows
+
+
+def _ratios(found: dict[str, list[Rung]], name: str) -> list[float]:
+    """Return how many times as long as surfel's batches a method took, round by round."""
+    times = ([time_to(found[n], GOAL, slice(i, i + 1))[0] for n in (name, BATCH)] for i in _rounds(found))
+    return [seconds / base for seconds, base in times]
+
+
+def _rounds(found: dict[str, list[Rung]]) -> range:
+    return range(len(found[SURFEL][0].seconds))
 
 
 def plot(found: dict[Case, dict[str, list[Rung]]], file: Path) -> None:
@@ -488,30 +521,33 @@ def plot(found: dict[Case, dict[str, list[Rung]]], file: Path) -> None:
     plt.close(figure)
 
 
-def own_times(processes: Processes, rounds: int = 5) -> dict[str, dict[str, float]]:
-    """Print the time of `surfel` alone, at 10 % asked for, in milliseconds: medians of rounds."""
-    results = {}
+def own_times(processes: Processes, folder: Path, rounds: int = 5) -> dict[str, dict[str, float]]:
+    """Print and write the time of `surfel` alone, at 10 % asked for, in milliseconds: medians of rounds."""
+    measured = {}
     for target, room in (("sphere", False), ("sheet", False), ("sphere", True), ("sheet", True)):
         case = Case(target, 1.0, room)
         transport = Surfel(processes.surfel_world(case), 0.1)
         alone = 1e3 * float(np.median([transport.timed(case)[0] for _ in range(rounds)]))
         batch = 1e3 * float(np.median([transport.timed_batch(case, POSES[room])[0] for _ in range(rounds)]))
-        results[case.name] = {"alone": alone, "in batches": batch}
+        measured[case.name] = {"alone": alone, "in batches": batch}
         print(f"{case.name}: alone {alone:.3g} ms, in batches {batch:.3g} ms", flush=True)
-    return results
+    rows = [(name, *(f"{ms:.2g}" for ms in of.values())) for name, of in measured.items()]
+    results.write(folder, "surfel-time", RESULTS["surfel-time"], rows)
+    return measured
 
 
 def times(processes: Processes, folder: Path, *, quick: bool) -> dict[str, Any]:
-    """Measure, print and plot error against time."""
+    """Measure, print, write and plot error against time."""
     pairs = [("sphere", False)] if quick else [("sphere", False), ("sheet", False), ("sphere", True)]
-    results = {}
+    measured = {}
     for target, room in pairs:
         case = Case(target, 1.0, room)
-        results[case] = measure(processes, case, budget=1.5 if quick else 12.0, rounds=2 if quick else 5)
-        print_times(case, results[case])
-    plot(results, folder / "error-by-time.png")
+        measured[case] = measure(processes, case, budget=1.5 if quick else 12.0, rounds=2 if quick else 5)
+        print_times(case, measured[case])
+    plot(measured, folder / "error-by-time.png")
+    results.write(folder, "speed", RESULTS["speed"], speed_rows(measured))
     print(f"\nplot: {folder / 'error-by-time.png'}")
-    return {case.name: methods for case, methods in results.items()}
+    return {case.name: methods for case, methods in measured.items()}
 
 
 # --- agreement ------------------------------------------------------------------------------------------------------
@@ -530,7 +566,7 @@ class Mean:
         return Mean(self.value / other.value - 1.0, half)
 
     def __str__(self) -> str:
-        return f"{self.value:+8.3%} +- {self.half:6.3%}"
+        return f"{100.0 * self.value:+.3f} % ± {100.0 * self.half:.3f} %"
 
 
 def mean_of(pictures: list[np.ndarray]) -> Mean:
@@ -556,34 +592,39 @@ def converge(sampler: Sampler, case: Case, samples: int, budget: float) -> tuple
 
 def agreement(
     processes: Processes,
+    folder: Path,
     *,
     targets: tuple[str, ...] = ("sphere", "sheet", "box", "sphere+sheet"),
     gaps: tuple[float, ...] = (1.0, 0.3, 0.05),
     rooms: tuple[bool, ...] = (False, True),
     budget: float = 25.0,
 ) -> list[dict[str, Any]]:
-    """Print how well the engines' absolute means agree, and return the figures.
+    """Print and write how well the engines' absolute means agree, and return the figures.
 
     Parameters
     ----------
     processes : Processes
+    folder : Path
+        Of the table.
     targets, gaps, rooms : tuple
         Every combination is rendered.
     budget : float
         Seconds per combination and Monte Carlo method.
     """
     print("\nmean of the target's light (with it minus without it): ratio - 1, with 95 % interval")
-    columns = f"{'patch / surfel':>20}  {'Mitsuba / surfel':>20}  {'patch / Mitsuba':>20}"
-    print(f"{'case':<32} {'surfel':>10} {'hidden':>7}  {columns}")
-    rows = []
+    _print_row((*RESULTS["agreement"], "patch / Mitsuba - 1"))
+    rows, table = [], []
     for case in _cases(targets, gaps, rooms):
         if case.gap == gaps[0]:
             transport = _surfel(processes, case)
         row = _agree(processes, case, transport, budget)
         rows.append(row)
-        print(_line(case.name, row["difference"], row["hidden"]), flush=True)
+        table.append(_cells(case.name, row["difference"], row["hidden"]))
+        _print_row(table[-1])
         if case.room and case == next(c for c in _cases(targets, gaps, (True,))):
-            print(_line("the room's own light", row["background"], None), flush=True)
+            table.append(_cells("the room's own light", row["background"], None))
+            _print_row(table[-1])
+    results.write(folder, "agreement", RESULTS["agreement"], [cells[:-1] for cells in table])
     return rows
 
 
@@ -613,14 +654,21 @@ def _agree(processes: Processes, case: Case, transport: Surfel | None, budget: f
     return {"case": case.name, "difference": difference, "background": background, "hidden": hidden}
 
 
-def _line(name: str, means: dict[str, Mean], hidden: float | None) -> str:
-    def ratio(a: str, b: str) -> str:
-        return str(means[a].over(means[b])) if a in means and b in means else "-"
+def _cells(name: str, means: dict[str, Mean], hidden: float | None) -> list[str]:
+    """Return a row of the table, and at its end the ratio of the two Monte Carlo methods."""
 
-    value = f"{means[SURFEL].value:.4e}" if SURFEL in means else "-"
-    share = "-" if hidden is None else f"{hidden:.2%}"
-    columns = [ratio(PATCH, SURFEL), ratio(MITSUBA_SPOT, SURFEL), ratio(PATCH, MITSUBA_SPOT)]
-    return f"{name:<32} {value:>10} {share:>7}  " + "  ".join(f"{c:>20}" for c in columns)
+    def ratio(a: str, b: str) -> str:
+        return str(means[a].over(means[b])) if a in means and b in means else ""
+
+    value = f"{means[SURFEL].value:.4e}" if SURFEL in means else ""
+    share = "" if hidden is None else f"{100.0 * hidden:.2f} %"
+    ratios = [ratio(PATCH, SURFEL), ratio(MITSUBA_SPOT, SURFEL), ratio(PATCH, MITSUBA_SPOT)]
+    return [name, value, share, *ratios]
+
+
+def _print_row(cells: Sequence[str]) -> None:
+    name, value, share, *ratios = cells
+    print(f"{name:<26} {value:>13} {share:>8}  " + "  ".join(f"{c:>21}" for c in ratios), flush=True)
 
 
 def main() -> None:
@@ -650,7 +698,7 @@ def main() -> None:
     figures: dict[str, Any] = {}
     with Processes() as processes:
         if options.only == "surfel":
-            figures["surfel"] = own_times(processes)
+            figures["surfel"] = own_times(processes, options.output)
         if options.only not in ("agreement", "surfel"):
             figures["time"] = times(processes, options.output, quick=options.quick)
         if options.only not in ("time", "surfel"):
@@ -661,7 +709,7 @@ def main() -> None:
                 selection["gaps"] = tuple(options.gap)
             if options.room:
                 selection["rooms"] = (True,)
-            figures["agreement"] = agreement(processes, budget=options.seconds, **selection)
+            figures["agreement"] = agreement(processes, options.output, budget=options.seconds, **selection)
     text = json.dumps(figures, indent=1, default=vars)
     (options.output / "figures.json").write_text(text + "\n", encoding="utf-8")
 

@@ -1,8 +1,8 @@
 """Error at request: errors that the surfel engine achieves at requested accuracies, against our own quadrature.
 
 Run: ``python benchmarks/error_at_request.py -o DIR [--poses 1000] [--room 100]`` (some 25 minutes
-on one core). Prints a table, writes ``error-at-request.png`` and ``error-at-request.json``, and exits with 1 if a
-single pose errs by more than requested, or if the reference could not be shown to be five times better than that.
+on one core). Prints a table, writes ``error-at-request.csv``, ``.png`` and ``.json``, and exits with 1 if a single
+pose errs by more than requested, or if the reference could not be shown to be five times better than that.
 
 Poses before the bare wall are hard ones: near the wall, touching it, edge-on to the lit or the watched patch, and
 edge-on *and* near. In the room, where the light that a target hides counts too, they are inside the preset's grid.
@@ -30,6 +30,7 @@ mpl.use("Agg")
 import matplotlib.pyplot as plt
 import numpy as np
 import quadrature
+import results
 import scenes
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
@@ -53,6 +54,7 @@ KINDS = {
     "edge-on and near": 0.15,
 }
 """Share of each kind of pose before the bare wall."""
+RESULTS = {"error-at-request": ("kind", "requested", "poses", "median", "99 %", "worst")}
 FAINT = 1e-12
 """Pictures below this, relative to the target's brightest, are rounding, as for a sheet whose lit side is unseen."""
 TRUST = 5.0
@@ -314,9 +316,9 @@ def untrusted(case: Case) -> list[float]:
     return [a for a in case.errors if case.checked is not None and case.checked * TRUST > a]
 
 
-def table(cases: list[Case]) -> str:
-    """Return a table of error over request, a line per kind and accuracy."""
-    lines = [f"{'kind':<26}{'asked':>8}{'poses':>7}{'median':>9}{'99 %':>9}{'worst':>9}   achieved / asked"]
+def table(cases: list[Case]) -> list[tuple[str, ...]]:
+    """Return a table of error over request, a row per kind and accuracy."""
+    rows = []
     kinds = list(dict.fromkeys(case.kind for case in cases))
     for kind in [*kinds, "all"]:
         for asked in ACCURACIES:
@@ -327,8 +329,9 @@ def table(cases: list[Case]) -> str:
             ]
             if shares:
                 middle, high = np.quantile(shares, [0.5, 0.99])
-                lines.append(f"{kind:<26}{asked:>8g}{len(shares):>7}{middle:>9.3f}{high:>9.3f}{max(shares):>9.3f}")
-    return "\n".join(lines)
+                ratios = (f"{x:.3f}" for x in (middle, high, max(shares)))
+                rows.append((kind, f"{asked:.0e}".replace("e-0", "e-"), str(len(shares)), *ratios))
+    return rows
 
 
 def checks(cases: list[Case]) -> str:
@@ -388,7 +391,12 @@ def main(argv: list[str] | None = None) -> int:
     if not cases:
         parser.error("no poses were asked for")
     cases.sort(key=lambda case: case.kind)
-    print(f"\n{table(cases)}\n\n{checks(cases)}\n")
+    rows = table(cases)
+    results.write(options.out, "error-at-request", RESULTS["error-at-request"], rows)
+    print("\nachieved / requested")
+    for kind, *cells in (RESULTS["error-at-request"], *rows):
+        print(f"{kind:<26}" + "".join(f"{cell:>10}" for cell in cells))
+    print(f"\n{checks(cases)}\n")
     plot(cases, options.out / "error-at-request.png")
     cases.sort(key=lambda case: -case.worst)
     (options.out / "error-at-request.json").write_text(json.dumps([asdict(c) for c in cases], indent=1))

@@ -2,8 +2,8 @@
 
 Run: ``python benchmarks/faults.py -o DIR [--kills 200]``, as root for full and read-only disks (a small tmpfs is
 mounted for these). The clock is set back by libfaketime, and the network's file system is `slowfs`, mounted
-twice: ``apt-get install faketime fuse3 python3-pyfuse3``. Prints a table, a row per fault, and exits with 1 if a
-picture is lost or differs.
+twice: ``apt-get install faketime fuse3 python3-pyfuse3``. Prints and writes a table, a row per fault, and exits
+with 1 if a picture is lost or differs.
 """
 
 from __future__ import annotations
@@ -21,10 +21,13 @@ from collections.abc import Callable, Iterator
 from pathlib import Path
 
 import numpy as np
+import results
 
-from generator.files.writing import csv_text, write_text
 from generator.sets.dataset import Dataset
 
+RESULTS = {
+    "faults": ("fault", "how", "times", "pictures lost", "pixels different", "files left over", "what happened")
+}
 SWEEP = ("--poses", "20", "--resolution", "16", "--engine", "patch", "--samples", "64", "--workers", "2")
 """Options of a sweep that takes some minutes, in small pieces."""
 
@@ -315,8 +318,7 @@ def main() -> int:
         bad += lost + differ
         table.append((name, how, str(times), str(lost), str(differ), str(leftovers), words))
         print(" | ".join(table[-1]), flush=True)
-        head = ("fault", "how", "times", "pictures lost", "pixels different", "files left over", "")
-        write_text(options.output / "faults.csv", csv_text(head, table))
+        results.write(options.output, "faults", RESULTS["faults"], table)
     return 1 if bad else 0
 
 

@@ -1,16 +1,18 @@
 """Figure 2 of Klein et al. 2016: how much the picture changes when the hidden object moves or turns a little.
 
-Run: ``python benchmarks/klein2016.py`` (a few seconds, after the set-up). The `tabletop` preset is their synthetic
-experiment: a 10 cm square, 50 cm from the wall, the spot in the middle. They move it by +-2.5 cm and turn it by +-7.5
-degrees about each axis, and say: "roughly 1 % per centimetre or degree, except rotation about the axis normal to the
-wall", which changes much less.
+Run: ``python benchmarks/klein2016.py -o DIR`` (a few seconds, after the set-up). The `tabletop` preset is their
+synthetic experiment: a 10 cm square, 50 cm from the wall, the spot in the middle. They move it by +-2.5 cm and turn
+it by +-7.5 degrees about each axis, and say: "roughly 1 % per centimetre or degree, except rotation about the axis
+normal to the wall", which changes much less.
 """
 
 from __future__ import annotations
 
 import argparse
+from pathlib import Path
 
 import numpy as np
+import results
 
 from generator.blender.engines import survey
 from generator.blender.scene import blend_file, build
@@ -20,6 +22,8 @@ from generator.transport import Transport
 PLACE = (0.0, 0.5, 0.0)
 MOVE, TURN = 0.025, 7.5
 AXES = {"x": "along the wall", "y": "normal to the wall", "z": "along the wall, up"}
+
+RESULTS = {"klein2016": ("motion", "largest (%)", "RMS (%)", "largest per cm or degree (%)")}
 
 
 def changes(pixels: int, accuracy: float) -> list[tuple[str, float, float, float]]:
@@ -58,14 +62,18 @@ def _change(ends: list[np.ndarray], rest: np.ndarray, steps: float) -> tuple[flo
 
 
 def main() -> None:
-    """Print the table."""
+    """Print the table and write it."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("-o", "--output", type=Path, required=True, help="folder for the table")
     parser.add_argument("--pixels", type=int, default=64)
     parser.add_argument("--accuracy", type=float, default=1e-4)
     options = parser.parse_args()
+    table = changes(options.pixels, options.accuracy)
     print(f"{'+-2.5 cm or +-7.5 degrees':40s} {'peak':>8s} {'RMS':>8s}   peak per cm or degree")
-    for name, largest, mean, per_unit in changes(options.pixels, options.accuracy):
+    for name, largest, mean, per_unit in table:
         print(f"{name:40s} {largest:7.2f}% {mean:7.2f}%   {per_unit:.3f}%")
+    rows = [(name, f"{largest:.2f}", f"{mean:.2f}", f"{per_unit:.3f}") for name, largest, mean, per_unit in table]
+    results.write(options.output, "klein2016", RESULTS["klein2016"], rows)
 
 
 if __name__ == "__main__":

@@ -7,12 +7,28 @@ and is printed before it runs. When run again, it resumes where it stopped.
 from __future__ import annotations
 
 import argparse
+import csv
 import shlex
 import subprocess
 import sys
 from pathlib import Path
 
+import results
+
 TARGETS = ("sheet", "sphere")
+RESULTS = {
+    "reproduction": (
+        "features",
+        "trained on",
+        "tested on",
+        "classifier",
+        "paper, accuracy / F1",
+        "paper's settings, accuracy",
+        "paper's settings, F1",
+        "tuned, accuracy",
+        "tuned, F1",
+    )
+}
 
 
 def run(*command: object) -> None:
@@ -23,6 +39,24 @@ def run(*command: object) -> None:
     code = subprocess.run([sys.executable, "-m", module, *rest], check=False).returncode
     if code:
         sys.exit(code)
+
+
+def compared(report: Path, kind: str) -> list[tuple[str, ...]]:
+    """Return the columns of `RESULTS`, in percent, from the report of a set of features."""
+    with (report / "results.csv").open(newline="", encoding="utf-8") as file:
+        found = {(r["train"], r["test"], r["classifier"], r["settings"]): r for r in csv.DictReader(file)}
+    table = []
+    for train, test, name in dict.fromkeys(key[:3] for key in found):
+        cells, published = [], ""
+        for settings in ("paper", "tuned"):
+            row = found[train, test, name, settings]
+            for value in ("accuracy", "f1"):
+                middle, low, high = (100.0 * float(row[value + end]) for end in ("", "_low", "_high"))
+                cells.append(f"{middle:.1f} ({low:.1f} to {high:.1f})")
+            if row["paper_accuracy"]:
+                published = f"{100.0 * float(row['paper_accuracy']):.0f} / {100.0 * float(row['paper_f1']):.0f}"
+        table.append((kind, train, test, name, published, *cells))
+    return table
 
 
 def main() -> None:
@@ -51,9 +85,12 @@ def main() -> None:
         run("generator.cli", "verify", data)
         for kind in options.sets:
             run("classify.cli", "features", data, "-o", folder / f"{target}-{kind}.h5", "--set", kind)
+    table = []
     for kind in options.sets:
         features = [folder / f"{target}-{kind}.h5" for target in TARGETS]
         run("classify.cli", "compare", *features, "-o", folder / f"report-{kind}")
+        table += compared(folder / f"report-{kind}", kind)
+    results.write(folder, "reproduction", RESULTS["reproduction"], table)
 
 
 if __name__ == "__main__":

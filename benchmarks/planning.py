@@ -9,21 +9,22 @@ from __future__ import annotations
 import argparse
 import math
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import bpy
 import numpy as np
+import results
 
+from classify.intervals import wilson
 from generator.blender.engines import simplify
 from generator.blender.engines.settings import settled
 from generator.blender.measure import paired, planning
 from generator.blender.scene import blend_file, build, geometry, roles
 from generator.blender.scene.clearance import clearance
 from generator.blender.scene.description import read_scene
-from generator.files.writing import csv_text, write_text
 from generator.jobs import budget
 from generator.measure import effects, scene_plan
 from generator.measure.intervals import relative
@@ -34,6 +35,10 @@ from generator.model.errors import NlosError
 from generator.model.presets import preset
 from generator.transport import Transport
 
+RESULTS = {
+    "plan-effects": ("scene", "left out", "plan", "measured again", "decision", "prediction"),
+    "plan-random": ("tolerance", "rooms", "plans that hold", "largest error / tolerance", "speed-up, median"),
+}
 OTHER = 1
 """Seed of the poses at which a plan is tested; plans are made with seed 0."""
 
@@ -220,7 +225,7 @@ def verdict(effect: Effect, measured: tuple[float, float, float], tolerance: flo
         return "held"
     if effect.share[1] <= got <= effect.share[2] or low <= value <= high or max(got, value) < tolerance / 30.0:
         return "held"
-    return "MISSED"
+    return "missed"
 
 
 def run_effects(options: argparse.Namespace) -> None:
@@ -251,7 +256,7 @@ def run_effects(options: argparse.Namespace) -> None:
         if "seconds_full" in known:
             gain = known["seconds_full"] / known["seconds"]
             print(f"{name}: {plan.settings}, {gain:.3g} times as fast", flush=True)
-        write_text(options.output / "effects.csv", csv_text(("scene", "left out", "plan", "measured", "", ""), table))
+        results.write(options.output, "plan-effects", RESULTS["plan-effects"], table)
 
 
 def random_scene(seed: int) -> bpy.types.Scene:
@@ -291,7 +296,7 @@ def random_scene(seed: int) -> bpy.types.Scene:
 
 def run_random(options: argparse.Namespace) -> None:
     """Plan random scenes, and compare planned pictures with the full model's at other poses."""
-    table, held = [], 0
+    found: list[tuple[float, float, float]] = []
     for seed in range(options.count):
         tolerance = (0.01, 0.02, 0.05, 0.1)[seed % 4]
         source = saved(random_scene(seed), options.output / f"random-{seed}.blend")
@@ -311,24 +316,31 @@ def run_random(options: argparse.Namespace) -> None:
         for _ in range(3):  # both in turn
             times = [effects.differences(variant, names, places, turns, accuracy)[1] for names in ((), plan.dropped)]
             ratios.append(times[0] / times[1])
-        held += error <= tolerance
-        row = (
-            str(seed),
-            f"{tolerance:g}",
-            str(len(plan.dropped)),
-            f"{error:.3g}",
-            "yes" if error <= tolerance else "NO",
-            f"{np.median(ratios):.3g}",
+        found.append((tolerance, error, float(np.median(ratios))))
+        print(
+            f"{seed}: tolerance {tolerance:g}, {len(plan.dropped)} left out, error {error:.3g}, "
+            f"{'holds' if error <= tolerance else 'DOES NOT HOLD'}, {found[-1][2]:.3g} times as fast",
+            flush=True,
         )
-        table.append(row)
-        print(" | ".join(row), flush=True)
-        write_text(
-            options.output / "random.csv",
-            csv_text(("scene", "tolerance", "dropped", "error", "held", "speed-up"), table),
-        )
-    gains = [float(row[-1]) for row in table]
-    print(f"{held} of {len(table)} plans hold")
-    print(f"speed-up {np.median(gains):.3g} (median), {min(gains):.3g} to {max(gains):.3g}")
+        results.write(options.output, "plan-random", RESULTS["plan-random"], by_tolerance(found))
+    for row in by_tolerance(found):
+        print(" | ".join(row))
+
+
+def by_tolerance(found: Sequence[tuple[float, float, float]]) -> list[tuple[str, ...]]:
+    """Return the columns of `RESULTS` for each tolerance, and for all, of tolerances, errors and speed-ups."""
+    rows = []
+    for tolerance in [*sorted({t for t, _, _ in found}), None]:
+        shares, gains = zip(*((e / t, gain) for t, e, gain in found if tolerance in (None, t)), strict=True)
+        held, count, gain = sum(share <= 1.0 for share in shares), len(shares), f"{np.median(gains):.3g}"
+        if tolerance is None:
+            name, largest, rate = "all", "", wilson(held, count)
+            holding = f"{held} ({100.0 * rate.value:.0f} %, {100.0 * rate.low:.1f} to {100.0 * rate.high:.1f})"
+            gain = f"{gain} ({min(gains):.3g} to {max(gains):.3g})"
+        else:
+            name, largest, holding = f"{100.0 * tolerance:g} %", f"{100.0 * max(shares):.0f} %", str(held)
+        rows.append((name, str(count), holding, largest, gain))
+    return rows
 
 
 def main() -> None:

@@ -14,7 +14,7 @@ refused
 wrong
     Anything else: other pixels than Cycles', without a message.
 
-The folder gets ``edits-N.csv``, a line per edit, and ``table.md``.
+The folder gets ``edits-N.csv``, a line per edit, ``table.md``, and the counts as ``properties-VERSION.csv``.
 """
 
 from __future__ import annotations
@@ -36,6 +36,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import results
 
 ROOT = Path(__file__).resolve().parents[1]
 sys.path[:0] = [str(ROOT), str(ROOT / "benchmarks")]
@@ -901,28 +902,38 @@ def run(listed: Sequence[Sequence[str]], report: Callable[[Row], None], patience
     server.stop()
 
 
+RESULTS = {"properties-*": ("of", "edits", "change Cycles' picture", "followed", "replaced", "refused", "wrong")}
+
+
+def counted(rows: Sequence[Row]) -> list[tuple[str, ...]]:
+    """Return the columns of `RESULTS` for each owner, and for all."""
+    judged = [row for row in rows if row.path]
+    groups: dict[str, list[Row]] = {}
+    for row in judged:
+        groups.setdefault(group(row.owner), []).append(row)
+    found = []
+    for name, members in [*groups.items(), ("all", judged)]:
+        cells = (
+            " / ".join(str(sum(getattr(r, engine) == verdict for r in members)) for engine in ENGINES)
+            for verdict in VERDICTS
+        )
+        found.append((name, str(len(members)), str(sum(r.plain == "changed" for r in members)), *cells))
+    return found
+
+
 def table(rows: Sequence[Row], blender: str) -> str:
     """Return the table of verdicts by owner and the lists of what is not followed, in Markdown."""
     judged = [row for row in rows if row.path]
     properties = {(r.owner, r.name) for r in judged}
-    groups: dict[str, list[Row]] = {}
-    for row in judged:
-        groups.setdefault(group(row.owner), []).append(row)
     lines = [
         f"## Blender {blender}",
         "",
         f"{len(judged)} edits of {len(properties)} properties. Cells: `path` / `patch` / `surfel`.",
         "",
-        "| of | edits | change Cycles' picture | followed | replaced | refused | **wrong** |",
+        f"| {' | '.join(RESULTS['properties-*'])} |",
         "|---|--:|--:|--:|--:|--:|--:|",
+        *(f"| {' | '.join(cells)} |" for cells in counted(rows)),
     ]
-    for name, members in [*groups.items(), ("**all**", judged)]:
-        cells = [
-            " / ".join(str(sum(getattr(r, engine) == verdict for r in members)) for engine in ENGINES)
-            for verdict in VERDICTS
-        ]
-        changed = sum(r.plain == "changed" for r in members)
-        lines.append(f"| {name} | {len(members)} | {changed} | {' | '.join(cells)} |")
     lines += ["", "Replaced: " + _named(r for r in judged if "replaced" in verdicts(r)) + ".", ""]
     for count, words in ((3, "every engine"), (2, "`patch` and `surfel`"), (1, "`surfel` alone")):
         lines += [
@@ -986,6 +997,9 @@ def main(argv: Sequence[str] | None = None) -> int:
     if options.merge:
         rows = {row.label: row for path in options.merge for row in stored(path)}
         print(table(list(rows.values()), options.blender))
+        if options.output:
+            name = f"properties-{options.blender}"
+            results.write(options.output, name, RESULTS["properties-*"], counted(list(rows.values())))
         return 0
     import bpy
 
@@ -1013,6 +1027,8 @@ def main(argv: Sequence[str] | None = None) -> int:
         run(listed, report, options.patience)
     text = table(rows, bpy.app.version_string)
     (options.output / "table.md").write_text(text + "\n", encoding="utf-8")
+    if count in ("", "1"):  # a share's table is none of the whole
+        results.write(options.output, f"properties-{bpy.app.version_string}", RESULTS["properties-*"], counted(rows))
     print(text)
     return int(any("wrong" in (r.path, r.patch, r.surfel) for r in rows))
 

@@ -1,6 +1,6 @@
 """How the surfel engine's cost grows with the work, and how near its inner loop comes to the processor's limit.
 
-Run: ``python benchmarks/scaling.py -o DIR`` (some minutes). Writes ``scaling.png`` and prints the tables:
+Run: ``python benchmarks/scaling.py -o DIR`` (some minutes). Writes ``scaling.png`` and ``scaling.csv``, and prints:
 
 - pair rate: pairs of wall point and surface element per second, in the loop that sums all pictures, against the
   single-precision divisions per second that the same cores can do: a pair needs one division, so no loop could be
@@ -26,6 +26,7 @@ mpl.use("Agg")
 import matplotlib.pyplot as plt
 import numba
 import numpy as np
+import results
 
 from generator.blender.engines import survey
 from generator.blender.scene import blend_file, build
@@ -33,6 +34,8 @@ from generator.model.presets import preset
 from generator.transport import Mesh, Transport, World, kernel
 
 POSE = ((1.4, 0.9, 1.3), (0.0, 0.0, 20.0))
+
+RESULTS = {"scaling": ("of", "number", "seconds", "peak memory so far, MiB")}
 
 
 @numba.njit(error_model="numpy", parallel=True)
@@ -159,6 +162,10 @@ def main() -> None:
         memory_axis.set_ylim(0.0, 1.1 * max(row[2] for points in series.values() for row in points))
         memory_axis.set_ylabel("MiB at most so far", color="0.4")
     figure.savefig(options.output / "scaling.png", dpi=120)
+    table = [
+        (name, f"{n:.0f}", f"{t:.2g}", f"{memory:.0f}") for name, rows in series.items() for n, t, memory in rows
+    ]
+    results.write(options.output, "scaling", RESULTS["scaling"], table)
     print(f"\n{options.output / 'scaling.png'}")
 
 

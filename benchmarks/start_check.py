@@ -27,6 +27,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import results
 
 from generator.measure import agreement
 from generator.model.arrays import Array
@@ -34,6 +35,21 @@ from generator.model.errors import NlosError
 from generator.model.presets import preset
 
 ENGINES = ("path", "patch", "surfel")
+RESULTS = {"start-check": ("scene", "kind", "path", "patch", "surfel", "all")}
+KINDS = {
+    1: "animation",
+    2: "moves with the target",
+    3: "viewport and render",
+    4: "inside a solid",
+    5: "settings of the file",
+    6: "the wall's material",
+    7: "nodes that do not count",
+    8: "mirrors and glass",
+    9: "bounces, other lamps",
+    10: "the background's world",
+    11: "surfaces on one another",
+}
+"""Names of the kinds of edits in `edits.py`; those of higher numbers have none."""
 LOOK = 6.0
 """Seconds of the longer comparison."""
 
@@ -337,13 +353,14 @@ def share(part: int, whole: int) -> str:
 
 
 def table(options: argparse.Namespace) -> None:
-    """Print the results as Markdown."""
-    results = rows(options.output / "wrong.csv")
-    scenes = list(dict.fromkeys(row["scene"] for row in results))
-    base = [row for row in results if row["scene"] == scenes[0]]
+    """Print the results as Markdown, and write the table of what was caught."""
+    judged = rows(options.output / "wrong.csv")
+    scenes = list(dict.fromkeys(row["scene"] for row in judged))
+    base = [row for row in judged if row["scene"] == scenes[0]]
+    caught_by_kind = []
     print(f"{len(base)} edits and engines: {dict(Counter(row['became'] for row in base))}\n")
     for scene in scenes:
-        in_scene = [row for row in results if row["scene"] == scene]
+        in_scene = [row for row in judged if row["scene"] == scene]
         bad = [row for row in in_scene if row["wrong"] == "1"]
         print(f"### {scene}\n\n| kind | path | patch | surfel | all |\n|---|---|---|---|---|")
         for kind in [*sorted({row["kind"] for row in bad}, key=int), ""]:
@@ -352,7 +369,9 @@ def table(options: argparse.Namespace) -> None:
                 group = [r for r in bad if kind in ("", r["kind"]) and engine in ("", r["engine"])]
                 caught = sum(r["became"] == "stopped" for r in group)
                 cells.append((f"{caught} of {len(group)}" if kind else share(caught, len(group))) if group else "")
-            print(f"| {kind or 'all'} | {' | '.join(cells)} |")
+            name = f"{kind} {KINDS.get(int(kind), '')}".strip() if kind else "all"
+            caught_by_kind.append((scene, name, *cells))
+            print(f"| {name} | {' | '.join(cells)} |")
         for words, cases in (
             ("missed", [r for r in bad if r["became"] != "stopped"]),
             (
@@ -365,6 +384,7 @@ def table(options: argparse.Namespace) -> None:
             print(
                 f"\nseconds of a check that passes: {np.median(seconds):.1f} (median), {max(seconds):.1f} at most\n"
             )
+    results.write(options.output, "start-check", RESULTS["start-check"], caught_by_kind)
     checked = [row for row in rows(options.output / "right.csv") if int(row["checks"])]
     print("| scene | engine | checks | stopped | farthest, standard errors |\n|---|---|---|---|---|")
     for row in checked:

@@ -28,6 +28,7 @@ from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
 
+RESULTS = {"sweep-stages": ("stage", "seconds", "share")}
 LOGS, STARTED = "NLOS_STAGES_LOGS", "NLOS_STAGES_STARTED"
 """Environment variables: folder in which a worker writes its times, and time when it was started."""
 
@@ -235,8 +236,8 @@ def sweep(home: Path, name: str, *options: str) -> tuple[float, list[dict[str, A
     return wall, process_logs
 
 
-def table(wall: float, told: list[dict[str, Any]], poses: int) -> str:
-    """Return the stages of a sweep as text."""
+def table(wall: float, told: list[dict[str, Any]], poses: int) -> tuple[str, list[tuple[str, ...]]]:
+    """Return the stages of a sweep as text, and the columns of `RESULTS`."""
     roles = ("coordinator", "plan", "first", "crew")
     crew = max(1, sum(log["role"] == "crew" for log in told))
     seconds: dict[str, dict[str, float]] = {s: dict.fromkeys(roles, 0.0) for s in STAGES if s != OTHERS}
@@ -247,19 +248,23 @@ def table(wall: float, told: list[dict[str, Any]], poses: int) -> str:
     lines = [
         "".join([f"{'seconds':36s}", *(f"{role:>12s}" for role in roles), f"{'all':>9s}{'ms/pose':>9s}{'share':>7s}"])
     ]
-    known = 0.0
+    known, rows = 0.0, []
     for stage, by_role in seconds.items():
         total = sum(by_role.values())
         known += total
         columns = "".join(f"{by_role[role]:12.2f}" for role in roles)
+        rows.append((stage, f"{total:.2f}", f"{100.0 * total / wall:.0f} %"))
         lines.append(f"{stage:36s}{columns}{total:9.2f}{1e3 * total / poses:9.3f}{total / wall:7.0%}")
     for stage, total in (("ends of processes, uneven workers", wall - known), ("wall clock", wall)):
+        rows.append((stage, f"{total:.2f}", f"{100.0 * total / wall:.0f} %"))
         lines.append(f"{stage:36s}{'':48s}{total:9.2f}{1e3 * total / poses:9.3f}{total / wall:7.0%}")
-    return "\n".join(lines) + f"\n(crew: mean of {crew} workers)"
+    return "\n".join(lines) + f"\n(crew: mean of {crew} workers)", rows
 
 
 def main() -> int:
-    """Measure the stages and print the tables."""
+    """Measure the stages, print the tables, and write that of compiled code."""
+    import results  # here: the processes that are timed run this file too
+
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("-o", "--output", type=Path, required=True)
     parser.add_argument("--poses-per-voxel", type=int, default=100)
@@ -280,9 +285,11 @@ def main() -> int:
     surfel = ("--engine", "surfel", "--accuracy", options.accuracy, *many)
     print(f"surfel, {poses} poses, 64 x 64, accuracy {options.accuracy}; load {os.getloadavg()[0]:.1f}\n")
     cold = sweep(home, "cold", *surfel)
-    print(f"nothing compiled yet:\n{table(*cold, poses)}\n", flush=True)
+    print(f"nothing compiled yet:\n{table(*cold, poses)[0]}\n", flush=True)
     wall, process_logs = min((sweep(home, f"warm-{k}", *surfel) for k in range(options.runs)), key=lambda run: run[0])
-    print(f"compiled before, quickest of {options.runs}:\n{table(wall, process_logs, poses)}\n", flush=True)
+    text, rows = table(wall, process_logs, poses)
+    print(f"compiled before, quickest of {options.runs}:\n{text}\n", flush=True)
+    results.write(home, "sweep-stages", RESULTS["sweep-stages"], rows)
     if options.no_patch:
         return 0
     few, more = (

@@ -18,11 +18,21 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-
-from generator.files.writing import csv_text, write_text
+import results
 
 MODES: dict[str, Any] = {"none": set(), "contract": {"contract"}, "all": True}
 WIDTHS = ("float64", "float32")
+RESULTS = {
+    "widths": (
+        "difference picture",
+        "float64, fastmath contract",
+        "float64, fastmath all",
+        "float32, fastmath none",
+        "float32, fastmath contract",
+        "float32, fastmath all",
+    )
+}
+"""The columns are errors relative to float64 without fastmath."""
 ACCURACY = 5e-3
 """Accuracy of the pictures. The engine uses float32 by default unless an accuracy finer than 5e-5 is requested."""
 _FAR = np.array([1000.0, 0.0, 1000.0])
@@ -157,7 +167,7 @@ def main() -> None:
             row.append(f"{error / scale:.1e}" if scale else "dark" if error == 0.0 else "LIGHT")
         table.append(row)
         print(" | ".join(row), flush=True)
-    write_text(options.output / "widths.csv", csv_text(["", *map(", fastmath ".join, columns)], table))
+    results.write(options.output, "widths", RESULTS["widths"], table)
     base = float(output["contract"]["seconds|float64"])
     for mode in MODES:
         for width in WIDTHS:

@@ -128,7 +128,7 @@ def faults(made: Mapping[str, Path], names: list[str]) -> list[str]:
     if "sdist" in made:
         with tarfile.open(made["sdist"]) as archive:
             inside = {name.partition("/")[2] for name in archive.getnames()}
-        pages = {name for name in names if name.startswith("docs/") and name.endswith(".md")}
+        pages = {name for name in names if name.startswith("docs/") and name.endswith((".md", ".csv", ".py"))}
         sources = {name for name in names if name.startswith(_below(SOURCES))}
         found += _differences("sdist", inside, {"PKG-INFO", *BESIDE, *SETTINGS} | pages | sources)
     return found

@@ -1,0 +1,85 @@
+"""Directive ``results-table``: a file of ``docs/data`` as a table, and below it where its figures come from.
+
+In a page::
+
+    ```{results-table} reproduction
+    :where: trained on = sheet; tested on = sheet
+    :columns: classifier; tuned, accuracy
+    :caption: Sheet
+    ```
+
+shows those rows of ``docs/data/reproduction.csv``. ``where`` and ``columns`` may be left out, and so may ``caption``;
+``source: hide`` leaves out what is below the table, for a page that shows several parts of one file.
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any, ClassVar
+
+import results_file
+from docutils import nodes
+from docutils.parsers.rst import directives
+from sphinx import addnodes
+from sphinx.application import Sphinx
+from sphinx.util.docutils import SphinxDirective
+
+
+def _list(argument: str | None) -> tuple[str, ...]:
+    return tuple(part.strip() for part in (argument or "").split(";") if part.strip())
+
+
+def _conditions(argument: str | None) -> dict[str, str]:
+    return {name.strip(): value.strip() for name, _, value in (part.partition("=") for part in _list(argument))}
+
+
+class ResultsTable(SphinxDirective):
+    """Shows a file of results."""
+
+    required_arguments = 1
+    option_spec: ClassVar[dict[str, Any]] = {
+        "where": _conditions,
+        "columns": _list,
+        "caption": directives.unchanged,
+        "source": lambda argument: directives.choice(argument, ("hide",)),
+    }
+
+    def run(self) -> list[nodes.Node]:
+        """Return the table and the paragraph below it."""
+        file = Path(self.env.srcdir, "data", f"{self.arguments[0]}.csv")
+        self.env.note_dependency(str(file))
+        try:
+            whole = results_file.read(file)
+            shown = whole.selected(self.options.get("where", {}), self.options.get("columns", ()))
+        except (OSError, ValueError) as error:
+            raise self.error(f"results-table: {error}") from None
+        table = nodes.table("", *self._caption(), _group(shown), classes=["results"])
+        return [table] if "source" in self.options else [table, self._source(whole, file.name)]
+
+    def _caption(self) -> list[nodes.Node]:
+        return [nodes.title("", "", *self.parse_inline(text)[0])] if (text := self.options.get("caption")) else []
+
+    def _source(self, results: results_file.ResultsFile, name: str) -> nodes.Node:
+        link = addnodes.download_reference("", name, reftarget=f"/data/{name}", refdoc=self.env.docname)
+        link["refdomain"], link["reftype"], link["refexplicit"], link["refwarn"] = "", "download", False, False
+        source = nodes.paragraph("", "", link, nodes.Text(", made by "), classes=["results-source"])
+        for number, command in enumerate(results.commands):
+            source += nodes.Text(", " if number else "")
+            source += nodes.literal("", command)
+        source += nodes.Text(f" on {results.machine}; {results.measured}.")
+        return source
+
+
+def _group(results: results_file.ResultsFile) -> nodes.tgroup:
+    head, *body = (
+        nodes.row("", *(nodes.entry("", nodes.paragraph("", text)) for text in row))
+        for row in (results.columns, *results.rows)
+    )
+    columns = (nodes.colspec(colwidth=1) for _ in results.columns)
+    return nodes.tgroup("", *columns, nodes.thead("", head), nodes.tbody("", *body), cols=len(results.columns))
+
+
+def setup(app: Sphinx) -> dict[str, bool]:
+    """Register the directive."""
+    app.add_directive("results-table", ResultsTable)
+    return {"parallel_read_safe": True, "parallel_write_safe": True}
