@@ -14,6 +14,7 @@ shows those rows of ``docs/data/reproduction.csv``. ``where`` and ``columns`` ma
 
 from __future__ import annotations
 
+import re
 from pathlib import Path
 from typing import Any, ClassVar
 
@@ -54,29 +55,45 @@ class ResultsTable(SphinxDirective):
         except (OSError, ValueError) as error:
             raise self.error(f"results-table: {error}") from None
         table = nodes.table("", *self._caption(), _group(shown), classes=["results"])
-        return [table] if "source" in self.options else [table, self._source(whole, file.name)]
+        return [table] if "source" in self.options else [table, *self._source(whole, file.name)]
 
     def _caption(self) -> list[nodes.Node]:
         return [nodes.title("", "", *self.parse_inline(text)[0])] if (text := self.options.get("caption")) else []
 
-    def _source(self, results: results_file.ResultsFile, name: str) -> nodes.Node:
+    def _source(self, results: results_file.ResultsFile, name: str) -> list[nodes.Node]:
         link = addnodes.download_reference("", name, reftarget=f"/data/{name}", refdoc=self.env.docname)
         link["refdomain"], link["reftype"], link["refexplicit"], link["refwarn"] = "", "download", False, False
-        source = nodes.paragraph("", "", link, nodes.Text(", made by "), classes=["results-source"])
-        for number, command in enumerate(results.commands):
-            source += nodes.Text(", " if number else "")
-            source += nodes.literal("", command)
-        source += nodes.Text(f" on {results.machine}; {results.measured}.")
-        return source
+        source = nodes.paragraph("", "", link, nodes.Text(", made "), classes=["results-source"])
+        place = nodes.Text(f"on {results.machine}; {results.measured}")
+        if len(results.commands) == 1:
+            source += [
+                nodes.Text("by "),
+                nodes.literal("", results.commands[0]),
+                nodes.Text(" "),
+                place,
+                nodes.Text("."),
+            ]
+            return [source]
+        source += [place, nodes.Text(", by")]
+        commands = "\n".join(results.commands)
+        return [source, nodes.literal_block(commands, commands, language="bash", classes=["results-source"])]
 
 
 def _group(results: results_file.ResultsFile) -> nodes.tgroup:
     head, *body = (
-        nodes.row("", *(nodes.entry("", nodes.paragraph("", text)) for text in row))
+        nodes.row("", *(nodes.entry("", nodes.paragraph("", _unbroken(text))) for text in row))
         for row in (results.columns, *results.rows)
     )
     columns = (nodes.colspec(colwidth=1) for _ in results.columns)
     return nodes.tgroup("", *columns, nodes.thead("", head), nodes.tbody("", *body), cols=len(results.columns))
+
+
+def _unbroken(text: str) -> str:
+    """Return a cell whose short parts, intervals and units are kept on one line."""
+    if len(text) <= 12:
+        return text.replace(" ", "\N{NO-BREAK SPACE}")
+    kept = re.sub(r"\([^()]{1,20}\)", lambda part: part[0].replace(" ", "\N{NO-BREAK SPACE}"), text)
+    return re.sub(r"(\d) (?=%|(?:cm|s|ms)\b)", "\\1\N{NO-BREAK SPACE}", kept)
 
 
 def setup(app: Sphinx) -> dict[str, bool]:
