@@ -26,21 +26,22 @@ def main(argv: list[str] | None = None) -> int:
 
 
 def _run(argv: list[str] | None) -> int:
-    options = _parser().parse_args(argv)
+    options = parser().parse_args(argv)
     return int(options.run(options))
 
 
-def _parser() -> argparse.ArgumentParser:
-    parser = argparse.ArgumentParser(
+def parser() -> argparse.ArgumentParser:
+    """Return the parser of the command line, with all verbs."""
+    made = argparse.ArgumentParser(
         prog="nlos-classify",
         description="Tell from pictures of the relay wall in which voxel the hidden object stands.",
         epilog=_EXAMPLES,
         formatter_class=RAW,
     )
-    commands = parser.add_subparsers(required=True, metavar="COMMAND")
+    commands = made.add_subparsers(required=True, metavar="COMMAND")
     for verb in VERBS:
         verb.add_parsers(commands)
-    return parser
+    return made
 
 
 if __name__ == "__main__":

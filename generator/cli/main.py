@@ -32,22 +32,23 @@ def main(argv: list[str] | None = None) -> int:
 
 
 def _run(argv: list[str] | None) -> int:
-    options = _parser().parse_args(argv)
+    options = parser().parse_args(argv)
     with links.trusting(getattr(options, "trust_links", False)):
         return int(options.run(options))
 
 
-def _parser() -> argparse.ArgumentParser:
-    parser = argparse.ArgumentParser(
+def parser() -> argparse.ArgumentParser:
+    """Return the parser of the command line, with all verbs."""
+    made = argparse.ArgumentParser(
         prog="nlos-generate",
         description="Build scenes with an object hidden around the corner, and render what a wall shows of it.",
         epilog=_EXAMPLES,
         formatter_class=argparse.RawDescriptionHelpFormatter,
     )
-    commands = parser.add_subparsers(required=True, metavar="COMMAND")
+    commands = made.add_subparsers(required=True, metavar="COMMAND")
     for verb in VERBS:
         verb.add_parsers(commands)
-    return parser
+    return made
 
 
 if __name__ == "__main__":

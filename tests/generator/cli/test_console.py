@@ -20,7 +20,7 @@ ENVIRONMENT = {**os.environ, "PYTHONPATH": str(ROOT)}
 
 
 def verbs(module):
-    [commands] = module._parser()._subparsers._group_actions
+    [commands] = module.parser()._subparsers._group_actions
     return sorted(commands.choices)
 
 
