@@ -1,6 +1,8 @@
 # make demo    sets up .venv and runs the whole chain on real renders, in a few minutes after the set-up
 # make test    sets up .venv and runs the quick tests, in five minutes on two cores
 # make test-all  all tests, as CI runs them, and how much of the code they run
+# make docs    the documentation as web pages, into dist/docs; warnings are errors
+# make linkcheck  tries the pages' links to other sites, which needs the network
 # make lint    ruff, mypy, and the check of the Blender extension
 # make package sdist, wheel, extension and the bill of materials of .venv, into dist
 # make matrix  builds that twice, installs and uses it under each Python and bpy, half an hour; needs Python 3.13 or root
@@ -12,11 +14,13 @@
 PYTHON ?= python3.11
 BIN := .venv/bin
 READY := .venv/ready
+DOCS_READY := .venv/docs-ready
+SPHINX := $(BIN)/python -m sphinx -W --keep-going -n -d dist/doctrees
 DEMO := demo
 # One process a core; each begins with its share of the tests, in order, and then takes over what others have left.
 PARALLEL := -n auto --dist worksteal
 
-.PHONY: demo test test-all lint setup extension package matrix gui slurm results clean
+.PHONY: demo test test-all docs linkcheck lint setup extension package matrix gui slurm results clean
 
 setup: $(READY)
 
@@ -35,6 +39,11 @@ $(READY): pyproject.toml constraints.txt
 	  exit 2; }
 	@touch $(READY)
 
+$(DOCS_READY): $(READY)
+	$(BIN)/python -m pip install --quiet --disable-pip-version-check -c constraints.txt \
+	  --no-build-isolation -e ".[docs]"
+	@touch $(DOCS_READY)
+
 demo: $(READY)
 	$(BIN)/python benchmarks/paper_table.py --output $(DEMO)
 
@@ -43,6 +52,13 @@ test: $(READY)
 
 test-all: $(READY)
 	$(BIN)/python -m pytest $(PARALLEL) --cov
+
+docs: $(DOCS_READY)
+	$(SPHINX) -q -b html docs dist/docs
+	@echo "dist/docs/index.html"
+
+linkcheck: $(DOCS_READY)
+	$(SPHINX) -D nb_execution_mode=off -b linkcheck docs dist/linkcheck
 
 lint: $(READY)
 	$(BIN)/ruff check .

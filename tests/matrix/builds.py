@@ -18,6 +18,8 @@ PACKAGES = ("generator", "classify", "blender_addon")
 SOURCES = (*PACKAGES, "blend_scenes", "tests", "benchmarks")
 BESIDE = (".gitignore", "CHANGELOG.md", "CONTRIBUTING.md", "LICENSE", "Makefile", "README.md")
 SETTINGS = ("constraints.txt", "pyproject.toml")
+PAGES = (".md", ".py", ".css", ".ipynb", ".csv")
+"""Of the documentation; its pictures would be ten times the rest."""
 
 # What asks for the time while an archive is packed asks one of these.
 CLOCK = """
@@ -128,7 +130,7 @@ def faults(made: Mapping[str, Path], names: list[str]) -> list[str]:
     if "sdist" in made:
         with tarfile.open(made["sdist"]) as archive:
             inside = {name.partition("/")[2] for name in archive.getnames()}
-        pages = {name for name in names if name.startswith("docs/") and name.endswith((".md", ".csv", ".py"))}
+        pages = {name for name in names if name.startswith("docs/") and name.endswith(PAGES)}
         sources = {name for name in names if name.startswith(_below(SOURCES))}
         found += _differences("sdist", inside, {"PKG-INFO", *BESIDE, *SETTINGS} | pages | sources)
     return found

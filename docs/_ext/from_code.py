@@ -1,0 +1,122 @@
+"""What pages take out of the code when they are built: command lines, settings, public names."""
+
+from __future__ import annotations
+
+import argparse
+import importlib
+import inspect
+from collections.abc import Iterator
+from dataclasses import MISSING, fields, is_dataclass
+from typing import Any, ClassVar, get_args, get_type_hints
+
+from docutils import nodes
+from sphinx.application import Sphinx
+from sphinx.util.docutils import SphinxDirective
+
+import classify.cli.main
+import generator.cli.main
+from generator.files.toml import dump_toml
+from generator.model.described import choices_of, sentence
+from generator.model.presets import preset
+
+
+def generate() -> argparse.ArgumentParser:
+    """Return the parser of ``nlos-generate``, for the page."""
+    return _for_page(generator.cli.main.parser())
+
+
+def classified() -> argparse.ArgumentParser:
+    """Return the parser of ``nlos-classify``, for the page."""
+    return _for_page(classify.cli.main.parser())
+
+
+def _for_page(parser: argparse.ArgumentParser) -> argparse.ArgumentParser:
+    """Return a parser whose examples are reStructuredText, since sphinx-argparse reads them as that."""
+    if parser.epilog:
+        title, _, commands = parser.epilog.partition(":\n")
+        parser.epilog = f"{title.capitalize()}::\n\n{commands}"
+    for action in parser._actions:
+        if isinstance(action, argparse._SubParsersAction):
+            for verb in action.choices.values():
+                _for_page(verb)
+    return parser
+
+
+class Settings(SphinxDirective):
+    """``settings:: module:Class``: a table of a dataclass's fields, and of those of the dataclasses in it.
+
+    The option ``like`` names a preset, whose values are shown in place of the defaults.
+    """
+
+    required_arguments = 1
+    option_spec: ClassVar = {"like": str}
+
+    def run(self) -> list[nodes.Node]:
+        """Return the table."""
+        module, _, name = self.arguments[0].partition(":")
+        like = self.options.get("like")
+        rows = list(_rows(getattr(importlib.import_module(module), name), like and preset(like)))
+        told = [any(column) for column in zip(*rows, strict=True)]
+        headings = ("key", f"in {like}" if like else "default", "may be", "what it is")
+        lines = [".. list-table::", "   :header-rows: 1", ""]
+        for row in [headings, *rows]:
+            cells = [cell for cell, shown in zip(row, told, strict=True) if shown]
+            lines += [f"   {'-' if n else '* -'} {cell}".replace("   - ", "     - ") for n, cell in enumerate(cells)]
+        return self.parse_text_to_nodes("\n".join(lines))
+
+
+def _rows(kind: type, like: Any = None, prefix: str = "") -> Iterator[tuple[str, str, str, str]]:
+    """Yield name, value, range and description of every field."""
+    hints = get_type_hints(kind)
+    for one in fields(kind):
+        value = getattr(like, one.name) if like else one.default
+        inner = next((a for a in (hints[one.name], *get_args(hints[one.name])) if is_dataclass(a)), None)
+        if inner and "words" not in one.metadata:
+            yield from _rows(inner, value if like else None, f"{prefix}{one.name}.")
+            continue
+        lo, hi = one.metadata.get("lo"), one.metadata.get("hi")
+        span = ", ".join(map(_shown, choices_of(kind, one.name))) if lo is None else f"{_number(lo)} to {_number(hi)}"
+        shown = "required" if value is MISSING else _shown(value)
+        words = one.metadata.get("words")
+        yield f"``{prefix}{one.name}``", shown, span, f"{sentence(words)}." if words else ""
+
+
+def _shown(value: Any) -> str:
+    """Return a value as TOML has it."""
+    return "none" if value is None else f"``{dump_toml({'a': value}).removeprefix('a = ').strip()}``"
+
+
+def _number(value: float) -> str:
+    return f"{value:g}" if isinstance(value, float) or value > 1e9 else f"{value:,}"
+
+
+class Public(SphinxDirective):
+    """``public:: package``: what a package says of itself, a summary of what it offers, and all of that.
+
+    It follows the package's ``__all__``. (``automodule`` would miss names that are imported at first use.)
+    """
+
+    required_arguments = 1
+
+    def run(self) -> list[nodes.Node]:
+        """Return the descriptions."""
+        package = self.arguments[0]
+        module = importlib.import_module(package)
+        words = inspect.getdoc(module).replace("Examples\n--------", ".. rubric:: Examples\n")
+        lines = [f".. py:module:: {package}", "", words, "", ".. rubric:: All names", ""]
+        lines += [".. autosummary::", "   :nosignatures:", ""]
+        lines += [f"   {name}" for name in module.__all__]
+        for name in module.__all__:
+            what = getattr(module, name)
+            is_class = isinstance(what, type)
+            kind = "exception" if is_class and issubclass(what, Exception) else "class" if is_class else "function"
+            lines += ["", f".. auto{kind}:: {name}"]
+            lines += ["   :members:"] if kind == "class" else []
+        return self.parse_text_to_nodes("\n".join(lines))
+
+
+def setup(app: Sphinx) -> dict[str, Any]:
+    """Add the directives."""
+    app.add_directive("settings", Settings)
+    app.add_directive("public", Public)
+    return {"parallel_read_safe": True, "parallel_write_safe": True}
