@@ -17,11 +17,11 @@ extensions = [
     "numpydoc",
     "sphinx.ext.autodoc",
     "sphinx.ext.autosummary",
-    "sphinx.ext.mathjax",
     "sphinx_copybutton",
     "sphinx_design",
     "sphinxarg.ext",
     "from_code",
+    "mathml",
 ]
 exclude_patterns = ["_ext", "**/.ipynb_checkpoints"]
 nitpicky = True
@@ -37,6 +37,8 @@ highlight_language = "none"
 myst_enable_extensions = ["colon_fence", "deflist", "dollarmath"]
 myst_heading_anchors = 3
 default_role = "code"  # docstrings name code between single backticks
+
+suppress_warnings = ["toctree.empty_glob"]  # there may be no notebook
 
 # Notebooks are run at every build, and an exception in one fails it.
 nb_execution_mode = "force"
@@ -65,6 +67,7 @@ html_theme = "pydata_sphinx_theme"
 html_title = f"{project} {release}"
 html_static_path = ["_static"]
 html_css_files = ["site.css"]
+html_math_renderer = "mathml"
 html_show_sourcelink = False
 html_copy_source = False
 html_sidebars = {"index": [], "tutorial": [], "glossary": [], "architecture": []}

@@ -16,7 +16,7 @@ from sphinx.util.docutils import SphinxDirective
 import classify.cli.main
 import generator.cli.main
 from generator.files.toml import dump_toml
-from generator.model.described import choices_of, sentence
+from generator.model.described import choices_of
 from generator.model.presets import preset
 
 
@@ -56,17 +56,14 @@ class Settings(SphinxDirective):
         module, _, name = self.arguments[0].partition(":")
         like = self.options.get("like")
         rows = list(_rows(getattr(importlib.import_module(module), name), like and preset(like)))
-        told = [any(column) for column in zip(*rows, strict=True)]
-        headings = ("key", f"in {like}" if like else "default", "may be", "what it is")
-        lines = [".. list-table::", "   :header-rows: 1", ""]
-        for row in [headings, *rows]:
-            cells = [cell for cell, shown in zip(row, told, strict=True) if shown]
-            lines += [f"   {'-' if n else '* -'} {cell}".replace("   - ", "     - ") for n, cell in enumerate(cells)]
+        lines = [".. list-table::", "   :header-rows: 1", "   :widths: auto", ""]
+        for row in [("key", f"in {like}" if like else "default", "what it is"), *rows]:
+            lines += [f"   {'  - ' if n else '* - '}{cell}" for n, cell in enumerate(row)]
         return self.parse_text_to_nodes("\n".join(lines))
 
 
-def _rows(kind: type, like: Any = None, prefix: str = "") -> Iterator[tuple[str, str, str, str]]:
-    """Yield name, value, range and description of every field."""
+def _rows(kind: type, like: Any = None, prefix: str = "") -> Iterator[tuple[str, str, str]]:
+    """Yield name, value and description of every field."""
     hints = get_type_hints(kind)
     for one in fields(kind):
         value = getattr(like, one.name) if like else one.default
@@ -74,11 +71,12 @@ def _rows(kind: type, like: Any = None, prefix: str = "") -> Iterator[tuple[str,
         if inner and "words" not in one.metadata:
             yield from _rows(inner, value if like else None, f"{prefix}{one.name}.")
             continue
+        words = [one.metadata.get("words", "")]
         lo, hi = one.metadata.get("lo"), one.metadata.get("hi")
-        span = ", ".join(map(_shown, choices_of(kind, one.name))) if lo is None else f"{_number(lo)} to {_number(hi)}"
+        words += [f"one of {', '.join(map(_shown, choices))}"] if (choices := choices_of(kind, one.name)) else []
+        words += [] if lo is None else [f"from {_number(lo)} to {_number(hi)}"]
         shown = "required" if value is MISSING else _shown(value)
-        words = one.metadata.get("words")
-        yield f"``{prefix}{one.name}``", shown, span, f"{sentence(words)}." if words else ""
+        yield f"``{prefix}{one.name}``", shown, "; ".join(filter(None, words))
 
 
 def _shown(value: Any) -> str:
