@@ -14,7 +14,6 @@ import time
 from pathlib import Path
 
 import numpy as np
-from matplotlib import pyplot as plt
 
 from generator.files.writing import csv_text, write_text
 from generator.jobs import local
@@ -23,6 +22,7 @@ from generator.jobs.request import SweepRequest
 from generator.measure import figures
 
 
+@figures.styled
 def main() -> None:
     """Render, record memory and rate, and plot them."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
@@ -61,14 +61,14 @@ def main() -> None:
     later = table[table[:, 0] > 0.1 * table[-1, 0]]
     rate = np.diff(later[:, 0]) / np.diff(later[:, 1])
     slope = [np.polyfit(later[:, 0], later[:, k], 1)[0] * 1e4 for k in (2, 3, 4)]
-    figure, (left, right) = plt.subplots(1, 2, figsize=(10.0, 3.6), layout="constrained")
+    figure, [[left, right]] = figures.subplots(1, 2, size=(10.0, 3.6))
     for k, label in ((3, "one worker"), (4, "the other"), (2, "coordinator")):
         left.plot(table[1:, 0], table[1:, k], label=label)
     left.set_ylim(bottom=0.0)
     left.set_xlabel("pictures done")
     left.set_ylabel("memory, MiB")
     left.legend()
-    right.plot(later[1:, 0], rate, color="#1f6feb")
+    right.plot(later[1:, 0], rate, color=figures.BLUE)
     right.set_ylim(bottom=0.0)
     right.set_xlabel("pictures done")
     right.set_ylabel("pictures a second")

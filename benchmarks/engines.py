@@ -34,6 +34,7 @@ import results
 import scenes
 from scipy.stats import t as student
 
+from generator.measure import figures
 from generator.model.arrays import Vector, rotation_matrix
 from generator.model.errors import NlosError
 from generator.model.presets import preset
@@ -487,18 +488,12 @@ def _rounds(found: dict[str, list[Rung]]) -> range:
     return range(len(found[SURFEL][0].seconds))
 
 
+@figures.styled
 def plot(found: dict[Case, dict[str, list[Rung]]], file: Path) -> None:
     """Draw error against time, one panel per scene, on logarithmic axes."""
-    import matplotlib
-
-    matplotlib.use("Agg")
-    from matplotlib import pyplot as plt
-
-    names = [BATCH, SURFEL, PATCH, DENOISED, MITSUBA_PATCH, MITSUBA_SPOT, PATH]
-    colours = dict(
-        zip(names, ("#cc79a7", "#0072b2", "#d55e00", "#e69f00", "#009e73", "#56b4e9", "#444444"), strict=True)
-    )
-    figure, axes = plt.subplots(1, len(found), figsize=(5.0 * len(found), 4.6), sharey=True, squeeze=False)
+    names = [SURFEL, PATCH, MITSUBA_PATCH, DENOISED, MITSUBA_SPOT, BATCH, PATH]
+    colours = dict(zip(names, figures.COLOURS, strict=False))
+    figure, axes = figures.subplots(1, len(found), size=(5.0 * len(found), 4.6), sharey=True)
     for ax, (case, methods) in zip(axes[0], found.items(), strict=True):
         for name in (n for n in names if n in methods):
             rungs = methods[name]
@@ -513,12 +508,9 @@ def plot(found: dict[Case, dict[str, list[Rung]]], file: Path) -> None:
                 ax.plot([seconds[-1], goal], [errors[-1], GOAL], ":", color=colours[name])
         ax.axhline(GOAL, color="0.6", linewidth=0.8)
         ax.set(xscale="log", yscale="log", xlabel="seconds a new pose", title=case.name)
-        ax.grid(which="major", alpha=0.3)
     axes[0, 0].set_ylabel("error of the target's light, relative RMS")
-    axes[0, -1].legend(fontsize=8, title="dotted: extrapolated", title_fontsize=8)
-    figure.tight_layout()
-    figure.savefig(file, dpi=150)
-    plt.close(figure)
+    axes[0, -1].legend(title="dotted: extrapolated", title_fontsize=8)
+    figures.save(file, figure)
 
 
 def own_times(processes: Processes, folder: Path, rounds: int = 5) -> dict[str, dict[str, float]]:
@@ -695,12 +687,12 @@ def main() -> None:
     if not COMPILED:
         parser.error("numba is missing, without which surfel runs as plain Python: pip install numba")
     options.output.mkdir(parents=True, exist_ok=True)
-    figures: dict[str, Any] = {}
+    found: dict[str, Any] = {}
     with Processes() as processes:
         if options.only == "surfel":
-            figures["surfel"] = own_times(processes, options.output)
+            found["surfel"] = own_times(processes, options.output)
         if options.only not in ("agreement", "surfel"):
-            figures["time"] = times(processes, options.output, quick=options.quick)
+            found["time"] = times(processes, options.output, quick=options.quick)
         if options.only not in ("time", "surfel"):
             selection: dict[str, Any] = {"targets": ("sphere", "box"), "gaps": (1.0, 0.05)} if options.quick else {}
             if options.target:
@@ -709,8 +701,8 @@ def main() -> None:
                 selection["gaps"] = tuple(options.gap)
             if options.room:
                 selection["rooms"] = (True,)
-            figures["agreement"] = agreement(processes, options.output, budget=options.seconds, **selection)
-    text = json.dumps(figures, indent=1, default=vars)
+            found["agreement"] = agreement(processes, options.output, budget=options.seconds, **selection)
+    text = json.dumps(found, indent=1, default=vars)
     (options.output / "figures.json").write_text(text + "\n", encoding="utf-8")
 
 

@@ -24,10 +24,6 @@ from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
-import matplotlib as mpl
-
-mpl.use("Agg")
-import matplotlib.pyplot as plt
 import numpy as np
 import quadrature
 import results
@@ -35,6 +31,7 @@ import scenes
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
+from generator.measure import figures
 from generator.model.arrays import rotation_matrix
 from generator.model.errors import NlosError
 from generator.model.presets import preset
@@ -344,10 +341,11 @@ def checks(cases: list[Case]) -> str:
     return "\n".join(lines)
 
 
+@figures.styled
 def plot(cases: list[Case], path: Path) -> None:
     """Draw achieved error against requested accuracy, one point per pose."""
     kinds = list(dict.fromkeys(case.kind for case in cases))
-    figure, axes = plt.subplots(figsize=(9.5, 5.0))
+    figure, [[axes]] = figures.subplots(size=(9.5, 5.0))
     for i, kind in enumerate(kinds):
         points = [
             (a, e) for c in cases if c.kind == kind for a, e in c.errors.items() if a not in untrusted(c) and e < 1e9
@@ -355,16 +353,15 @@ def plot(cases: list[Case], path: Path) -> None:
         asked, achieved = np.array(points).T
         shift = 10.0 ** ((i - (len(kinds) - 1) / 2.0) * 0.09)
         spread = 10.0 ** np.random.default_rng(0).uniform(-0.03, 0.03, len(asked))
-        axes.scatter(asked * shift * spread, np.maximum(achieved, 1e-9), s=7, alpha=0.6, linewidths=0, label=kind)
+        places = asked * shift * spread, np.maximum(achieved, 1e-9)
+        axes.scatter(*places, s=7, alpha=0.6, linewidths=0, rasterized=True, label=kind)
     ends = np.array([min(ACCURACIES) / 3.0, max(ACCURACIES) * 3.0])
     asked = np.array(ACCURACIES)
     axes.hlines(asked, asked / 2.0, asked * 2.0, color="black", linewidth=1.0, label="as asked")
     axes.set(xscale="log", yscale="log", xlabel="accuracy asked for", ylabel="error achieved", xlim=ends)
     axes.set_title("Error of the surfel engine against independent quadrature, a point a pose")
-    axes.grid(alpha=0.3)
-    axes.legend(fontsize=8, loc="center left", bbox_to_anchor=(1.0, 0.5), markerscale=2.0, frameon=False)
-    figure.tight_layout()
-    figure.savefig(path, dpi=150)
+    axes.legend(loc="center left", bbox_to_anchor=(1.0, 0.5), markerscale=2.0, frameon=False)
+    figures.save(path, figure)
 
 
 def main(argv: list[str] | None = None) -> int:

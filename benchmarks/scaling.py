@@ -20,16 +20,13 @@ from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 
-import matplotlib as mpl
-
-mpl.use("Agg")
-import matplotlib.pyplot as plt
 import numba
 import numpy as np
 import results
 
 from generator.blender.engines import survey
 from generator.blender.scene import blend_file, build
+from generator.measure import figures
 from generator.model.presets import preset
 from generator.transport import Mesh, Transport, World, kernel
 
@@ -106,6 +103,7 @@ def _memory() -> float:
     return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024.0
 
 
+@figures.styled
 def main() -> None:
     """Measure, print, plot."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
@@ -147,7 +145,7 @@ def main() -> None:
         transport = Transport(replace(world, target=(mesh,)), accuracy=options.accuracy)
         record("triangles", len(mesh.triangles), best(lambda t=transport: t.render(*POSE)))
 
-    figure, axes = plt.subplots(1, 3, figsize=(13, 3.6), constrained_layout=True)
+    figure, [axes] = figures.subplots(1, 3, size=(13.0, 3.6))
     for axis, (name, rows) in zip(axes, series.items(), strict=True):
         print(f"\n{name:>10s} {'seconds':>10s} {'us each':>10s} {'MiB so far':>11s}")
         for n, t, memory in rows:
@@ -161,12 +159,13 @@ def main() -> None:
         memory_axis.plot(work, peak, "s-", color="0.6", markersize=3)
         memory_axis.set_ylim(0.0, 1.1 * max(row[2] for points in series.values() for row in points))
         memory_axis.set_ylabel("MiB at most so far", color="0.4")
-    figure.savefig(options.output / "scaling.png", dpi=120)
     table = [
         (name, f"{n:.0f}", f"{t:.2g}", f"{memory:.0f}") for name, rows in series.items() for n, t, memory in rows
     ]
     results.write(options.output, "scaling", RESULTS["scaling"], table)
-    print(f"\n{options.output / 'scaling.png'}")
+        memory_axis.grid(visible=False)
+    for path in figures.save(options.output / "scaling.png", figure):
+        print(path)
 
 
 if __name__ == "__main__":

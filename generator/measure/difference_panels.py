@@ -9,6 +9,7 @@ from typing import Any
 
 import numpy as np
 from matplotlib.figure import Figure
+from matplotlib.ticker import MaxNLocator
 from numpy.typing import NDArray
 
 from generator.measure import figures
@@ -101,6 +102,7 @@ def _draw_block(part: Any, block: Block) -> None:
         panel.set_title(column)
     for panel in axes[-1]:
         panel.set_xlabel("x on the wall (m)", fontsize=8)
+        panel.xaxis.set_major_locator(MaxNLocator(4, steps=[1, 2, 5, 10]))
 
 
 def on_wall(corners: Array, height: int, width: int) -> tuple[Array, Array]:
