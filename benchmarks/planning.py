@@ -233,7 +233,7 @@ def run_effects(options: argparse.Namespace) -> None:
     table = []
     for name in options.scenes or SCENES:
         source = saved(SCENES[name](), options.output / f"{name}.blend")
-        plan = planning.make(source, tolerance=options.tolerance, most=options.most)
+        plan = planning.make(source, tolerance=options.tolerance, most=options.most / planning.SHARE)
         try:
             measured = again(source, plan, options.most)
         except NlosError as error:

@@ -159,11 +159,11 @@ def main() -> None:
         memory_axis.plot(work, peak, "s-", color="0.6", markersize=3)
         memory_axis.set_ylim(0.0, 1.1 * max(row[2] for points in series.values() for row in points))
         memory_axis.set_ylabel("MiB at most so far", color="0.4")
+        memory_axis.grid(visible=False)
     table = [
         (name, f"{n:.0f}", f"{t:.2g}", f"{memory:.0f}") for name, rows in series.items() for n, t, memory in rows
     ]
     results.write(options.output, "scaling", RESULTS["scaling"], table)
-        memory_axis.grid(visible=False)
     for path in figures.save(options.output / "scaling.png", figure):
         print(path)
 

@@ -333,7 +333,7 @@ def front(found: Sequence[Cost]) -> list[int]:
     for number in ordered[1:]:
         with np.errstate(divide="ignore", invalid="ignore"):  # without an error there is none to divide by
             ratios = found[number].errors / found[kept[-1]].errors
-        if median(np.nan_to_num(ratios, nan=1.0, posinf=np.finfo(float).max))[2] < 1.0:
+        if median(np.nan_to_num(ratios, nan=1.0, posinf=float(np.finfo(float).max)))[2] < 1.0:
             kept.append(number)
     return kept
 

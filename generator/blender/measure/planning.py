@@ -37,7 +37,7 @@ _COARSEST = 0.1
 _ORDERS = (4, 5)
 _NOTHING = Effect("nothing", (0.0, 0.0, 0.0))
 _PIXEL_BYTES = 12
-_SHARE, _EXACT = 0.4, 0.7
+SHARE, _EXACT = 0.4, 0.7
 """Shares of the remaining time for effects that only Cycles models, and for those that `surfel` models."""
 _ENDING = 1.0
 """Seconds to write and draw what was found."""
@@ -105,7 +105,7 @@ def make(
     others = [piece for piece in pieces if piece not in fine]
     records = sorted((p for p in all_records if p.index < count), key=lambda p: (p.index, p.voxel))
     _compile(source, records[0], deadline, tell)
-    sky = ambient(source, records, deadline.part(_SHARE)) if simplify.AMBIENT in others else None
+    sky = ambient(source, records, deadline.part(SHARE)) if simplify.AMBIENT in others else None
     if sky is not None:
         others.remove(simplify.AMBIENT)
     measured = [Effect(name, UNKNOWN) for name in others]
@@ -117,7 +117,7 @@ def make(
     elif by_cycles:
         rounds = [[p for p in all_records if p.index == k] for k in range(paired.ROUNDS[1])]
         probe = paired.PairedMeasurement(source, engine, rounds, described.resolution[0] / described.resolution[1])
-        part = deadline.part(_SHARE)
+        part = deadline.part(SHARE)
         if others:
             tell(f"rendering {len(others)} effects that only Cycles models, for up to {clock(part.left)}")
         shares = paired.measure(probe, others, tolerance=tolerance, deadline=part, progress=tell)
@@ -132,7 +132,7 @@ def make(
         _, reasons = _simplified(source, dropped)
     if reasons:
         if engine != "path" and by_cycles:
-            part = deadline.part(_SHARE)
+            part = deadline.part(SHARE)
             bias = paired.denoiser_bias(probe, described.resolution, deadline=part, progress=tell)
             measured.append(Effect(paired.DENOISER, bias, note="not used"))
         words += [f"surfel cannot render this: {reason}" for reason in reasons if engine != "path"]
