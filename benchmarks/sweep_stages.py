@@ -59,7 +59,10 @@ STAGES = {
     "set up the engine": ["generator.transport:Transport.__init__"],
     "background": ["generator.blender.sweep_worker:_background"],
     "draw poses": ["generator.model.poses:plan"],
-    "render poses": ["generator.transport:Transport.pictures", "generator.blender.engines.cycles:Renderer.render"],
+    "render poses": [
+        "generator.transport:Transport.pictures",
+        "generator.blender.engines.cycles:CyclesRenderer.render",
+    ],
     "check pixels, encode EXR": ["generator.files.pictures:write_picture", "generator.files.exr:write"],
     "hash": ["generator.files.pictures:pixel_hash", "generator.sets.manifest:scene_hash"],
     "write and rename": [

@@ -25,6 +25,9 @@ from sphinx import addnodes
 from sphinx.application import Sphinx
 from sphinx.util.docutils import SphinxDirective
 
+_MOST_UNBROKEN = 6
+"""Columns of a table whose intervals fit on one line across a page."""
+
 
 def _list(argument: str | None) -> tuple[str, ...]:
     return tuple(part.strip() for part in (argument or "").split(";") if part.strip())
@@ -80,8 +83,9 @@ class ResultsTable(SphinxDirective):
 
 
 def _group(results: results_file.ResultsFile) -> nodes.tgroup:
+    shown = _unbroken if len(results.columns) <= _MOST_UNBROKEN else str
     head, *body = (
-        nodes.row("", *(nodes.entry("", nodes.paragraph("", _unbroken(text))) for text in row))
+        nodes.row("", *(nodes.entry("", nodes.paragraph("", shown(text))) for text in row))
         for row in (results.columns, *results.rows)
     )
     columns = (nodes.colspec(colwidth=1) for _ in results.columns)
