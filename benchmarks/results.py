@@ -6,7 +6,6 @@ A script names its tables in ``RESULTS``, their columns by their names; ``tests/
 
 from __future__ import annotations
 
-import os
 import platform
 import shlex
 import subprocess
@@ -17,6 +16,7 @@ from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 
 from generator.files.writing import csv_text, write_text
+from generator.jobs.workers import available_cores
 
 _ROOT = Path(__file__).resolve().parents[1]
 
@@ -42,7 +42,7 @@ def write(folder: Path, name: str, columns: Sequence[str], rows: Iterable[Sequen
 
 
 def command(folder: Path) -> str:
-    """Return the command line that runs, with DIR for the folder of the results and without other people's paths."""
+    """Return the command line that runs, with DIR for the folder of the results."""
     words = ["python"]
     for number, word in enumerate(sys.argv):
         path = Path(word).resolve()
@@ -55,7 +55,7 @@ def command(folder: Path) -> str:
 
 def machine() -> str:
     """Return the cores, the processor and the versions that times and pictures depend on."""
-    told = [f"{len(os.sched_getaffinity(0))} cores of {_processor()}", f"Python {platform.python_version()}"]
+    told = [f"{available_cores()} cores of {_processor()}", f"Python {platform.python_version()}"]
     for package in ("bpy", "numba"):
         try:
             told.append(f"{package} {version(package)}")
