@@ -21,6 +21,7 @@ extensions = [
     "sphinx_design",
     "sphinxarg.ext",
     "from_code",
+    "results_table",
     "mathml",
 ]
 exclude_patterns = ["_ext", "**/.ipynb_checkpoints"]

@@ -22,7 +22,7 @@ import results_file
 
 DATA = ROOT / "docs" / "data"
 FILES = sorted(DATA.glob("*.csv"))
-PARSERS = {"nlos-generate": generator.cli.main._parser, "nlos-classify": classify.cli.main._parser}
+PARSERS = {"nlos-generate": generator.cli.main.parser, "nlos-classify": classify.cli.main.parser}
 PAGES = sorted((ROOT / "docs").rglob("*.md"))
 
 
