@@ -11,13 +11,13 @@ from __future__ import annotations
 
 import argparse
 import math
-import shlex
 import sys
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
+import results
 from scipy import signal, stats
 
 from classify import intervals
@@ -26,7 +26,6 @@ from classify.inference import detect
 from classify.inference.atlas import Atlas
 from classify.intervals import Interval
 from classify.pictures.sensor import Sensor
-from generator.files.writing import csv_text, write_text
 from generator.measure import agreement
 from generator.measure import intervals as measured
 from generator.model.grid import VoxelGrid
@@ -86,7 +85,7 @@ def shares() -> Iterator[Case]:
                 return holds(intervals.wilson(int(rng.binomial(n, p)), n), p), None
 
             printed = "compare, learn: accuracy; bound; detect"
-            yield Case("share", printed, count, f"{share:.0%} are true", draw)
+            yield Case("share", printed, count, f"{100 * share:g} % are true", draw)
 
 
 def scores() -> Iterator[Case]:
@@ -103,7 +102,7 @@ def scores() -> Iterator[Case]:
                 return [holds(*pair) for pair in zip(evaluate.intervals(confusion), truth, strict=True)], None
 
             printed = [f"compare: {score}" for score in ("precision", "recall", "F1")]
-            yield Case("macro score", printed, count, f"{share:.0%} are right", draw)
+            yield Case("macro score", printed, count, f"{100 * share:g} % are right", draw)
 
 
 def located() -> Iterator[Case]:
@@ -118,7 +117,7 @@ def located() -> Iterator[Case]:
                     true = below(in_groups(rng, g, r), p)
                     return holds(intervals.share(true, g), p), holds(intervals.share(true), p)
 
-                yield Case("share by background", "locate", count, f"{share:.0%} are true, {setting}", draw)
+                yield Case("share by background", "locate", count, f"{100 * share:g} % are true, {setting}", draw)
 
             def draw_median(rng, g=groups, r=correlation):
                 errors = np.abs(in_groups(rng, g, r))
@@ -178,7 +177,7 @@ def alarms() -> Iterator[Case]:
                     plain = intervals.wilson(int((single > t).sum()), n)  # one background, as it was before
                     return holds(intervals.exceedance(found, t, groups), truth), holds(plain, truth)
 
-                yield Case("false alarms", "locate", count, f"{rate:.0%} alarm, {frames}", draw)
+                yield Case("false alarms", "locate", count, f"{100 * rate:g} % alarm, {frames}", draw)
 
 
 def tracked() -> Iterator[Case]:
@@ -192,7 +191,7 @@ def tracked() -> Iterator[Case]:
                     true = below(walk(rng, n, r), p)
                     return holds(intervals.share_of_walk(true), p), holds(intervals.share(true), p)
 
-                yield Case("share of a walk", "track", count, f"{share:.0%} are true, {setting}", draw)
+                yield Case("share of a walk", "track", count, f"{100 * share:g} % are true, {setting}", draw)
 
             def draw_median(rng, n=count, r=correlation):
                 errors = np.abs(walk(rng, n, r))
@@ -207,7 +206,7 @@ def worth() -> Iterator[Case]:
         groups = np.tile(np.arange(pictures), NOISES)
         for share in SHARES:
             for correlation in (0.5, 0.9):
-                setting = f"{share:.0%} are true, correlation {correlation:g} within a picture"
+                setting = f"{100 * share:g} % are true, correlation {correlation:g} within a picture"
 
                 def draw(rng, g=groups, r=correlation, p=share):
                     true = below(in_groups(rng, g, r), p)
@@ -222,7 +221,11 @@ def worth() -> Iterator[Case]:
                 return holds(measured.mean(difference), 0.0), None
 
             yield Case(
-                "difference of two ways", "classify tradeoff: loses", pictures, f"{share:.0%} are true", draw_loss
+                "difference of two ways",
+                "classify tradeoff: loses",
+                pictures,
+                f"{100 * share:g} % are true",
+                draw_loss,
             )
 
         def draw_median(rng, g=groups):
@@ -235,7 +238,7 @@ def worth() -> Iterator[Case]:
 
 
 def compared() -> Iterator[Case]:
-    """Differences of two classifiers over the same pictures, and what half an atlas loses."""
+    """Differences of two classifiers over the same pictures."""
     for count in (90, 900):
         for share in SHARES:
 
@@ -245,7 +248,11 @@ def compared() -> Iterator[Case]:
                 return holds(intervals.paired_difference(one, other), 0.0), None
 
             yield Case(
-                "difference of two classifiers", "compare: not told apart", count, f"{share:.0%} are right", draw
+                "difference of two classifiers",
+                "compare: not told apart; bound: half the atlas",
+                count,
+                f"{100 * share:g} % are right",
+                draw,
             )
 
 
@@ -319,17 +326,20 @@ def checked() -> Iterator[Case]:
 
 
 ALL = (shares, scores, located, alarms, tracked, worth, compared, traded, planned, changed, checked)
-HEADINGS = (
-    "interval",
-    "printed by",
-    "count",
-    "setting",
-    "held %",
-    "+-",
-    "as if independent %",
-    "draws",
-    "93 to 97 %",
-)
+RESULTS = {
+    "coverage": (
+        "interval",
+        "printed by",
+        "n",
+        "setting",
+        "held, %",
+        "error, %",
+        "as independent, %",
+        "draws",
+        "93 to 97",
+    )
+}
+"""``n`` counts pictures, frames, poses, rounds or repeats; the last column says whether that share is 93 to 97 %."""
 
 
 def rows_of(number: int, case: Case, draws: int) -> Iterator[list[object]]:
@@ -360,10 +370,7 @@ def main() -> int:
                 for row in rows_of(1000 * number + k, case, options.draws):
                     rows.append(row)
                     print(*row, sep=" | ", flush=True)
-    options.output.mkdir(parents=True, exist_ok=True)
-    command = shlex.join(["python", "benchmarks/interval_coverage.py", *sys.argv[1:]])
-    text = f"# command: {command}\n" + csv_text(HEADINGS, rows)
-    write_text(options.output / "coverage.csv", text)
+    results.write(options.output, "coverage", RESULTS["coverage"], rows)
     return 0
 
 

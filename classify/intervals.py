@@ -24,8 +24,11 @@ from generator.measure import intervals
 from generator.model.arrays import Array
 
 _Z = float(stats.norm.ppf(0.975))
+_DOUBT = 0.75
+"""Number of wrong answers, half correlated with their group, that a design effect is estimated with as well: with few
+wrong answers it would be too small too often. By simulation (benchmarks/interval_coverage.py), as the next."""
 _COSINES = 0.3
-"""Number of slow cosines over the root of the number of frames; by simulation (benchmarks/interval_coverage.py)."""
+"""Number of slow cosines over the root of the number of frames."""
 
 
 @dataclass(frozen=True)
@@ -77,15 +80,14 @@ def wilson(successes: int, trials: int) -> Interval:
 
 
 def grouped(values: NDArray[Any], groups: NDArray[Any]) -> Effective:
-    """Return what shares (n,), each from 0 to 1, are worth if those of a group are not independent.
+    """Return what truth values (n,) are worth if those of a group are not independent.
 
-    The variance of their mean is that between the sums of groups (Cochran 1977). Groups that are drawn
+    The variance of their mean is that between the sums of groups (Cochran 1977, chapter 9). Groups that are drawn
     from all voxels alike make it smaller than that of independent pictures.
 
     Parameters
     ----------
     values : ndarray of shape (n,)
-        Truth values, or shares.
     groups : ndarray of shape (n,)
         Name of each one's group.
     """
@@ -95,9 +97,12 @@ def grouped(values: NDArray[Any], groups: NDArray[Any]) -> Effective:
         return Effective(float(count))
     mean = float(np.mean(values))
     sums = np.bincount(index, values - mean)
-    return _effective(
-        len(names) / (len(names) - 1) * float((sums**2).mean()) * len(names) / count, mean, count, len(names) - 1
-    )
+    excess = float((sums**2).sum()) * len(names) / (len(names) - 1)
+    rarer = count * min(mean, 1.0 - mean)
+    binomial = count * mean * (1.0 - mean)
+    doubt = _DOUBT * 0.5 * (1.0 + count / len(names))
+    effect = (rarer * (excess / binomial if binomial else 1.0) + doubt) / (rarer + _DOUBT)
+    return Effective(count / effect, float(stats.t.ppf(0.975, len(names) - 1)))
 
 
 def serial(values: NDArray[Any]) -> Effective:
@@ -110,16 +115,12 @@ def serial(values: NDArray[Any]) -> Effective:
     cosines = max(2, round(_COSINES * math.sqrt(count)))
     if count <= cosines:
         return Effective(float(count))
-    amplitudes = fft.dct(values - mean, norm="ortho")[1 : cosines + 1]
-    return _effective(float((amplitudes**2).mean()), mean, count, cosines)
-
-
-def _effective(variance: float, mean: float, count: int, freedom: int) -> Effective:
-    """Effective number, given the long-run variance of one value, its degrees of freedom, and the mean."""
+    variance = float((fft.dct(values - mean, norm="ortho")[1 : cosines + 1] ** 2).mean())
     binomial = mean * (1.0 - mean)
-    # One more value, independent of the others: a share of 0 or 1 has no variance to estimate a design effect from.
+    # One more frame, independent of the others: a share of 0 or 1 has no variance to estimate a design effect from.
     added = (binomial + 0.25 / count) / count
-    return Effective(count * (binomial + added) / (variance + added), float(stats.t.ppf(0.975, freedom)))
+    effect = (variance + added) / (binomial + added)
+    return Effective(count / effect, float(stats.t.ppf(0.975, cosines)))
 
 
 def share(right: NDArray[np.bool_], groups: NDArray[Any] | None = None) -> Interval:

@@ -19,7 +19,7 @@ from scipy.stats import norm
 
 from classify.inference.atlas import Atlas
 from classify.inference.posterior import Synthesis, locate
-from classify.intervals import Interval, median, wilson
+from classify.intervals import Interval, median, paired_difference, wilson
 from generator.measure import figures
 from generator.model.arrays import Array
 from generator.model.errors import NlosError
@@ -41,18 +41,15 @@ class Reachable:
         Median distance of its position from the true one, metres.
     count : int
         Number of pictures.
-    gain : float
+    gain : Interval
         Share of pictures that are right with the whole atlas less that with half of its poses.
-    gain_error : float
-        Standard error of the gain.
     """
 
     accuracy: Interval
     by_voxel: list[Interval]
     error: Interval
     count: int
-    gain: float
-    gain_error: float
+    gain: Interval
 
     def words(self) -> list[str]:
         """Return what the shares of right voxels do and do not bound, in sentences."""
@@ -60,10 +57,10 @@ class Reachable:
             "right voxel: no method puts more of all pictures into their voxels; in a single voxel, a method that "
             "prefers that voxel may"
         ]
-        if self.gain > 2.0 * self.gain_error:
+        if self.gain.low > 0.0:
             lines.append(
-                f"these bounds are too low: with half of the atlas' poses they are {100.0 * self.gain:.1f} % "
-                f"± {196.0 * self.gain_error:.1f} % lower, so with more poses they would rise; make a larger atlas"
+                f"these bounds are too low: with half of the atlas' poses they are {self.gain.percent()} "
+                f"lower, so with more poses they would rise; make a larger atlas"
             )
         return lines
 
@@ -96,14 +93,14 @@ def reachable(
     chosen = rng.choice(len(atlas.codes), size=min(count, len(atlas.codes)), replace=False)
     kept = np.sort(np.random.default_rng([seed, 10]).choice(poses, size=poses // 2, replace=False))
     half, place_in_half = atlas.take(kept), dict(zip(kept.tolist(), range(len(kept)), strict=True))
-    correct, errors = np.zeros(len(chosen), dtype=bool), np.zeros(len(chosen))
-    gains = np.zeros(len(chosen))
+    correct, correct_by_half = np.zeros((2, len(chosen)), dtype=bool)
+    errors = np.zeros(len(chosen))
     for done, pose in enumerate(chosen):
         code = atlas.example(int(pose), rng) + rng.normal(size=atlas.codes.shape[1])
         place = locate(atlas, code.astype(np.float32), without=int(pose))
         correct[done] = place.voxels.argmax() == atlas.voxels[pose]
         by_half = locate(half, code.astype(np.float32), without=place_in_half.get(int(pose)))
-        gains[done] = float(correct[done]) - float(by_half.voxels.argmax() == atlas.voxels[pose])
+        correct_by_half[done] = by_half.voxels.argmax() == atlas.voxels[pose]
         errors[done] = np.linalg.norm(place.position - atlas.positions[pose])
         progress(done + 1, len(chosen))
     voxels = atlas.voxels[chosen]
@@ -113,8 +110,7 @@ def reachable(
         by_voxel=[wilson(int(r.sum()), len(r)) if len(r) else Interval(math.nan, 0.0, 1.0) for r in by_voxel],
         error=median(errors),
         count=len(chosen),
-        gain=float(gains.mean()),
-        gain_error=float(gains.std(ddof=1) / math.sqrt(len(gains))) if len(gains) > 1 else math.inf,
+        gain=paired_difference(correct, correct_by_half),
     )
 
 

@@ -64,15 +64,18 @@ def relative(error: Array, signal: Array) -> tuple[float, float, float]:
     Returns
     -------
     (float, float, float)
-        Value, low and high end, by Student's t over the rounds; with a single round the ends are 0 and infinity, and
+        Value, low and high end, by Student's t over the rounds' residuals, since the signal is sampled too (ratio
+        estimate: Cochran 1977, chapter 6); with a single round the ends are 0 and infinity, and
         the value is NaN where noise hides the signal.
     """
     level = signal.mean(axis=0)
     if (level <= 0.0).any():
         return math.nan, 0.0, math.inf
-    ratios = (error / level).mean(axis=1)
-    if len(ratios) < 2:
-        return math.sqrt(max(0.0, float(ratios.mean()))), 0.0, math.inf
-    half = float(student.ppf(0.975, len(ratios) - 1) * ratios.std(ddof=1) / math.sqrt(len(ratios)))
-    low, value, high = (math.sqrt(max(0.0, float(ratios.mean()) + x)) for x in (-half, 0.0, half))
+    shares = error.mean(axis=0) / level
+    square, rounds = float(shares.mean()), len(error)
+    if rounds < 2:
+        return math.sqrt(max(0.0, square)), 0.0, math.inf
+    residuals = ((error - shares * signal) / level).mean(axis=1)
+    half = float(student.ppf(0.975, rounds - 1) * residuals.std(ddof=1) / math.sqrt(rounds))
+    low, value, high = (math.sqrt(max(0.0, square + x)) for x in (-half, 0.0, half))
     return value, low, high

@@ -58,7 +58,7 @@ def test_too_few_poses_are_told(poses, grows):
     grid = VoxelGrid(lo=(-0.5, -0.5, -0.5), hi=(1.5, 0.5, 0.5), shape=(2, 1, 1))
     positions = np.stack([voxels, 0.0 * voxels, 0.0 * voxels], axis=1).astype(float)
     found = bound.reachable(plain_atlas(codes, positions, voxels, grid), count=800)
-    assert any("make a larger atlas" in line for line in found.words()) == grows, (found.gain, found.gain_error)
+    assert any("make a larger atlas" in line for line in found.words()) == grows, found.gain
     assert "no method puts more of all pictures" in found.words()[0]
 
 

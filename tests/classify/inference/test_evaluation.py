@@ -81,6 +81,7 @@ def test_a_data_set_is_answered(simulated, seen):
     """Voxel, position and presence of every picture, and rates that agree with what is stated."""
     answers = evaluation.run(atlas_build.build(simulated, DIM), seen, seed=1)
     assert answers.accuracy().value > 0.6
+    assert np.unique(answers.draws).size == np.unique(answers.empty_draws).size == evaluation.BACKGROUNDS
     held = int(answers.inside.sum())
     assert answers.calibration(np.array([0.95]))[0] == pytest.approx(held / len(answers.records))
     assert stats.binom.cdf(held, len(answers.records), 0.93) > 1e-3

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -136,3 +137,19 @@ def test_a_patch_seen_as_a_point_errs_with_the_square_of_its_size(radius, distan
     found = [effect for effect in measured(world, [], place, np.zeros((1, 3)), accuracy=1e-5)[0] if not effect.note]
     assert [effect.name for effect in found] == [PATCH]
     assert found[0].share[0] == pytest.approx((radius / distance) ** 2, rel=0.25)
+
+
+def test_a_vague_effect_keeps_no_clear_one_from_being_left_out(monkeypatch):
+    """One round of four shows it, so its interval is wide; what is larger, and the same in all, may go."""
+    made = {"": np.ones((4, 2, 2)), "clear": np.full((4, 2, 2), 1.004), "vague": np.ones((4, 2, 2))}
+    made["vague"][0] = 1.0055
+    monkeypatch.setattr(effects, "differences", lambda variant, dropped, *_: (made["".join(dropped)], 1.0))
+    monkeypatch.setattr(
+        effects, "Transport", lambda *_, **__: SimpleNamespace(background=lambda: np.zeros((2, 2, 3)))
+    )
+    found, dropped, _ = effects.measure(
+        lambda dropped: (None, True), ["vague", "clear"], np.zeros((4, 3)), np.zeros((4, 3)), rounds=4
+    )
+    shares = {effect.name: effect.share for effect in found}
+    assert shares["vague"][0] < shares["clear"][0] < 0.005 < shares["vague"][2]
+    assert dropped == ["clear"]

@@ -55,6 +55,14 @@ def test_noise_adds_nothing_and_the_interval_holds_the_truth():
     assert abs(np.mean(values[::3])) < 0.1
 
 
+def test_axes_are_told_apart_by_their_difference():
+    """The changes are 1, 2 and 0 of the signal per metre; noise that is large enough leaves the order open."""
+    clear, drowned = made(6, 0.3), made(6, 20.0)
+    assert (clear.stronger(1, 0), clear.stronger(0, 1), clear.stronger(2, 0)) == (True, False, False)
+    assert drowned.stronger(1, 0) is None
+    assert made(1, 0.0).stronger(1, 0) is True
+
+
 def test_what_noise_drowns_is_not_a_number():
     values = [made(2, 100.0, seed).changes()[0][0] for seed in range(12)]
     assert np.isnan(values).any()
