@@ -173,7 +173,7 @@ def test_a_trajectory_keeps_its_pace_and_its_distance():
 
 def test_lost_and_found_again(tmp_path, command):
     """The command line on a sequence with a gap: what it prints, writes and draws."""
-    simulated = make_bulk(tmp_path / "bulk", pictures=2000, inside="centre")
+    simulated = make_bulk(tmp_path / "bulk", pictures=1200, inside="centre", radius=0.1, seed=1)
     frames = make_walk(tmp_path / "walk", tmp_path / "way")
     (tmp_path / "dim.toml").write_text("full_well = 300.0\nbits = 10\n")
     made = command("classify", "atlas", simulated.path, "-o", tmp_path / "a.atlas", "--sensor", tmp_path / "dim.toml")
@@ -209,7 +209,7 @@ def test_lost_and_found_again(tmp_path, command):
 
 def test_poses_that_leave_gaps_or_are_the_walks_own_are_refused(tmp_path):
     """One sentence, which names what would be right; an atlas that does not say is refused too."""
-    filled = make_bulk(tmp_path / "filled", pictures=200, inside="centre")
+    filled = make_bulk(tmp_path / "filled", pictures=200, inside="centre", radius=0.1)
     atlas = atlas_build.build(filled, Sensor(full_well=300.0, bits=10))
     walk = make_walk(tmp_path / "walk", tmp_path / "way")
     old = replace(atlas, about={"targets": ["sphere"]})
@@ -232,12 +232,12 @@ def test_a_gap_is_not_ended_by_the_next():
 
 def make_walk(path, way):
     """A data set of 40 frames at poses of a bulk set of its own, which is put into a folder."""
-    return make_seen(path, make_bulk(way, pictures=40, seed=3), poses=10, frames=40, pace=0.05)
+    return make_seen(path, make_bulk(way, pictures=40, seed=3, radius=0.1), poses=10, frames=40, pace=0.05)
 
 
 def test_a_sequence_that_grows_is_waited_for(tmp_path):
     """Frames that are not there yet end the pursuit when patience does."""
-    simulated = make_bulk(tmp_path / "bulk", pictures=400, inside="centre")
+    simulated = make_bulk(tmp_path / "bulk", pictures=400, inside="centre", radius=0.1)
     frames = make_walk(tmp_path / "walk", tmp_path / "way")
     (frames.path / frames.records[30].file).unlink()
     frames = type(frames).open(frames.path)
