@@ -1,6 +1,6 @@
 """Values with 95 % confidence intervals, also where pictures are not independent.
 
-Dependent pictures count as an effective number of independent ones (design effect: Kish 1965, section 8.2), whose
+Dependent pictures count as an effective number of independent ones (design effect: Kish 1965), whose
 interval is Wilson's for a share (Korn and Graubard 1998) and order statistics' for a median (Woodruff 1952). The
 design effect is the variance of a mean over that of independent values. It is estimated
 
@@ -18,7 +18,7 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy import fft, stats
+from scipy import fft, special, stats
 
 from generator.measure import intervals
 from generator.model.arrays import Array
@@ -82,8 +82,8 @@ def wilson(successes: int, trials: int) -> Interval:
 def grouped(values: NDArray[Any], groups: NDArray[Any]) -> Effective:
     """Return what truth values (n,) are worth if those of a group are not independent.
 
-    The variance of their mean is that between the sums of groups (Cochran 1977, chapter 9). Groups that are drawn
-    from all voxels alike make it smaller than that of independent pictures.
+    The variance of their mean is that between the sums of groups (Cochran 1977). Groups that are drawn from all
+    voxels alike make it smaller than that of independent pictures.
 
     Parameters
     ----------
@@ -155,8 +155,8 @@ def exceedance(values: Array, threshold: float, groups: NDArray[Any]) -> Interva
     """Return the share of values (n,) above a threshold, with its 95 % interval.
 
     Too few are above it to estimate a design effect from these alone. So the correlation within groups is taken from
-    all values, put on a normal scale (analysis of variance: Donner 1986), and the correlation of being
-    above from the bivariate normal distribution with it (Pearson 1900).
+    all values, put on a normal scale (analysis of variance: Donner 1986), and the correlation of being above from the
+    bivariate normal distribution with it (Owen 1956).
 
     Parameters
     ----------
@@ -177,10 +177,8 @@ def exceedance(values: Array, threshold: float, groups: NDArray[Any]) -> Interva
     size = (count - float((sizes**2).sum()) / count) / (len(names) - 1)
     correlation = max(0.0, (between - within) / (between + (size - 1.0) * within))
     rate = (above * count + 0.5) / (count + 1.0)
-    quantile = stats.norm.ppf(rate)
-    both = float(
-        stats.multivariate_normal([0.0, 0.0], [[1.0, correlation], [correlation, 1.0]], True).cdf([quantile] * 2)
-    )
+    cut = math.sqrt((1.0 - correlation) / (1.0 + correlation))
+    both = rate - 2.0 * float(special.owens_t(special.ndtri(rate), cut))
     effect = 1.0 + (float((sizes**2).sum()) / count - 1.0) * max(0.0, both - rate * rate) / (rate - rate * rate)
     return score_interval(above, count / effect, float(stats.t.ppf(0.975, len(names) - 1)))
 

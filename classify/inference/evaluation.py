@@ -214,8 +214,10 @@ def run(
     Raises
     ------
     NlosError
-        If volume or resolution differ, or the data set is empty or broken.
+        If volume or resolution differ, the data set is empty or broken, or no background is to be measured.
     """
+    if backgrounds < 1:
+        raise NlosError(f"backgrounds {backgrounds}: must be 1 or more")
     grid = atlas.grid
     if (dataset.grid.lo, dataset.grid.hi) != (grid.lo, grid.hi):
         raise NlosError(f"{dataset.path}: has another voxel grid than the atlas; make both of one scene")

@@ -65,7 +65,7 @@ def relative(error: Array, signal: Array) -> tuple[float, float, float]:
     -------
     (float, float, float)
         Value, low and high end, by Student's t over the rounds' residuals, since the signal is sampled too (ratio
-        estimate: Cochran 1977, chapter 6); with a single round the ends are 0 and infinity, and
+        estimate: Cochran 1977); with a single round the ends are 0 and infinity, and
         the value is NaN where noise hides the signal.
     """
     level = signal.mean(axis=0)
