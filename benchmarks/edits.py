@@ -636,7 +636,10 @@ def compositor_doubles(scene, folder):
     else:
         tree = bpy.data.node_groups.new("Compositing", "CompositorNodeTree")
         tree.interface.new_socket("Image", in_out="OUTPUT", socket_type="NodeSocketColor")
-        scene.compositing_node_group = tree
+        if hasattr(scene, "compositor_effects"):  # Blender 5.3
+            scene.compositor_effects.new("Compositing").node_group = tree
+        else:
+            scene.compositing_node_group = tree
         layers, end = tree.nodes.new("CompositorNodeRLayers"), tree.nodes.new("NodeGroupOutput")
         out = end.inputs[0]
     exposed = tree.nodes.new("CompositorNodeExposure")

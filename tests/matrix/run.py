@@ -68,7 +68,7 @@ class Row:
         return found[0] if self.blender else "none"
 
 
-ROWS = (Row("3.11", "4.5.15"), Row("3.11"), Row("3.13"), Row("3.11", blender=False))
+ROWS = (Row("3.11", "4.5.15"), Row("3.11"), Row("3.13"), Row("3.13", "5.3.0"), Row("3.11", blender=False))
 REFERENCE = ROWS[1]
 
 

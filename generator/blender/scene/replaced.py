@@ -160,6 +160,8 @@ def words(value: Any) -> str:
 
 
 def _composites(scene: Any) -> bool:
+    if hasattr(scene, "compositor_effects"):  # Blender 5.3, where the next is deprecated
+        return any(effect.enable_for_render and effect.node_group is not None for effect in scene.compositor_effects)
     if hasattr(scene, "compositing_node_group"):  # Blender 5
         return scene.compositing_node_group is not None
     return bool(scene.use_nodes and scene.node_tree is not None)

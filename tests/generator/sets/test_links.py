@@ -230,7 +230,10 @@ def busy(scene, elsewhere):
     text = bpy.data.texts.new("register.py")
     text.write(f"open({str(elsewhere / 'text')!r}, 'w').write('x')")
     text.use_module = True
-    if hasattr(scene, "compositing_node_group"):
+    if hasattr(scene, "compositor_effects"):  # Blender 5.3
+        tree = bpy.data.node_groups.new("compositor", "CompositorNodeTree")
+        scene.compositor_effects.new("compositor").node_group = tree
+    elif hasattr(scene, "compositing_node_group"):
         tree = scene.compositing_node_group = bpy.data.node_groups.new("compositor", "CompositorNodeTree")
     else:
         scene.use_nodes = True

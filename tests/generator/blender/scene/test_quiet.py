@@ -34,6 +34,8 @@ def every_setting(scene):
             name = about.identifier
             if about.type == "COLLECTION" or name in ("rna_type", "use_nodes", "depsgraph"):
                 continue
+            if getattr(about, "is_deprecated", False):
+                continue
             value = getattr(owner, name)
             if about.type != "POINTER":
                 found[f"{path}.{name}"] = str(tuple(value) if getattr(about, "is_array", False) else value)

@@ -185,10 +185,13 @@ def plain(scene, tmp_path, **changed):
 
 def make_the_compositor_count(scene):
     """Let a compositor put one colour in place of the picture."""
-    if hasattr(scene, "compositing_node_group"):  # Blender 5
+    if bpy.app.version >= (5, 0):
         tree = bpy.data.node_groups.new("Compositing", "CompositorNodeTree")
         tree.interface.new_socket("Image", in_out="OUTPUT", socket_type="NodeSocketColor")
-        scene.compositing_node_group = tree
+        if hasattr(scene, "compositor_effects"):  # Blender 5.3
+            scene.compositor_effects.new("Compositing").node_group = tree
+        else:
+            scene.compositing_node_group = tree
         output = tree.nodes.new("NodeGroupOutput")
     else:
         scene.use_nodes = True
