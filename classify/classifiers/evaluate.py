@@ -226,7 +226,8 @@ def target_names(sets: Sequence[Features], names: Sequence[str]) -> list[str]:
 
 def _classes(*sets: Features) -> list[str]:
     present = set().union(*(set(map(str, f.labels)) for f in sets))
-    return [label for label in sets[0].grid.labels if label in present]
+    order = {label: k for k, label in enumerate(sets[0].grid.labels)}
+    return sorted(present, key=lambda label: [order[name] for name in label.split("+")])
 
 
 def fit_and_test(model: Any, x: Array, y: Any, x_test: Array, y_test: Any) -> dict[str, Any]:

@@ -328,7 +328,7 @@ def load(path: Path) -> Model:
     if not (isinstance(model.about, dict) and 0.0 <= model.reference_radiance < np.inf):
         raise NlosError(f"{path}: does not tell its origin, or has no reference radiance of 0 or more")
     _answer(model.estimator, np.zeros(n_features), str(path))  # raises if the classifier cannot predict
-    if not set(map(str, model.estimator.classes_)) <= set(model.grid.labels):
+    if not {name for label in model.estimator.classes_ for name in str(label).split("+")} <= set(model.grid.labels):
         raise NlosError(f"{path}: answers by other voxels than its grid has")
     return model
 

@@ -47,6 +47,7 @@ class Features:
         Not scaled, since scaling belongs inside the folds.
     names : list of str
     labels : ndarray of shape (n_samples,), str
+        Voxel of the object; of several objects, those of all, such as A+C.
     voxels : ndarray of shape (n_samples,), int
     positions, rotations : ndarray of shape (n_samples, 3), float64
         Metres and degrees.
@@ -147,7 +148,7 @@ def extract(
     return Features(
         values=np.array(rows),
         names=feature_names(settings),
-        labels=np.array([r.label for r in records]),
+        labels=np.array([r.answer for r in records]),
         voxels=np.array([r.voxel for r in records]),
         positions=np.array([r.position for r in records]),
         rotations=np.array([r.rotation for r in records]),
@@ -325,7 +326,7 @@ def read(path: Path) -> Features:
         raise NlosError(f"{path}: its features, labels and poses differ in length")
     if features.names != feature_names(features.settings) or len(features.names) != features.values.shape[1]:
         raise NlosError(f"{path}: its feature names are not those of its settings")
-    unknown = sorted(set(map(str, features.labels)) - set(features.grid.labels))
+    unknown = sorted({name for label in features.labels for name in label.split("+")} - set(features.grid.labels))
     if unknown:
         raise NlosError(f"{path}: has the label {unknown[0]}, which its grid of {features.grid.n_voxels} lacks")
     if not 0.0 <= features.reference_radiance < float("inf"):

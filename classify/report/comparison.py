@@ -178,7 +178,7 @@ def confusions(result: Result, grid: VoxelGrid, most: int = 5) -> list[tuple[str
     pairs = sorted(((int(symmetric[i, j]), i, j) for i, j in np.argwhere(symmetric > 0)), reverse=True)[:most]
     index = {label: i for i, label in enumerate(grid.labels)}
     return [
-        (a, b, count, _relation(grid, index[a], index[b]))
+        (a, b, count, "" if "+" in a + b else _relation(grid, index[a], index[b]))
         for count, a, b in ((count, result.labels[i], result.labels[j]) for count, i, j in pairs)
     ]
 
@@ -256,14 +256,17 @@ def _map(result: Result, grid: VoxelGrid) -> list[list[tuple[str, float | None]]
     by_cell: dict[tuple[int, int], list[tuple[str, float]]] = {}
     index = {label: i for i, label in enumerate(grid.labels)}
     for label, value in zip(result.labels, recall, strict=True):
-        x, y, _ = grid.cell(index[label])
-        by_cell.setdefault((x, y), []).append((label, float(value)))
+        for name in label.split("+"):  # of several objects, each voxel's recall is the mean over what it holds with
+            x, y, _ = grid.cell(index[name])
+            by_cell.setdefault((x, y), []).append((name, float(value)))
     rows = []
     for y in reversed(range(grid.shape[1])):
         row: list[tuple[str, float | None]] = []
         for x in range(grid.shape[0]):
             cell = by_cell.get((x, y), [])
-            row.append((" ".join(c[0] for c in cell), float(np.mean([c[1] for c in cell])) if cell else None))
+            row.append(
+                (" ".join(dict.fromkeys(c[0] for c in cell)), float(np.mean([c[1] for c in cell])) if cell else None)
+            )
         rows.append(row)
     return rows
 

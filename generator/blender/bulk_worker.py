@@ -32,6 +32,7 @@ from generator.model import poses
 from generator.model.errors import NlosError
 from generator.model.poses import PoseRecord
 from generator.sets import bulk_set, links
+from generator.sets.bulk_part import DrawOthers
 from generator.sets.bulk_set import Bulk
 from generator.sets.bulk_settings import Settings
 from generator.sets.manifest import SCENE, scene_hash
@@ -93,9 +94,11 @@ def plan(
         misgivings.refuse(doubts)
     for words in doubts.notes:
         tell(words)
-    draw = _poses(scene, settings)
+    draw, draw_others = _poses(scene, settings), _others(scene, settings)
     for voxel in range(min(described.grid.n_voxels, settings.pictures)):
-        draw(voxel, 0)  # raises now if the target fits nowhere
+        position, _ = draw(voxel, 0)  # raises now if the target fits nowhere
+        if draw_others:
+            draw_others(voxel, 0, position)
     background = Transport(world, accuracy=settings.accuracy).background().astype(np.float32)
     meta = {
         "reference_radiance": described.reference_radiance,
@@ -168,14 +171,24 @@ def _poses(scene: bpy.types.Scene, settings: Settings) -> Callable[[int, int], p
     return lambda voxel, index: sampler(index).draw(voxel, index)
 
 
+def _others(scene: bpy.types.Scene, settings: Settings) -> DrawOthers | None:
+    """Return the function that draws the objects besides the first; None if there is one only."""
+    if settings.targets == 1:
+        return None
+    described = read_scene(scene)
+    is_free = clearance(scene, described, engine="surfel")
+    hull, stream = geometry.hull(scene), settings.numbered_stream
+    return poses.Crowd(described.grid, settings.sweep, hull, is_free, stream=stream).draw
+
+
 def render(found: Bulk, parts: Iterable[int], *, threads: int = 0) -> None:
     """Make parts of a set, and send an answer after each."""
     sweep_worker.check_blender(found)
     scene = sweep_worker.open_scene(found)
-    draw = _poses(scene, found.plan)
+    draw, draw_others = _poses(scene, found.plan), _others(scene, found.plan)
     renderer = Engine(found, threads=threads)
     for number in parts:
-        found.part(number).write(draw, renderer)
+        found.part(number).write(draw, renderer, draw_others)
         answer(part=number)
 
 

@@ -143,7 +143,7 @@ def run(
     """
     start = time.perf_counter()
     sweep: Sweep = from_dict(Sweep, {k: v for k, v in meta["sweep"].items() if k in _FIELDS}, "")
-    sweep, pose = replace(sweep, vary=()), replace(pose, values=())  # both render the file's own values
+    sweep, pose = replace(sweep, vary=(), targets=1), replace(pose, values=(), others=())  # of the file itself
     check = _Check(stored, source, known, meta, sweep, pose, draw)
     compared = check.exact() if sweep.engine == "path" else check.noisy(pictures)
     for figures, width in compared:

@@ -21,6 +21,7 @@ from generator.blender.engines.renderer import Renderer, Shot
 from generator.blender.engines.settings import settled
 from generator.blender.scene import blend_file, geometry, references, replaced, roles
 from generator.blender.scene.clearance import clearance
+from generator.blender.scene.copies import Copies
 from generator.blender.scene.description import read_scene
 from generator.blender.scene.quiet import Overrides
 from generator.blender.scene.varying import Varying
@@ -212,11 +213,10 @@ def render(
     """
     sweep = dataset.sweep
     opened = functools.partial(renderers.opened, scene, sweep.engine, threads=threads, **renderers.settings(sweep))
-    varying = Varying(scene, sweep.variations)
-    if sweep.variations:
+    if sweep.variations or sweep.targets > 1:
         with opened() as renderer:
             background = _background(renderer, dataset, sweep)
-        _render_varying(dataset, varying, opened, background, batches, report)
+        _render_varying(scene, dataset, opened, background, batches, report)
         return
     with opened() as renderer, ThreadPoolExecutor(_WRITERS) as writers:
         background = _background(renderer, dataset, sweep)
@@ -237,8 +237,8 @@ def _write(dataset: Dataset, seconds: float, pose: PoseRecord, pixels: Picture, 
 
 
 def _render_varying(
+    scene: bpy.types.Scene,
     dataset: Dataset,
-    varying: Varying,
     opened: Callable[[], contextlib.AbstractContextManager[Renderer]],
     background: Picture,
     batches: Iterable[Mapping[int, int]],
@@ -246,12 +246,14 @@ def _render_varying(
 ) -> None:
     """Render poses in scenes that differ, each by an engine that is opened for it."""
     sweep = dataset.sweep
+    copies, varying = Copies(scene, sweep.targets), Varying(scene, sweep.variations)
     for batch in batches:
         written = []
         for position, wanted in batch.items():
             pose, samples = dataset.poses[position], (wanted or sweep.samples) if sweep.noisy else 0
             start = time.perf_counter()
             varying.apply(pose.values)
+            copies.place(pose)
             shot, own = Shot(pose.position, pose.rotation, samples, pose.seed), None
             with opened() as renderer:
                 shared = background if sweep.paired and not sweep.own_backgrounds else None

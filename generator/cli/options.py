@@ -147,7 +147,8 @@ def add_pose_options(parser: argparse.ArgumentParser, *, inside: bool = True) ->
 
 
 def add_vary_option(parser: argparse.ArgumentParser) -> None:
-    """Add ``--vary``."""
+    """Add ``--vary`` and ``--targets``."""
+    add_setting(parser, "targets", type=int, metavar="N")
     add_setting(parser, "vary", default="nothing", more="; repeatable", action="append", metavar="NAME=LOW:HIGH")
 
 

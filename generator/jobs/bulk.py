@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field, replace
 from functools import partial
 from typing import TYPE_CHECKING
@@ -14,7 +14,7 @@ from generator.jobs.local import start_words
 from generator.jobs.protocol import PlanBulk, RenderBulk
 from generator.jobs.request import BulkRequest
 from generator.jobs.workers import WorkerPool, planned_notes
-from generator.model.arrays import Array
+from generator.model.arrays import Array, rotation_matrix
 from generator.model.errors import NlosError
 from generator.model.quantities import Progress
 from generator.model.variation import VARIABLES, value_in
@@ -24,6 +24,7 @@ from generator.sets.bulk_set import Bulk, check_free
 from generator.sets.resume import check_same
 from generator.sets.unknown_objects import unknown_object
 from generator.transport.caching import compiling_words
+from generator.transport.world import Body, Sphere
 
 if TYPE_CHECKING:
     from generator.transport import Gains, Transport
@@ -156,7 +157,7 @@ class Engine:
         self._varies = bool(bulk.plan.vary)
         self._make = partial(Transport, accuracy=plan.accuracy, threads=threads)
         self._world = bulk.world().seen_by(*plan.resolution)
-        self._known = None if plan.unknown else self._make(self._world)
+        self._known = None if plan.unknown or plan.targets > 1 else self._make(self._world)
         self._last: Transport | None = None
 
     def pictures(
@@ -169,15 +170,15 @@ class Engine:
         numbers : ndarray of shape (n,), int
             Numbers of the pictures, in order.
         positions, rotations : ndarray of shape (n, 3)
-            Metres, degrees.
+            Metres, degrees; of several objects, (n, objects, 3).
         shadows : bool
             As for `generator.transport.Transport.pictures`.
         """
         if self._varies:
             return self.varied(numbers, positions, rotations, shadows=shadows)[0]
         batches = [
-            transport.pictures(positions[rows], rotations[rows], shadows=shadows)
-            for transport, rows in self._transports(numbers)
+            transport.pictures(*poses, shadows=shadows)
+            for transport, rows, poses in self._transports(numbers, positions, rotations)
         ]
         return np.concatenate(batches)
 
@@ -186,8 +187,8 @@ class Engine:
     ) -> tuple[Pictures, Pictures]:
         """Return pictures as `pictures` does, and the background of each, of a set in which something varies."""
         batches = [
-            transport.varied(positions[rows], rotations[rows], self._gains(numbers[rows]), shadows=shadows)
-            for transport, rows in self._transports(numbers)
+            transport.varied(*poses, self._gains(numbers[rows]), shadows=shadows)
+            for transport, rows, poses in self._transports(numbers, positions, rotations)
         ]
         pictures, backgrounds = (np.concatenate(parts) for parts in zip(*batches, strict=True))
         return pictures, backgrounds
@@ -203,15 +204,34 @@ class Engine:
                 factors[VARIABLES.index(name), k] = value / value_in(bulk.meta["scene"], name)
         return Gains(**dict(zip(GAINS, factors, strict=True)))
 
-    def _transports(self, numbers: NDArray[np.int64]) -> Iterator[tuple[Transport, NDArray[np.int64]]]:
-        """Yield the transport of each object, and which of some pictures it renders."""
+    def _transports(
+        self, numbers: NDArray[np.int64], positions: Array, rotations: Array
+    ) -> Iterator[tuple[Transport, NDArray[np.int64], tuple[Array, Array]]]:
+        """Yield the transport of each target, the rows that it renders, and their positions and rotations (k, 3)."""
         everything, bulk = np.arange(len(numbers)), self._bulk
         if self._known is not None:
-            yield self._known, everything
+            yield self._known, everything, (positions, rotations)
+            return
+        if bulk.plan.targets > 1:
+            for row in everything:
+                crowd = tuple(_crowd(self._world.target, positions[row], rotations[row]))
+                self._last = self._make(replace(self._world, target=crowd), like=self._last)
+                yield self._last, everything[row : row + 1], (positions[row, :1], np.zeros((1, 3)))
             return
         index = numbers // bulk.grid.n_voxels
         for rows in np.split(everything, np.flatnonzero(np.diff(index)) + 1):
             number, stream = int(index[rows[0]]), bulk.plan.numbered_stream
             body = unknown_object(bulk.grid, bulk.plan.sweep, number, stream=stream)
             self._last = self._make(replace(self._world, target=(body,)), like=self._last)
-            yield self._last, rows
+            yield self._last, rows, (positions[rows], rotations[rows])
+
+
+def _crowd(target: Sequence[Body], positions: Array, rotations: Array) -> Iterator[Body]:
+    """Yield copies of a target's bodies at poses (objects, 3), as one target that stands unrotated at the first."""
+    for position, rotation in zip(positions, rotations, strict=True):
+        turn, offset = rotation_matrix(rotation), position - positions[0]
+        for body in target:
+            if isinstance(body, Sphere):
+                yield replace(body, centre=turn @ body.centre + offset)
+            else:
+                yield replace(body, triangles=body.triangles @ turn.T + offset)

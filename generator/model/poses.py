@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from generator.model.arrays import Array, Vector, rotation_matrix, rotation_rows
-from generator.model.errors import NlosError
+from generator.model.errors import NlosError, require
 from generator.model.grid import VoxelGrid
 from generator.model.settings import Sweep
 from generator.model.variation import VARIABLES, Values
@@ -29,6 +29,9 @@ _TRIES_TURNING = 102_400
 _FIRST_BLOCK = 128
 _NUMBERS = 7
 """Random numbers that one try takes: three for the rotation, one for keeping it, three for the place."""
+
+_CROWD = 3000
+"""Start of the numbers of the streams that the objects besides the first are drawn from."""
 
 _PROBES = 32
 
@@ -73,7 +76,7 @@ def plan(
         The target does not fit into a voxel.
     """
     labels = grid.labels
-    sampler = Sampler(grid, sweep, hull, is_free)
+    sampler, crowd = Sampler(grid, sweep, hull, is_free), Crowd(grid, sweep, hull, is_free)
     records = []
     for index in range(sweep.poses):
         for voxel, label in enumerate(labels):
@@ -81,8 +84,9 @@ def plan(
             # Position 0 belongs to the background.
             seed = noise_seed(sweep.seed, 1 + index * grid.n_voxels + voxel)
             values = draw_values(sweep.variations, sweep.seed, voxel, index)
-            file = f"{label}/{index:04d}.exr"
-            records.append(PoseRecord(index, voxel, label, position, rotation, seed, file=file, values=values))
+            others, file = crowd.draw(voxel, index, position), f"{label}/{index:04d}.exr"
+            place = (position, rotation)
+            records.append(PoseRecord(index, voxel, label, *place, seed, file=file, values=values, others=others))
     return records
 
 
@@ -222,6 +226,70 @@ class Sampler:
         return pose if self._is_free(*pose) else None
 
 
+class Crowd:
+    """Draws the poses of the hidden objects besides the first, each in a voxel of its own.
+
+    Objects whose spheres about their origins would meet are drawn again, so none cut one another; where all of each
+    must lie in its voxel, none can.
+
+    Parameters
+    ----------
+    grid, sweep, hull, is_free, stream
+        As for `Sampler`.
+    """
+
+    def __init__(
+        self,
+        grid: VoxelGrid,
+        sweep: Sweep,
+        hull: Array,
+        is_free: Callable[[Vector, Vector], bool] = lambda *_: True,
+        *,
+        stream: int = 0,
+    ) -> None:
+        require(
+            sweep.targets <= grid.n_voxels,
+            f"targets: {sweep.targets} do not fit into {grid.n_voxels} voxels, of which each has one of its own",
+        )
+        self._grid, self._sweep, self._stream = grid, sweep, stream
+        self._samplers = [
+            Sampler(grid, sweep, hull, is_free, stream=_CROWD + 2 * k + stream) for k in range(sweep.targets - 1)
+        ]
+        radius = float(np.linalg.norm(hull, axis=1).max(initial=0.0))
+        self._apart = 0.0 if sweep.inside == "whole" else 2.0 * radius
+
+    def draw(self, voxel: int, index: int, position: Vector) -> tuple[Other, ...]:
+        """Return the other objects of the picture whose first is at a position in a voxel.
+
+        Raises
+        ------
+        NlosError
+            There is no place that is far enough from the others.
+        """
+        if not self._samplers:
+            return ()
+        grid = self._grid
+        rng = np.random.default_rng([self._sweep.seed, voxel, index, _CROWD, self._stream])
+        free = [other for other in range(grid.n_voxels) if other != voxel]
+        chosen = [int(v) for v in rng.permutation(free)[: len(self._samplers)]]
+        placed, found = [np.array(position)], []
+        for sampler, home in zip(self._samplers, chosen, strict=True):
+            for attempt in range(_TRIES):
+                # A number that no other picture has, or two pictures would share the pose.
+                number = (index * grid.n_voxels + voxel) * _TRIES + attempt
+                place, turn = sampler.draw(home, number)
+                if all(np.linalg.norm(np.array(place) - p) >= self._apart for p in placed):
+                    break
+            else:
+                raise NlosError(
+                    f"targets: found no place in voxel {grid.labels[home]} clear of the other objects; ask for "
+                    "fewer, or keep all of each in its voxel (--inside whole)"
+                )
+            placed.append(np.array(place))
+            found.append(Other(home, grid.labels[home], place, turn))
+        return tuple(found)
+
+
 def experiment(number: int, centre: Vector, *, step: float, turn: float = 15.0, steps: int = 2) -> list[list[Pose]]:
     """Return the poses of one of the paper's experiments (section 5.1): a row per axis, the rest pose in its middle.
 
@@ -344,7 +412,24 @@ _RENDERED = ("pixel_hash", "seconds", "samples")
 
 def pose_columns(poses: Sequence[PoseRecord]) -> list[str]:
     """Return the columns of ``poses.csv``: those of every set, and in the middle what varies in this one."""
-    return [*_PLANNED, *(name for name, _ in (poses[0].values if poses else ())), *_RENDERED]
+    first = poses[:1]
+    others = [name for pose in first for k in range(len(pose.others)) for name in _of_other(k)]
+    return [*_PLANNED, *others, *(name for pose in first for name, _ in pose.values), *_RENDERED]
+
+
+def _of_other(k: int) -> list[str]:
+    """Return the columns of the k-th object besides the first: ``voxel2``, ``label2``, ``x2`` ... for k = 0."""
+    return [f"{name}{k + 2}" for name in _PLANNED[1:9]]
+
+
+@dataclass(frozen=True)
+class Other:
+    """A hidden object besides the first; attributes as of `PoseRecord`."""
+
+    voxel: int
+    label: str
+    position: Vector
+    rotation: Vector
 
 
 @dataclass(frozen=True)
@@ -373,6 +458,8 @@ class PoseRecord:
         Camera rays per pixel.
     values : tuple of (str, float)
         Names and values of what varies from pose to pose (`generator.model.variation`).
+    others : tuple of Other
+        The hidden objects besides the first, if there are several.
     """
 
     index: int
@@ -386,6 +473,13 @@ class PoseRecord:
     seconds: float = 0.0
     samples: int = 0
     values: Values = ()
+    others: tuple[Other, ...] = ()
+
+    @property
+    def answer(self) -> str:
+        """Names of all voxels that hold an object, such as A+C, in the order of their numbers."""
+        held = sorted([(self.voxel, self.label), *((other.voxel, other.label) for other in self.others)])
+        return "+".join(label for _, label in held)
 
     @property
     def background_file(self) -> str:
@@ -395,13 +489,16 @@ class PoseRecord:
     @property
     def plan(self) -> tuple[Any, ...]:
         """The planned values, without those that rendering added."""
-        return self.index, self.voxel, self.label, self.position, self.rotation, self.seed, self.file, self.values
+        place = (self.voxel, self.label, self.position, self.rotation)
+        return self.index, *place, self.seed, self.file, self.values, self.others
 
     @property
     def planned_row(self) -> list[str]:
         """The planned values as strings, in the manifest's order; floats keep every digit."""
-        values = [value for _, value in self.values]
-        plan = [self.index, self.voxel, self.label, *self.position, *self.rotation, self.seed, self.file, *values]
+        plan: list[Any] = [self.index, self.voxel, self.label, *self.position, *self.rotation, self.seed, self.file]
+        for other in self.others:
+            plan += [other.voxel, other.label, *other.position, *other.rotation]
+        plan += [value for _, value in self.values]
         return [repr(float(v)) if isinstance(v, float) else str(v) for v in plan]
 
     @property
@@ -417,14 +514,16 @@ class PoseRecord:
     @classmethod
     def from_row(cls, row: Mapping[str, str]) -> PoseRecord:
         """Return the record of a manifest's row; ValueError or KeyError if the row is not valid."""
-        if set(row) - {*_PLANNED, *VARIABLES, *_RENDERED}:
+        others = _others(row)
+        if set(row) - {*_PLANNED, *VARIABLES, *_RENDERED} - {n for k in range(len(others)) for n in _of_other(k)}:
             raise ValueError("it has more columns than this software writes")
         file = row["file"]
         if Path(file).is_absolute() or ".." in Path(file).parts:
             raise ValueError(f"file {file!r} lies outside the data set")
         x, y, z, rx, ry, rz = (float(row[name]) for name in ("x", "y", "z", "rx", "ry", "rz"))
         values = tuple((name, float(text)) for name, text in row.items() if name in VARIABLES)
-        if not all(map(math.isfinite, (x, y, z, rx, ry, rz, *(value for _, value in values)))):
+        more = [*(v for _, v in values), *(v for other in others for v in (*other.position, *other.rotation))]
+        if not all(map(math.isfinite, (x, y, z, rx, ry, rz, *more))):
             raise ValueError("its place, its rotation or a value is not finite")
         return cls(
             index=int(row["index"]),
@@ -438,4 +537,15 @@ class PoseRecord:
             seconds=float(row["seconds"] or 0.0),
             samples=int(row["samples"] or 0),
             values=values,
+            others=others,
         )
+
+
+def _others(row: Mapping[str, str]) -> tuple[Other, ...]:
+    """Return the objects besides the first in a row of ``poses.csv``."""
+    others: list[Other] = []
+    while _of_other(len(others))[0] in row:
+        voxel, label, x, y, z, rx, ry, rz = (row[name] for name in _of_other(len(others)))
+        place, turn = (float(x), float(y), float(z)), (float(rx), float(ry), float(rz))
+        others.append(Other(int(voxel), label, place, turn))
+    return tuple(others)

@@ -73,6 +73,10 @@ class Sweep:
         (),
     )
 
+    targets: int = described(
+        "hidden objects at once: the target and copies of it, each in a voxel of its own", 1, lo=1, hi=100
+    )
+
     @classmethod
     def idle(cls, engine: str) -> tuple[str, ...]:
         """Return the settings that an engine does not use."""
@@ -90,7 +94,7 @@ class Sweep:
         """Settings without effect: neither the engine nor this kind of sweep (voxels or trajectory) uses them."""
         kind = ("poses", "inside") if self.frames else ("frames", "pace")
         empty = tuple(name for name in ("leave_out", "vary") if not getattr(self, name))
-        return (*self.idle(self.engine), *kind, *empty)
+        return (*self.idle(self.engine), *kind, *empty, *(("targets",) if self.targets == 1 else ()))
 
     @property
     def variations(self) -> tuple[Variation, ...]:
@@ -104,6 +108,7 @@ class Sweep:
 
     def __post_init__(self) -> None:
         check_ranges(self)
+        require(not self.frames or self.targets == 1, "targets: one object walks along a trajectory; leave it out")
         require(0.0 < self.pace < math.inf, f"pace: {self.pace:g} must be positive, metres from frame to frame")
         variations = self.variations
         require(not (self.frames and variations), "vary: nothing varies along a trajectory; leave it out")

@@ -249,7 +249,7 @@ def _picture_fault(dataset: Dataset, pose: PoseRecord, *, holds: bool) -> tuple[
     return "", ""
 
 
-_OF_POSE = ("label", "index", "seed", "position", "rotation", "values")
+_OF_POSE = ("label", "index", "seed", "position", "rotation", "values", "others")
 
 
 def alike(dataset: Dataset) -> list[str]:

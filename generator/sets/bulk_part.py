@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import hashlib
 from collections import Counter
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any, Protocol
 
@@ -13,9 +13,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from generator.files.limits import MUCH, check_heaps, exceeds_limit, limited
-from generator.model.arrays import Array
+from generator.model.arrays import Array, Vector
 from generator.model.errors import NlosError
-from generator.model.poses import Pose
+from generator.model.poses import Other, Pose
 from generator.model.quantities import NO_CHANGE
 from generator.sets.bulk_settings import Layout
 from generator.sets.hdf5 import VERSIONS, describe_file, short_size, write_image
@@ -27,6 +27,7 @@ _SMALL = 2**24
 _BATCH = 16 * 1024**2
 
 Pictures = NDArray[np.float32]
+DrawOthers = Callable[[int, int, Vector], Sequence[Other]]
 
 
 class Renderer(Protocol):
@@ -35,7 +36,7 @@ class Renderer(Protocol):
     def pictures(self, numbers: NDArray[np.int64], positions: Array, rotations: Array) -> Pictures:
         """Return pictures (n, height, width, 3), given their numbers (n,), in order, and poses.
 
-        Positions (n, 3) are in metres, rotations (n, 3) in degrees.
+        Positions (n, 3) are in metres, rotations (n, 3) in degrees; of several objects, (n, objects, 3).
         """
 
     def varied(self, numbers: NDArray[np.int64], positions: Array, rotations: Array) -> tuple[Pictures, Pictures]:
@@ -132,7 +133,9 @@ class Part:
             raise NlosError(f"{path}: {short_size(error)}; run the same command again to make it anew") from None
         return file
 
-    def write(self, draw: Callable[[int, int], Pose], renderer: Renderer) -> None:
+    def write(
+        self, draw: Callable[[int, int], Pose], renderer: Renderer, draw_others: DrawOthers | None = None
+    ) -> None:
         """Render its pictures and write its file.
 
         Parameters
@@ -140,6 +143,8 @@ class Part:
         draw : callable
             Returns the pose of (voxel, index).
         renderer : Renderer
+        draw_others : callable, optional
+            Returns the objects besides the first of (voxel, index, position of the first); of a set with several.
 
         Raises
         ------
@@ -152,6 +157,18 @@ class Part:
         position = np.array([p for p, _ in poses], dtype=np.float64)
         rotation = np.array([r for _, r in poses], dtype=np.float64)
         columns = {"position": position, "rotation": rotation, "voxel": voxel, "index": index, **self._values()}
+        if draw_others:
+            rows_of_others = [
+                draw_others(v, i, place)
+                for v, i, (place, _) in zip(voxel.tolist(), index.tolist(), poses, strict=True)
+            ]
+            columns |= {
+                "other_positions": np.array([[o.position for o in others] for others in rows_of_others]),
+                "other_rotations": np.array([[o.rotation for o in others] for others in rows_of_others]),
+                "other_voxels": np.array([[o.voxel for o in others] for others in rows_of_others], dtype=np.int64),
+            }
+            position = np.concatenate([position[:, None], columns["other_positions"]], axis=1)
+            rotation = np.concatenate([rotation[:, None], columns["other_rotations"]], axis=1)
         digest = hashlib.sha256()
         batch = max(1, min(1024, _BATCH // plan.picture_bytes(3)))
         chunk = min(plan.chunk(layout.channels), len(numbers))
@@ -171,7 +188,8 @@ class Part:
                     checked = self._checked(made, numbers[rows])
                     digest.update(checked.tobytes())
                     image[rows] = checked
-            for name, column in columns.items():
+            for name in layout.columns:
+                column = columns[name]
                 file.create_dataset(name, data=column, dtype=column.dtype.newbyteorder("<"))
                 digest.update(file[name][()].tobytes())
             describe_file(file, layout.plan.vary)

@@ -19,6 +19,7 @@ are spread evenly over the voxels. Poses follow from the seed, but are not those
     voxel       (n,) int64
     index       (n,) int64, of the pose within its voxel
     values      (n, variations) float64, what varies from pose to pose, if anything does
+    other_positions, other_rotations, other_voxels   (n, objects - 1, ...), of the objects besides the first, if any
     backgrounds as pictures, without the hidden object, where more than the target varies
 
 A part is put in place by rename when it is whole, so a killed run loses only the parts in progress, and a shard needs
@@ -61,7 +62,7 @@ from generator.transport.world_file import load_world, save_world, world_hash
 
 FORMAT = 4
 """Format 1 had no seal; up to format 2, the seed drew the poses of a sweep; up to format 3, nothing varied from pose
-to pose. A set in which nothing does is written as 3, so that older versions read it."""
+to pose and there was one object. Such sets are still written as 3, so that older versions read them."""
 MANIFEST = "bulk.toml"
 WORLD = "world.npz"
 MASTER = "set.h5"
@@ -185,13 +186,13 @@ class Bulk:
         """
         channels = 1 if is_grey(world) else 3
         settings = {
-            **{name: value for name, value in to_dict(plan.with_part(channels)).items() if name != "vary" or value},
+            **{name: value for name, value in to_dict(plan.with_part(channels)).items() if name not in plan.unused},
             "engine": "surfel",
             "scene_sha256": scene_sha256,
             "world_sha256": world_hash(world),
         }
         full = {
-            "format": FORMAT if plan.vary else FORMAT - 1,
+            "format": FORMAT if plan.vary or plan.targets > 1 else FORMAT - 1,
             "fingerprint": fingerprint(settings),
             "channels": channels,
             **meta,
@@ -323,6 +324,13 @@ class Bulk:
         if not self.plan.sweep.own_backgrounds:
             return None
         return Rows(self, "backgrounds", self.picture_shape, np.dtype(np.float32))
+
+    @cached_property
+    def others(self) -> dict[str, NDArray[Any]]:
+        """Voxels, positions and rotations of the objects besides the first, (n, objects - 1, ...); empty if none."""
+        names = [name for name in self.layout.columns if name.startswith("other_")]
+        columns = {name: self.layout.columns[name] for name in names}
+        return {name: np.asarray(Rows(self, name, shape, np.dtype(kind))) for name, (shape, kind) in columns.items()}
 
     @property
     def voxels(self) -> NDArray[np.int64]:

@@ -48,12 +48,15 @@ class Settings:
         "sweep",  # of sets of older versions, which do not say
     )
     vary: tuple[str, ...] = borrowed(Sweep, "vary")
+    targets: int = borrowed(Sweep, "targets")
 
     def __post_init__(self) -> None:
         check_ranges(self)
         if self.part < 0:
             raise NlosError(f"part: {self.part} must be 1 or more, or 0 to choose")
         names = [variation.name for variation in self.sweep.variations]  # raises what a sweep raises
+        if self.unknown and self.targets > 1:
+            raise NlosError("targets: an unknown object is alone in its picture; leave --targets or --unknown out")
         if self.unknown and "target.albedo" in names:
             raise NlosError(
                 "vary: target.albedo is drawn for every unknown object already; leave it or --unknown out"
@@ -65,9 +68,14 @@ class Settings:
         return 1 if self.stream == "bulk" else 0
 
     @property
+    def unused(self) -> tuple[str, ...]:
+        """Settings without effect, which sets of older versions lack."""
+        return (*(() if self.vary else ("vary",)), *(("targets",) if self.targets == 1 else ()))
+
+    @property
     def sweep(self) -> Sweep:
         """Settings of the poses; `numbered_stream` says which are drawn."""
-        names = ("seed", "resolution", "inside", "rotation", "vary")
+        names = ("seed", "resolution", "inside", "rotation", "vary", "targets")
         return Sweep(**{name: getattr(self, name) for name in names})
 
     def values(self, voxel: int, index: int) -> Values:
@@ -138,6 +146,17 @@ class Layout:
             "voxel": ((), "<i8"),
             "index": ((), "<i8"),
             **({"values": ((varying,), "<f8")} if varying else {}),
+            **({name: self._others[name] for name in self._others if self.plan.targets > 1}),
+        }
+
+    @property
+    def _others(self) -> dict[str, tuple[tuple[int, ...], str]]:
+        """The datasets of the objects besides the first."""
+        n = self.plan.targets - 1
+        return {
+            "other_positions": ((n, 3), "<f8"),
+            "other_rotations": ((n, 3), "<f8"),
+            "other_voxels": ((n,), "<i8"),
         }
 
     @property

@@ -46,7 +46,7 @@ from generator.sets.manifest import (
     plan_hash,
     read_poses,
 )
-from generator.sets.readable import RENDER_AGAIN, Seen, as_read, rendered, values_text, vector_text
+from generator.sets.readable import RENDER_AGAIN, Seen, as_read, others_text, rendered, values_text, vector_text
 
 
 class Dataset:
@@ -126,7 +126,7 @@ class Dataset:
             The folder holds something else, or cannot be written.
         """
         check_no_set(path)
-        version = FORMAT if meta["sweep"].get("vary") else FORMAT - 1
+        version = FORMAT if {"vary", "targets"} & set(meta["sweep"]) else FORMAT - 1
         full = {"format": version, "fingerprint": fingerprint(meta["sweep"]), **meta}
         plain = as_read(full)
         hashes = {"poses": plan_hash(poses)}
@@ -311,6 +311,7 @@ class Dataset:
             "position": vector_text(pose.position),
             "rotation": vector_text(pose.rotation),
             **({"values": values_text(pose.values)} if pose.values else {}),
+            **({"others": others_text(pose.others)} if pose.others else {}),
         }
 
     def see(self, pose: PoseRecord) -> Seen:

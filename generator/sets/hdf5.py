@@ -20,6 +20,9 @@ _ABOUT = {
     "voxel": {"about": "where the target stands; x runs fastest, then y, then z"},
     "index": {"about": "of the pose within its voxel"},
     "backgrounds": {"units": "W/m^2/sr", "about": "the same without the hidden object"},
+    "other_positions": {"units": "m", "about": "of the origins of the objects besides the first"},
+    "other_rotations": {"units": "degrees", "about": "of the objects besides the first"},
+    "other_voxels": {"about": "where the objects besides the first stand"},
     "values": {"about": "what varies from pose to pose, a column for each of its attribute vary"},
 }
 

@@ -15,8 +15,8 @@ from generator.model.errors import NlosError
 from generator.model.poses import PoseRecord
 
 FORMAT = 3
-"""Format 1 had no seal; up to format 2, nothing varied from pose to pose. A set in which nothing does is written as
-2, so that older versions read it."""
+"""Format 1 had no seal; up to format 2, nothing varied from pose to pose and there was one object. Such sets are
+still written as 2, so that older versions read them."""
 
 
 MANIFEST = "dataset.toml"

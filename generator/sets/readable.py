@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import tomllib
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any, NamedTuple, Protocol
@@ -13,7 +13,7 @@ from generator.files.toml import dump_toml
 from generator.model.arrays import Vector
 from generator.model.errors import NlosError
 from generator.model.grid import VoxelGrid
-from generator.model.poses import PoseRecord
+from generator.model.poses import Other, PoseRecord
 from generator.model.variation import Values
 
 
@@ -120,6 +120,11 @@ def rendered(pose: PoseRecord, seen: Seen) -> PoseRecord:
 def values_text(values: Values) -> str:
     """Return what varies, and its values with all digits, as text for an attribute of a picture."""
     return " ".join(f"{name}={value!r}" for name, value in values)
+
+
+def others_text(others: Sequence[Other]) -> str:
+    """Return the objects besides the first as text for an attribute of a picture: voxel, place, rotation of each."""
+    return "; ".join(f"{o.label} {vector_text(o.position)} {vector_text(o.rotation)}" for o in others)
 
 
 def vector_text(vector: Vector) -> str:

@@ -12,7 +12,7 @@ import numpy as np
 from generator.files.pictures import Picture
 from generator.model.errors import NlosError
 from generator.model.grid import VoxelGrid
-from generator.model.poses import PoseRecord
+from generator.model.poses import Other, PoseRecord
 from generator.sets.bulk_set import Bulk
 from generator.sets.dataset import Dataset
 from generator.sets.hdf5 import Rows
@@ -98,8 +98,18 @@ class SimulatedSet:
             index, voxel = divmod(number, n)
             pose, file = (tuple(position), tuple(rotation)), f"{labels[voxel]}/{index:04d}"
             values = self._bulk.plan.values(voxel, index)
-            records.append(PoseRecord(index, voxel, labels[voxel], *pose, 0, file=file, values=values))
+            others = self._others_of(number)
+            records.append(PoseRecord(index, voxel, labels[voxel], *pose, 0, file=file, values=values, others=others))
         return records
+
+    def _others_of(self, number: int) -> tuple[Other, ...]:
+        """Return the objects of a picture besides the first."""
+        columns, labels = self._bulk.others, self.grid.labels
+        if not columns:
+            return ()
+        names = ("other_voxels", "other_positions", "other_rotations")
+        rows = zip(*(columns[name][number].tolist() for name in names), strict=True)
+        return tuple(Other(voxel, labels[voxel], tuple(place), tuple(turn)) for voxel, place, turn in rows)
 
     @property
     def own_backgrounds(self) -> bool:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from functools import lru_cache
 from typing import Any
 
 import numpy as np
@@ -18,6 +19,10 @@ from generator.transport.rays import Surfaces
 from generator.transport.world import Mesh, Sphere, Watched, World
 
 Floats = NDArray[Any]
+
+
+_whole_rules = lru_cache(maxsize=4)(whole_rules)
+"""A set of many targets has one patch, and its rules take longer than a picture."""
 
 
 class Frame:
@@ -96,7 +101,7 @@ class Setting:
             lit.cos_width,
         )
         self.patch = Patch(*map(float, numbers))
-        self.whole, self.chords = whole_rules(self.patch), chord_rules()
+        self.whole, self.chords = _whole_rules(self.patch), chord_rules()
         self.to_wall = np.concatenate(
             [
                 frame.axes[:2] @ (watched.to_wall[:3] - np.outer(frame.origin, watched.to_wall[3])),

@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+from collections import Counter
+
 import numpy as np
 import pytest
-from scipy.stats import kstest
+from scipy.stats import chisquare, kstest
 
 from generator.model.errors import NlosError
-from generator.model.poses import plan
+from generator.model.poses import PoseRecord, plan, pose_columns
 from generator.model.presets import preset
 from generator.model.settings import Sweep
 from generator.model.variation import draw, parse
@@ -58,8 +60,40 @@ def test_values_are_uniform_and_follow_from_seed_voxel_index_and_name_alone():
     assert draw(both, 3, 4, 7) != draw(both, 3, 4, 7, stream=1)
 
 
+@pytest.mark.parametrize("inside", ["whole", "centre"])
+def test_objects_have_voxels_of_their_own_and_do_not_cut_one_another(inside):
+    hull = 0.15 * np.concatenate([np.eye(3), -np.eye(3)])
+    planned = plan(GRID, Sweep(poses=20, targets=3, inside=inside), hull)
+    alone = plan(GRID, Sweep(poses=20, inside=inside), hull)
+    assert [(pose.position, pose.rotation) for pose in planned] == [(pose.position, pose.rotation) for pose in alone]
+    placed = []
+    for pose in planned:
+        objects = [pose, *pose.others]
+        assert len({one.voxel for one in objects}) == 3
+        assert all(GRID.voxel(np.array(one.position)) == one.voxel for one in objects)
+        assert pose.answer == "+".join(sorted(one.label for one in objects))
+        places = np.array([one.position for one in objects])
+        least = min(np.linalg.norm(places[a] - places[b]) for a, b in ((0, 1), (0, 2), (1, 2)))
+        assert inside == "whole" or least >= 0.3
+        placed += map(tuple, places.tolist())
+        assert PoseRecord.from_row(dict(zip(pose_columns(planned), pose.row(), strict=True))) == pose
+    assert len(set(placed)) == len(placed), "no two pictures share a place"
+    homes = Counter(other.voxel for pose in planned for other in pose.others)
+    assert chisquare([homes[voxel] for voxel in range(GRID.n_voxels)]).pvalue > 1e-3
+
+
+def test_more_objects_than_voxels_or_room_are_one_sentence():
+    with pytest.raises(NlosError, match="targets: 10 do not fit into 9 voxels"):
+        plan(GRID, Sweep(poses=1, targets=10), POINT)
+    with pytest.raises(NlosError, match="targets: one object walks along a trajectory"):
+        Sweep(frames=3, targets=2)
+    large = 5.0 * np.eye(3)
+    with pytest.raises(NlosError, match=r"targets: found no place in voxel . clear of the other objects"):
+        plan(GRID, Sweep(poses=1, targets=2, inside="centre"), large)
+
+
 def test_poses_do_not_depend_on_what_varies():
     still = plan(GRID, Sweep(poses=2), POINT)
     varied = plan(GRID, Sweep(poses=2, vary=("target.albedo=0.3:1",)), POINT)
-    assert [pose.plan[:-1] for pose in varied] == [pose.plan[:-1] for pose in still]
+    assert [pose.plan[:7] for pose in varied] == [pose.plan[:7] for pose in still]
     assert [len(pose.row()) for pose in varied] == [len(still[0].row()) + 1] * len(varied)
