@@ -26,11 +26,6 @@ extensions = [
 ]
 exclude_patterns = ["_ext", "**/.ipynb_checkpoints"]
 nitpicky = True
-nitpick_ignore = [
-    # Raised or returned by public functions, and of the standard library, whose own site would have to be asked.
-    ("py:exc", "ValueError"),
-    ("py:class", "ValueError"),
-]
 
 # Pages
 smartquotes = False  # it would turn the dashes of options into one long dash
@@ -39,12 +34,10 @@ myst_enable_extensions = ["colon_fence", "deflist", "dollarmath"]
 myst_heading_anchors = 3
 default_role = "code"  # docstrings name code between single backticks
 
-suppress_warnings = ["toctree.empty_glob"]  # there may be no notebook
-
 # Notebooks are run at every build, and an exception in one fails it.
 nb_execution_mode = "force"
 nb_execution_raise_on_error = True
-nb_execution_timeout = 300
+nb_execution_timeout = 900  # seconds for a cell, on a machine with other work
 nb_merge_streams = True
 
 # Public interface
