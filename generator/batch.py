@@ -7,7 +7,7 @@ installed besides Blender.
 
 from __future__ import annotations
 
-import functools
+import argparse
 import sys
 from collections.abc import Callable, Sequence
 from pathlib import Path
@@ -18,8 +18,12 @@ if __name__ == "__main__":  # Blender does not put the package of a script on th
 import bpy
 
 from generator.blender import sweep_worker
+from generator.cli import volume
+from generator.cli.answer import Answer, give
 from generator.cli.options import batch_parser, chosen_settings
-from generator.cli.terminal import LineProgress, guarded, report
+from generator.cli.parser import check_volume
+from generator.cli.rendered import report
+from generator.cli.terminal import LineProgress, guarded
 from generator.jobs import sweep
 from generator.jobs.request import SweepRequest
 from generator.model.errors import NlosError
@@ -47,6 +51,13 @@ class Here:
 def run(arguments: list[str]) -> int:
     """Render one shard of the open scene; return the exit code."""
     options = batch_parser().parse_args(arguments)
+    check_volume(options)
+    options.run = render
+    return give(options)
+
+
+def render(options: argparse.Namespace) -> Answer:
+    """Render the shard that the options name, or what is missing of it."""
     if not bpy.data.filepath:
         raise NlosError("no scene is open; start with: blender -b scene.blend -P generator/batch.py -- ...")
     request = SweepRequest(
@@ -58,7 +69,7 @@ def run(arguments: list[str]) -> int:
         probe=options.probe,
         trust_links=options.trust_links,
     )
-    outcome = sweep.run(request, progress=LineProgress(), tell=functools.partial(print, flush=True), here=Here())
+    outcome = sweep.run(request, progress=LineProgress(), tell=volume.note, here=Here())
     return report(outcome.dataset, outcome.rendered, outcome.remaining, outcome.failed)
 
 

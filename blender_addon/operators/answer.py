@@ -121,11 +121,11 @@ def run(arguments: list[str], stop: threading.Event) -> str:
 def _probabilities(said: str) -> dict[str, float]:
     """Return the probability of each voxel, by label, from the output of the command line."""
     try:
-        probabilities = {str(label): float(p) for label, p in json.loads(said)["probability"].items()}
+        probabilities = {str(label): float(p) for label, p in json.loads(said)["answers"][0]["probability"].items()}
         if probabilities and all(0.0 <= p <= 1.0 for p in probabilities.values()):
             return probabilities
         raise ValueError
-    except (ValueError, KeyError, TypeError, AttributeError):
+    except (ValueError, LookupError, TypeError, AttributeError):
         raise NlosError(f"the Python in the preferences printed no answer but {said.strip()[:80]!r}") from None
 
 

@@ -34,7 +34,7 @@ from generator.files.limits import check_archive
 from generator.files.pictures import COLOUR_SPACE, Picture
 from generator.files.toml import from_dict, to_dict
 from generator.files.writing import atomic
-from generator.model.errors import NlosError
+from generator.model.errors import NlosError, instead
 from generator.model.grid import VoxelGrid
 
 Settings = Literal["paper", "tuned"]
@@ -87,7 +87,7 @@ def make(name: str, settings: Settings, feature_set: str, n_samples: int, *, see
     seed : int
     """
     if name not in ALL:
-        raise NlosError(f"classifier {name!r}: there is none; choose from {', '.join(ALL)}")
+        raise NlosError(f"classifier {name!r}: there is none; {instead(name, ALL.keys())}")
     kernel = "rbf" if settings == "tuned" or feature_set == "global" else "linear"
     estimators = {
         "LR": LogisticRegression(max_iter=5000),

@@ -5,7 +5,10 @@ from __future__ import annotations
 import argparse
 from pathlib import Path
 
-from classify.cli.options import RAW, Commands, add_sensor_options, check_output, progress_bar, sensor_of
+from classify.cli.options import add_sensor_options, check_output, progress_bar, sensor_of
+from generator.cli.answer import Answer, json_object
+from generator.cli.options import Commands
+from generator.model.described import described
 
 
 def add_parsers(commands: Commands) -> None:
@@ -17,7 +20,6 @@ def add_parsers(commands: Commands) -> None:
         "tell apart of its pictures: what locate and bound need.",
         epilog="example:\n  nlos-generate bulk room.blend -o simulated/ --pictures 90000 --accuracy 3e-3\n"
         "  nlos-classify atlas simulated/ -o room.atlas --frames 10",
-        formatter_class=RAW,
     )
     parser.add_argument(
         "simulated",
@@ -49,10 +51,22 @@ def add_parsers(commands: Commands) -> None:
         action="store_true",
         help="size and albedo of the object are not known: its pictures stand for all objects about like it",
     )
-    parser.set_defaults(run=run_atlas)
+    parser.set_defaults(run=run_atlas, answer=Made)
 
 
-def run_atlas(options: argparse.Namespace) -> int:
+@json_object
+class Made:
+    """An atlas that was made."""
+
+    path: Path = described("the atlas")
+    pictures: int = described("pictures of it")
+    targets: list[str] = described("objects that they show")
+    numbers: int = described("numbers that are kept of each picture")
+    left_out: float = described("what these leave out of a picture, in units of its noise")
+    frames: int = described("frames averaged for a picture")
+
+
+def run_atlas(options: argparse.Namespace) -> Answer:
     """Make an atlas from simulated sets."""
     from classify.inference import atlas_build, atlas_file
     from generator.sets.bulk_set import Bulk
@@ -72,8 +86,16 @@ def run_atlas(options: argparse.Namespace) -> int:
         )
     atlas_file.save(options.output, atlas)
     n, k = atlas.codes.shape
-    print(
-        f"{options.output}: {n} pictures of a {' or a '.join(atlas.about['targets'])}, {k} numbers each; what they "
-        f"leave out is {atlas.left_out:.2f} of the noise"
+    values = Made(
+        path=options.output,
+        pictures=n,
+        targets=atlas.about["targets"],
+        numbers=k,
+        left_out=float(atlas.left_out),
+        frames=atlas.sensor.frames,
     )
-    return 0
+    line = (
+        f"{options.output}: {n} pictures of a {' or a '.join(values.targets)}, {k} numbers each; what they leave out "
+        f"is {atlas.left_out:.2f} of the noise"
+    )
+    return Answer(values, [line])

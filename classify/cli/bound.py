@@ -3,11 +3,21 @@
 from __future__ import annotations
 
 import argparse
+import math
+from dataclasses import replace
 from pathlib import Path
+from typing import TYPE_CHECKING
 
-from classify.cli.options import RAW, Commands, add_atlas_options, add_seed, check_output, loaded, progress_bar
-from generator.cli.terminal import print_table
+from classify.cli.options import add_atlas_options, add_seed, check_output, loaded, progress_bar
+from generator.cli.answer import Answer, Interval, Table, interval, json_object
+from generator.cli.options import Commands
+from generator.model.described import described
 from generator.model.errors import NlosError
+
+if TYPE_CHECKING:
+    from classify.inference.atlas import Atlas
+    from classify.inference.bound import Reachable
+    from classify.inference.posterior import Synthesis
 
 
 def add_parsers(commands: Commands) -> None:
@@ -18,7 +28,6 @@ def add_parsers(commands: Commands) -> None:
         description="Say how well voxel, position and presence can be known from a picture at all: what the sensor's "
         "noise leaves of it, by Bayes' rule and by the bound of Cramer and Rao.",
         epilog="example:\n  nlos-classify bound room.atlas simulated/",
-        formatter_class=RAW,
     )
     parser.add_argument("atlas", type=Path, metavar="FILE.atlas")
     parser.add_argument("simulated", type=Path, metavar="SET", help="folder of the simulated set that it is of")
@@ -31,10 +40,38 @@ def add_parsers(commands: Commands) -> None:
     parser.add_argument("--count", type=int, default=3000, metavar="N", help="pictures to try (default: 3000)")
     add_seed(parser, "of pictures and noise")
     add_atlas_options(parser, voxels=True)
-    parser.set_defaults(run=run_bound)
+    parser.set_defaults(run=run_bound, answer=Bounds)
 
 
-def run_bound(options: argparse.Namespace) -> int:
+@json_object
+class VoxelBound:
+    """The bounds in a voxel; the last five for the object, not turned, in its middle."""
+
+    voxel: str = described("its label")
+    accuracy: Interval = described("share of pictures that the best method puts into the right voxel")
+    presence: float | None = described(
+        "distance of the object's picture from the empty scene's, in standard deviations of the noise; null, as all "
+        "that follow, where the object is not known, under ambient light, or where none can be",
+        None,
+    )
+    position: list[float] | None = described("least standard deviation of x, y and z, metres", None)
+    turned: float | None = described("of all three together where the turn is unknown too, metres", None)
+    movement: list[float] | None = described("least movement along x, y and z that is noticed, metres", None)
+
+
+@json_object
+class Bounds:
+    """Limits that no method can beat."""
+
+    pictures: int = described("pictures that were tried")
+    accuracy: Interval = described("share of pictures that the best method puts into the right voxel")
+    error: Interval = described("median error of the position, metres")
+    voxels: list[VoxelBound] = described("the bounds, voxel by voxel")
+    words: list[str] = described("what they do and do not bound, in sentences")
+    files: list[Path] = described("files that were written")
+
+
+def run_bound(options: argparse.Namespace) -> Answer:
     """Print the limits that no method can beat, and draw their map."""
     from classify.classifiers import models
     from classify.inference import bound
@@ -65,24 +102,44 @@ def run_bound(options: argparse.Namespace) -> int:
             progress=lambda done, total: progress(done, total, ""),
         )
     synthesis = Synthesis(atlas, simulated.world()) if single else None
-    headings = ["voxel", "right voxel"]
-    if single:
+    headings, further, files = ["voxel", "right voxel"], [], []
+    words = [*best.words(), f"median error of the position, wherever the object is: {best.error.centimetres()}"]
+    if synthesis is not None:
         headings += ["presence", "x cm", "y cm", "z cm", "turn unknown", "noticed: x cm", "y cm", "z cm"]
-    title = f"{options.atlas}: the best that any method can do"
-    print_table(title, headings, bound.rows(atlas, best, synthesis))
-    for line in best.words():
-        print(line)
-    print(f"median error of the position, wherever the object is: {best.error.centimetres()}")
-    if synthesis is None:
-        return 0
-    print(
-        "presence: in standard deviations of the noise; x, y, z: least standard deviation in the middle of the voxel "
-        "by Cramer and Rao, and of all three together where the turn is unknown too; noticed: least movement that "
-        "shows between two pictures, at 1 % false alarms and 99 % detections"
-    )
-    if options.map:
+        further.append(
+            "presence: in standard deviations of the noise; x, y, z: least standard deviation in the middle of the "
+            "voxel by Cramer and Rao, and of all three together where the turn is unknown too; noticed: least "
+            "movement that shows between two pictures, at 1 % false alarms and 99 % detections"
+        )
+    table = Table(f"{options.atlas}: the best that any method can do", headings, bound.rows(atlas, best, synthesis))
+    if options.map and synthesis is not None:
         with progress_bar("mapping", "places") as progress:
             bounds_map = bound.over_volume(synthesis, progress=lambda done, total: progress(done, total, ""))
-        for path in bound.draw(options.map, atlas, bounds_map):
-            print(path)
-    return 0
+        files = bound.draw(options.map, atlas, bounds_map)
+    values = Bounds(
+        pictures=best.count,
+        accuracy=interval(best.accuracy),
+        error=interval(best.error),
+        voxels=_voxels(atlas, best, synthesis),
+        words=words,
+        files=files,
+    )
+    return Answer(values, [table, *words, *further, *map(str, files)])
+
+
+def _voxels(atlas: Atlas, best: Reachable, synthesis: Synthesis | None) -> list[VoxelBound]:
+    from classify.inference.bound import in_centre
+
+    found = []
+    for voxel, label in enumerate(atlas.grid.labels):
+        one = VoxelBound(voxel=label, accuracy=interval(best.by_voxel[voxel]))
+        if synthesis is not None and (here := in_centre(synthesis, voxel)):
+            one = replace(
+                one,
+                presence=here.presence,
+                position=here.position.tolist(),
+                turned=math.sqrt(float((here.turned**2).sum())),
+                movement=here.movement.tolist(),
+            )
+        found.append(one)
+    return found

@@ -1,29 +1,33 @@
-"""The verbs ``compare``, ``learn``, ``train`` and ``predict``: classifiers."""
+"""The verbs ``compare``, ``learning-curve``, ``train`` and ``predict``: classifiers."""
 
 from __future__ import annotations
 
 import argparse
-import json
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 from classify.classifiers.names import ALL, NAMES
 from classify.cli.options import add_seed, check_output, progress_bar
 from generator.cli import console
-from generator.cli.terminal import print_table
+from generator.cli.answer import Answer, Interval, Table, interval, json_object
+from generator.cli.options import Commands
+from generator.cli.parser import VerbParser, hide_alias
+from generator.cli.volume import stage
+from generator.model.described import described
 from generator.model.errors import NlosError
 
 if TYPE_CHECKING:
+    from classify.classifiers.evaluate import Result
     from generator.files.pictures import Picture
-from classify.cli.options import RAW, Commands
 
 
 def add_parsers(commands: Commands) -> None:
-    """Add the verbs ``compare``, ``train``, ``learn`` and ``predict`` to a command line."""
+    """Add the verbs ``compare``, ``train``, ``learning-curve`` and ``predict`` to a command line."""
     _add_compare(commands)
     _add_train(commands)
-    _add_learn(commands)
+    _add_learning_curve(commands)
     _add_predict(commands)
+    hide_alias(commands, "learn", "learning-curve")
 
 
 def _add_compare(commands: Commands) -> None:
@@ -33,7 +37,6 @@ def _add_compare(commands: Commands) -> None:
         description=f"Compare {', '.join(NAMES)}, by the paper's settings and tuned: each set cross-validated, and "
         "with two also trained on one and tested on the other.",
         epilog="example:\n  nlos-classify compare sheet.h5 sphere.h5 -o report/",
-        formatter_class=RAW,
     )
     parser.add_argument("features", type=Path, nargs="+", metavar="FILE.h5", help="one or two")
     parser.add_argument(
@@ -41,8 +44,8 @@ def _add_compare(commands: Commands) -> None:
     )
     parser.add_argument("--folds", type=int, default=10, metavar="N", help="default: 10")
     add_seed(parser, "of folds and classifiers")
-    parser.add_argument("--settings", choices=["paper", "tuned", "both"], default="both", help="default: both")
-    parser.set_defaults(run=run_compare)
+    _hyperparameters(parser, ["paper", "tuned", "both"], "both")
+    parser.set_defaults(run=run_compare, answer=Comparison)
 
 
 def _add_train(commands: Commands) -> None:
@@ -51,25 +54,25 @@ def _add_train(commands: Commands) -> None:
         help="train one classifier on all of a set, and save it",
         description="Train one classifier on all of a set, and save it with what it needs to read a picture.",
         epilog="example:\n  nlos-classify train sheet.h5 -o sheet.skops --classifier SVM",
-        formatter_class=RAW,
     )
     parser.add_argument("features", type=Path, metavar="FILE.h5")
     parser.add_argument("-o", "--output", type=Path, required=True, metavar="FILE.skops")
-    parser.add_argument("--classifier", default="SVM", metavar="NAME", help=f"one of {', '.join(ALL)} (default: SVM)")
-    parser.add_argument("--settings", choices=["paper", "tuned"], default="tuned", help="default: tuned")
-    parser.add_argument("--seed", type=int, default=0, metavar="N", help="default: 0")
-    parser.set_defaults(run=run_train)
+    parser.add_argument(
+        "--classifier", default="SVM", choices=ALL, metavar="NAME", help=f"one of {', '.join(ALL)} (default: SVM)"
+    )
+    add_seed(parser, "of the order of the pictures and of the classifiers")
+    _hyperparameters(parser, ["paper", "tuned"], "tuned")
+    parser.set_defaults(run=run_train, answer=Trained)
 
 
-def _add_learn(commands: Commands) -> None:
+def _add_learning_curve(commands: Commands) -> None:
     parser = commands.add_parser(
-        "learn",
+        "learning-curve",
         help="say what more pictures to train on are worth",
         description="Train classifiers on more and more pictures of a set, and say how often each is right and how "
         "long it took: on a fifth of the set that is held out, or on another set.",
-        epilog="example:\n  nlos-classify features simulated/ -o simulated.h5 --set physics --sensor default\n"
-        "  nlos-classify learn simulated.h5 --test sphere.h5 -o learned/ --classifiers RF SVM MLP",
-        formatter_class=RAW,
+        epilog="example:\n  nlos-classify features simulated/ -o simulated.h5 --features physics --sensor default\n"
+        "  nlos-classify learning-curve simulated.h5 --test sphere.h5 -o learned/ --classifiers RF SVM MLP",
     )
     parser.add_argument("features", type=Path, metavar="FILE.h5", help="to train on")
     parser.add_argument("--test", type=Path, metavar="FILE.h5", help="other pictures to test on")
@@ -77,12 +80,24 @@ def _add_learn(commands: Commands) -> None:
         "-o", "--output", type=Path, required=True, metavar="FOLDER", help="for report.html, learn.csv and learn.png"
     )
     parser.add_argument(
-        "--classifiers", nargs="+", metavar="NAME", help=f"some of {', '.join(ALL)} (default: all but MLP)"
+        "--classifiers",
+        nargs="+",
+        choices=ALL,
+        metavar="NAME",
+        help=f"some of {', '.join(ALL)} (default: all but MLP)",
     )
-    parser.add_argument("--counts", type=int, nargs="+", metavar="N", help="default: 30, 100, 300, ... and all")
-    parser.add_argument("--settings", choices=["paper", "tuned"], default="paper", help="default: paper")
-    parser.add_argument("--seed", type=int, default=0, metavar="N", help="default: 0")
-    parser.set_defaults(run=run_learn)
+    parser.add_argument(
+        "--train-sizes",
+        dest="counts",
+        type=int,
+        nargs="+",
+        metavar="N",
+        help="numbers of pictures (default: 30, 100, 300, ... and all)",
+    )
+    add_seed(parser, "of the order of the pictures and of the classifiers")
+    _hyperparameters(parser, ["paper", "tuned"], "paper")
+    parser.alias("--counts", "--train-sizes")
+    parser.set_defaults(run=run_learning_curve, answer=Curves)
 
 
 def _add_predict(commands: Commands) -> None:
@@ -91,21 +106,107 @@ def _add_predict(commands: Commands) -> None:
         help="say in which voxel the object stands, picture by picture",
         description="Say for each picture in which voxel the object stands, and how probable each voxel is.",
         epilog="example:\n  nlos-classify predict sheet.skops sheet/E/0007.exr --json",
-        formatter_class=RAW,
     )
     parser.add_argument("model", type=Path, metavar="FILE.skops")
     parser.add_argument("pictures", type=Path, nargs="+", metavar="PICTURE.exr")
-    parser.add_argument("--json", action="store_true", help="one JSON object per picture and line")
     parser.add_argument(
         "--background",
         type=Path,
         metavar="FILE.exr",
         help="picture without the object (default: the training scene's)",
     )
-    parser.set_defaults(run=run_predict)
+    parser.set_defaults(run=run_predict, answer=Predictions)
 
 
-def run_compare(options: argparse.Namespace) -> int:
+def _hyperparameters(parser: VerbParser, choices: list[str], default: str) -> None:
+    parser.add_argument(
+        "--hyperparameters",
+        dest="settings",
+        choices=choices,
+        default=default,
+        help=f"those of the paper, or tuned by a search with cross-validation (default: {default})",
+    )
+    parser.alias("--settings", "--hyperparameters")
+
+
+@json_object
+class Compared:
+    """A classifier in a scenario."""
+
+    train: str = described("target of the pictures that it was trained on")
+    test: str = described("target of the pictures that it was tested on")
+    classifier: str = described("its name")
+    hyperparameters: str = described("paper or tuned")
+    accuracy: Interval = described("share of pictures that it puts into the right voxel")
+    precision: Interval = described("mean over the voxels")
+    recall: Interval = described("mean over the voxels")
+    f1: Interval = described("mean over the voxels")
+    folds: list[float] = described("accuracy of each fold; one entry where all of one set was tested")
+    voxels: list[str] = described("labels of the voxels, in the order of the confusion matrix")
+    confusion: list[list[int]] = described("pictures: a row for each true voxel, a column for each predicted one")
+    train_seconds: float = described("mean time of a fit, with its search, seconds")
+    predict_seconds: float = described("time per picture, seconds")
+    unconverged: int = described("fits that ended at their iteration limit")
+
+
+@json_object
+class Comparison:
+    """How good classifiers are."""
+
+    results: list[Compared] = described("results of each scenario and classifier")
+    duplicates: list[int] = described("pictures of each set with exactly the features of another")
+    report: Path = described("page that was written")
+
+
+@json_object
+class CurvePoint:
+    """A classifier that was trained on a number of pictures."""
+
+    classifier: str = described("its name")
+    train_size: int = described("pictures that it was trained on")
+    accuracy: Interval = described("share of pictures that it puts into the right voxel")
+    train_seconds: float = described("time of the fit, seconds")
+    predict_seconds: float = described("time per picture, seconds")
+    bytes: int = described("size of the trained model")
+    converged: bool = described("whether the fit converged")
+
+
+@json_object
+class Curves:
+    """What more pictures to train on are worth."""
+
+    points: list[CurvePoint] = described("results, by classifier and number of pictures")
+    words: list[str] = described("the best and its rivals, in sentences")
+    report: Path = described("page that was written")
+
+
+@json_object
+class Trained:
+    """A model that was trained."""
+
+    path: Path = described("the model")
+    classifier: str = described("its name")
+    hyperparameters: str = described("paper or tuned")
+    chosen: dict[str, str] = described("what the search chose; empty without one")
+
+
+@json_object
+class Prediction:
+    """The answer to a picture."""
+
+    picture: str = described("the picture")
+    label: str = described("the most probable voxel")
+    probability: dict[str, float] = described("probability of each voxel")
+
+
+@json_object
+class Predictions:
+    """In which voxel the object stands."""
+
+    answers: list[Prediction] = described("answers, picture by picture")
+
+
+def run_compare(options: argparse.Namespace) -> Answer:
     """Compare classifiers, and write the report."""
     from classify.classifiers import evaluate, models
     from classify.pictures import feature_table
@@ -129,20 +230,43 @@ def run_compare(options: argparse.Namespace) -> int:
         results = evaluate.compare(
             sets, names, settings=chosen, folds=options.folds, seed=options.seed, progress=progress
         )
-    page = comparison.write(options.output, results, sets, names, options.folds)
-    print_table(
+    with stage("report"):
+        page = comparison.write(options.output, results, sets, names, options.folds)
+    table = Table(
         "accuracy with its 95 % interval",
         ("scenario", "classifier", "paper's", "its settings, here", "tuned, here"),
         comparison.text_table(results),
     )
     unconverged = sum(r.unconverged for r in results)
-    if unconverged:
-        print(f"{unconverged} fits ended at their iteration limit, before they converged")
-    print(page)
-    return 0
+    lines = [f"{unconverged} fits ended at their iteration limit, before they converged"] if unconverged else []
+    values = Comparison(
+        results=[_compared(result) for result in results],
+        duplicates=[features.duplicates for features in sets],
+        report=page,
+    )
+    return Answer(values, [table, *lines, str(page)])
 
 
-def run_learn(options: argparse.Namespace) -> int:
+def _compared(result: Result) -> Compared:
+    return Compared(
+        train=result.train,
+        test=result.test,
+        classifier=result.classifier,
+        hyperparameters=result.settings,
+        accuracy=interval(result.accuracy),
+        precision=interval(result.precision),
+        recall=interval(result.recall),
+        f1=interval(result.f1),
+        folds=result.folds,
+        voxels=result.labels,
+        confusion=result.confusion.tolist(),
+        train_seconds=result.train_seconds,
+        predict_seconds=result.predict_seconds,
+        unconverged=result.unconverged,
+    )
+
+
+def run_learning_curve(options: argparse.Namespace) -> Answer:
     """Draw learning curves."""
     from classify.classifiers import curves
     from classify.pictures import feature_table
@@ -166,22 +290,33 @@ def run_learn(options: argparse.Namespace) -> int:
     table = curves.rows(points)
     tested_on = options.test or f"{100 * curves.HELD_OUT:.0f} % of it, held out"
     title = f"{options.features}, tested on {tested_on}"
-    print_table(title, curves.HEADINGS, table)
     best = max(points, key=lambda point: point.accuracy.value)
     lead = [f"{best.classifier} on {best.count} pictures is right most often: {best.accuracy.percent()}."]
     if rivals := curves.rivals(points, best):
         lead.append(f"Not told apart from it by these pictures: {', '.join(rivals)}.")
-    print(" ".join(lead))
     write_text(options.output / "learn.csv", csv_text(curves.HEADINGS, table))
     curves.draw(options.output / "learn.png", points, title)
     plots = {"learn.png": "Accuracy with its 95 % interval, against the number of pictures and the time of training."}
     sources = {"trained on": options.features, "tested on": options.test or "a part held out", "seed": options.seed}
     tables = [page.Table(title, curves.HEADINGS, table)]
-    print(page.write(options.output, "What are more pictures worth?", lead, plots, tables, sources))
-    return 0
+    report = page.write(options.output, "What are more pictures worth?", lead, plots, tables, sources)
+    found = [
+        CurvePoint(
+            classifier=point.classifier,
+            train_size=point.count,
+            accuracy=interval(point.accuracy),
+            train_seconds=point.train_seconds,
+            predict_seconds=point.predict_seconds,
+            bytes=point.size,
+            converged=not point.unconverged,
+        )
+        for point in points
+    ]
+    text: list[str | Table] = [Table(title, curves.HEADINGS, table), " ".join(lead), str(report)]
+    return Answer(Curves(points=found, words=lead, report=report), text)
 
 
-def run_train(options: argparse.Namespace) -> int:
+def run_train(options: argparse.Namespace) -> Answer:
     """Train a classifier, and save it."""
     from classify.classifiers import models
     from classify.pictures import feature_table
@@ -191,12 +326,16 @@ def run_train(options: argparse.Namespace) -> int:
         feature_table.read(options.features), options.classifier, options.settings, seed=options.seed
     )
     models.save(options.output, model)
-    chosen = ", ".join(f"{k} = {v}" for k, v in model.about["chosen"].items())
-    print(f"{options.output}: {options.classifier}, {options.settings} settings{f' ({chosen})' if chosen else ''}")
-    return 0
+    found = {str(name): str(value) for name, value in model.about["chosen"].items()}
+    chosen = ", ".join(f"{name} = {value}" for name, value in found.items())
+    values = Trained(
+        path=options.output, classifier=options.classifier, hyperparameters=options.settings, chosen=found
+    )
+    line = f"{options.output}: {options.classifier}, {options.settings} settings{f' ({chosen})' if chosen else ''}"
+    return Answer(values, [line])
 
 
-def run_predict(options: argparse.Namespace) -> int:
+def run_predict(options: argparse.Namespace) -> Answer:
     """Print the voxel that a model predicts for each picture."""
     from classify.classifiers import models
     from generator.files.pictures import COLOUR_SPACE, read_picture
@@ -210,15 +349,13 @@ def run_predict(options: argparse.Namespace) -> int:
         return pixels
 
     background = read(options.background) if options.background else None
-    answers = []  # collected before printing, so that a broken picture leaves no partial output
+    if background is not None and model.settings.input == "raw":
+        console.complain("note: --background: means nothing to this model, whose features are of the raw picture")
+    found, lines = [], []
     for path in options.pictures:
-        pixels = read(path)
-        answers.append((path, model.probabilities(pixels, background=background, name=str(path))))
-    for path, voxels in answers:
-        label = max(voxels, key=lambda v: voxels[v])
-        if options.json:
-            print(json.dumps({"picture": str(path), "label": label, "probability": voxels}))
-        else:
-            likely = sorted(voxels.items(), key=lambda item: -item[1])
-            print(f"{path}: {label}   " + "  ".join(f"{voxel} {p:.1%}" for voxel, p in likely if p >= 5e-4))
-    return 0
+        voxels = model.probabilities(read(path), background=background, name=str(path))
+        likely = sorted(voxels.items(), key=lambda item: -item[1])
+        found.append(Prediction(picture=str(path), label=likely[0][0], probability=voxels))
+        shown = "  ".join(f"{voxel} {p:.1%}" for voxel, p in likely if p >= 5e-4)
+        lines.append(f"{path}: {likely[0][0]}   {shown}")
+    return Answer(Predictions(answers=found), lines)

@@ -4,12 +4,11 @@ from __future__ import annotations
 
 import argparse
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from classify.cli.options import (
-    RAW,
-    Commands,
     add_atlas_options,
     add_false_alarm,
     add_seed,
@@ -17,8 +16,14 @@ from classify.cli.options import (
     loaded,
     progress_bar,
 )
-from generator.cli.terminal import print_table
+from generator.cli.answer import Answer, Interval, Table, interval, json_object
+from generator.cli.options import Commands
+from generator.cli.volume import stage
+from generator.model.described import described
 from generator.model.errors import NlosError
+
+if TYPE_CHECKING:
+    from classify.inference.evaluation import Evaluation
 
 
 def add_parsers(commands: Commands) -> None:
@@ -36,11 +41,13 @@ def _add_locate(commands: Commands) -> None:
         description="Find a known object in every picture of a data set, as the atlas' sensor would have seen it, "
         "and say how often voxel, position and presence are right.",
         epilog="example:\n  nlos-classify locate room.atlas sphere/ -o answers/",
-        formatter_class=RAW,
     )
     parser.add_argument("atlas", type=Path, metavar="FILE.atlas")
     parser.add_argument(
-        "dataset", type=Path, help="folder of a data set, or a simulated one; its pictures are clean, noise is added"
+        "dataset",
+        type=Path,
+        metavar="SET",
+        help="folder of a data set, or a simulated one; its pictures are clean, noise is added",
     )
     parser.add_argument(
         "--count",
@@ -53,7 +60,7 @@ def _add_locate(commands: Commands) -> None:
     add_seed(parser, "of the sensor's noise")
     add_false_alarm(parser)
     add_atlas_options(parser, voxels=True)
-    parser.set_defaults(run=run_locate)
+    parser.set_defaults(run=run_locate, answer=Located)
 
 
 def _add_tradeoff(commands: Commands) -> None:
@@ -63,15 +70,22 @@ def _add_tradeoff(commands: Commands) -> None:
         description="Answer the pictures that nlos-generate tradeoff rendered in every way, through the atlas' "
         "sensor: from which samples on the sensor's noise decides, and rendering no longer.",
         epilog="example:\n  nlos-generate tradeoff room.blend -o trade/\n  nlos-classify tradeoff trade/ room.atlas",
-        formatter_class=RAW,
     )
-    parser.add_argument("folder", type=Path, help="of nlos-generate tradeoff")
+    parser.add_argument("folder", type=Path, metavar="FOLDER", help="of nlos-generate tradeoff")
     parser.add_argument("atlas", type=Path, metavar="FILE.atlas")
-    parser.add_argument("--noises", type=int, default=5, metavar="N", help="looks at each picture (default: 5)")
+    parser.add_argument(
+        "--noise-draws",
+        dest="noises",
+        type=int,
+        default=5,
+        metavar="N",
+        help="draws of the sensor's noise for each picture (default: 5)",
+    )
     add_seed(parser, "of the sensor's noise")
     add_false_alarm(parser)
     add_atlas_options(parser)
-    parser.set_defaults(run=run_tradeoff)
+    parser.alias("--noises", "--noise-draws")
+    parser.set_defaults(run=run_tradeoff, answer=Worths)
 
 
 def _add_track(commands: Commands) -> None:
@@ -82,17 +96,17 @@ def _add_track(commands: Commands) -> None:
         "them: where it is after each, how sure, and how far from the truth.",
         epilog="example:\n  nlos-generate trajectory room.blend -o walk/ --frames 200 --engine surfel\n"
         "  nlos-classify track room.atlas walk/ -o track/ --gap 80:110",
-        formatter_class=RAW,
     )
     parser.add_argument(
         "atlas", type=Path, metavar="FILE.atlas", help="of poses that fill the volume: --inside centre"
     )
-    parser.add_argument("dataset", type=Path, help="folder of the trajectory")
+    parser.add_argument("dataset", type=Path, metavar="DATASET", help="folder of the trajectory")
     parser.add_argument(
         "-o", "--output", type=Path, metavar="FOLDER", help="for report.html, track.csv and track.png"
     )
     parser.add_argument(
-        "--step",
+        "--process-noise",
+        dest="step",
         type=float,
         default=0.06,
         metavar="M",
@@ -115,7 +129,8 @@ def _add_track(commands: Commands) -> None:
     )
     add_seed(parser, "of the sensor's noise")
     add_atlas_options(parser)
-    parser.set_defaults(run=run_track)
+    parser.alias("--step", "--process-noise")
+    parser.set_defaults(run=run_track, answer=Tracked)
 
 
 def _add_detect(commands: Commands) -> None:
@@ -126,7 +141,6 @@ def _add_detect(commands: Commands) -> None:
         "for several exposures: where and how long one has to look.",
         epilog="example:\n  nlos-classify atlas simulated/ -o room.atlas --frames 1000 --sensor long.toml\n"
         "  nlos-classify detect room.atlas -o detect/ --exposures 1 10 100 1000",
-        formatter_class=RAW,
     )
     parser.add_argument("atlas", type=Path, metavar="FILE.atlas")
     parser.add_argument(
@@ -142,13 +156,118 @@ def _add_detect(commands: Commands) -> None:
     add_false_alarm(parser)
     parser.add_argument("--count", type=int, default=300, metavar="N", help="pictures in each voxel (default: 300)")
     add_seed(parser, "of poses and noise")
-    parser.set_defaults(run=run_detect)
+    parser.set_defaults(run=run_detect, answer=Detections)
 
 
-def run_locate(options: argparse.Namespace) -> int:
+@json_object
+class Quality:
+    """How good the answers in a voxel are."""
+
+    voxel: str = described("its label; all for all together")
+    pictures: int = described("pictures whose object stands there")
+    accuracy: Interval = described("share of these that are put into the right voxel")
+    error: Interval = described("median distance of the position from the true one, metres")
+    covered: Interval = described("share of these whose true position lies in the stated 95 % region")
+    detected: Interval = described("share of these in which an object is found")
+
+
+@json_object
+class Location:
+    """The answer to a picture."""
+
+    file: str = described("the picture")
+    truth: str = described("voxel in which the object stands")
+    label: str = described("the most probable voxel")
+    probability: float = described("probability of that voxel")
+    true_position: list[float] = described("where the object stands, metres")
+    position: list[float] = described("where it is found, metres")
+    deviation: list[float] = described("standard deviation of that along x, y and z, metres")
+    evidence: float = described("logarithm of how much likelier an object is than an empty scene")
+    detected: bool = described("whether an object is found")
+
+
+@json_object
+class Located:
+    """Where the hidden objects are."""
+
+    quality: list[Quality] = described("how good the answers are, voxel by voxel, and last in all")
+    false_alarms: Interval = described("share of empty scenes in which something is found")
+    seconds: float = described("median time of an answer, seconds")
+    level: float = described("factor on the exposure that makes the empty scene as bright as that of the atlas")
+    answers: list[Location] = described("answers, picture by picture")
+    files: list[Path] = described("files that were written")
+
+
+@json_object
+class WayWorth:
+    """What a way to render is worth."""
+
+    name: str = described("name of the way")
+    seconds: float = described("core seconds per picture")
+    accuracy: Interval = described("share of pictures that are put into the right voxel")
+    error: Interval = described("median error of the position, metres")
+    detected: Interval = described("share of pictures in which an object is found")
+    answers: int = described("answers: pictures times draws of the sensor's noise")
+
+
+@json_object
+class Worths:
+    """What better pictures are worth."""
+
+    ways: list[WayWorth] = described("the ways to render, the reference first")
+    words: list[str] = described("from which on rendering longer is worth nothing, in sentences")
+    files: list[Path] = described("files that were written")
+
+
+@json_object
+class Frame:
+    """Where the object is after a frame."""
+
+    frame: int = described("number of the frame")
+    there: bool = described("whether the object was in it; in a gap it was not")
+    presence: float = described("probability that there is an object")
+    label: str = described("the most probable voxel, if there is an object")
+    position: list[float] = described("where it is then, metres")
+    deviation: list[float] = described("standard deviation of that along x, y and z, metres")
+    true_position: list[float] = described("where the object stands, metres")
+
+
+@json_object
+class Tracked:
+    """How an object moves."""
+
+    frames: list[Frame] = described("answers, frame by frame")
+    error: Interval = described("median distance of the position from the true one, metres")
+    trajectory_error: float = described("root mean square of these distances, metres")
+    accuracy: Interval = described("share of frames in which the voxel is right")
+    covered: Interval = described("share of frames whose true position lies in the 95 % region")
+    presence: Interval = described("share of frames in which presence is told rightly")
+    found_again: list[int | None] = described("frames until it was found again, gap by gap; null if it was not")
+    words: list[str] = described("the same in sentences")
+    files: list[Path] = described("files that were written")
+
+
+@json_object
+class VoxelDetection:
+    """How often an object is found in a voxel."""
+
+    voxel: str = described("its label")
+    distance: float = described("distance of its middle from the relay wall, metres")
+    detected: list[Interval] = described("share of pictures in which the object is found, exposure by exposure")
+
+
+@json_object
+class Detections:
+    """How often an object is found."""
+
+    false_alarm: float = described("share of empty scenes in which something is found too")
+    frames: list[int] = described("exposures: frames averaged for a picture")
+    voxels: list[VoxelDetection] = described("results, voxel by voxel")
+    files: list[Path] = described("files that were written")
+
+
+def run_locate(options: argparse.Namespace) -> Answer:
     """Locate the hidden object of each picture, and print how often the answers are right."""
-    import numpy as np
-
     from classify.classifiers import models
     from classify.inference import evaluation
     from classify.report import page
@@ -171,15 +290,18 @@ def run_locate(options: argparse.Namespace) -> int:
     title = f"{options.dataset}, each with its 95 % interval"
     headings = ("voxel", "pictures", "right voxel", "median error", "within 95 % region", "detected")
     table = answers.rows()
-    print_table(title, headings, table)
     alarms = f"in empty scenes, something is found in {answers.false_alarms().percent()}"
-    print(alarms)
-    print(f"an answer takes {1000.0 * float(np.median(answers.seconds)):.1f} ms (median)")
+    text: list[str | Table] = [
+        Table(title, headings, table),
+        alarms,
+        f"an answer takes {1000.0 * float(np.median(answers.seconds)):.1f} ms (median)",
+    ]
     if answers.level != 1.0:
-        print(
+        text.append(
             f"exposed {answers.level:.3g} times as long as the atlas, so that the empty scene is as bright as there: "
             "right if the relay wall, the lamp or the camera is another, wrong if the room is"
         )
+    files: list[Path] = []
     if options.output:
         write_text(options.output / "answers.csv", answers.csv())
         answers.draw(
@@ -195,11 +317,53 @@ def run_locate(options: argparse.Namespace) -> int:
         figures = {"answers.png": "What is taken for what, how far off, and whether the stated uncertainty is true."}
         sources = {"data set": options.dataset, **page.of_atlas(atlas), "seed of the noise": options.seed}
         tables = [page.Table(title, headings, table)]
-        print(page.write(options.output, "Where is the hidden object?", lead, figures, tables, sources))
-    return 0
+        with stage("report"):
+            page_file = page.write(options.output, "Where is the hidden object?", lead, figures, tables, sources)
+        files = [options.output / "answers.csv", options.output / "answers.png", page_file]
+        text.append(str(page_file))
+    values = Located(
+        quality=_quality(answers),
+        false_alarms=interval(answers.false_alarms()),
+        seconds=float(np.median(answers.seconds)),
+        level=answers.level,
+        answers=_locations(answers),
+        files=files,
+    )
+    return Answer(values, text)
 
 
-def run_tradeoff(options: argparse.Namespace) -> int:
+def _quality(answers: Evaluation) -> list[Quality]:
+    return [
+        Quality(
+            voxel=label,
+            pictures=count,
+            accuracy=interval(accuracy),
+            error=interval(error),
+            covered=interval(covered),
+            detected=interval(detected),
+        )
+        for label, count, accuracy, error, covered, detected in answers.by_voxel()
+    ]
+
+
+def _locations(answers: Evaluation) -> list[Location]:
+    return [
+        Location(
+            file=record.file,
+            truth=record.label,
+            label=answers.labels[place.voxels.argmax()],
+            probability=float(place.voxels.max()),
+            true_position=list(record.position),
+            position=place.position.tolist(),
+            deviation=np.sqrt(np.diag(place.covariance)).tolist(),
+            evidence=float(evidence),
+            detected=bool(evidence > answers.detector.threshold),
+        )
+        for record, place, evidence in zip(answers.records, answers.places, answers.evidence, strict=True)
+    ]
+
+
+def run_tradeoff(options: argparse.Namespace) -> Answer:
     """Print how far better pictures improve the answers."""
     from classify.classifiers import models
     from classify.inference import worth
@@ -223,18 +387,27 @@ def run_tradeoff(options: argparse.Namespace) -> int:
     table, lead = worth.rows(results), worth.enough(results)
     frames = atlas.sensor.frames
     title = f"{options.folder}: {results[0].count} answers each, {frames} frame{'s' if frames > 1 else ''}"
-    print_table(title, worth.HEADINGS, table)
-    for line in lead:
-        print(line)
     worth.draw(options.folder / "worth.png", results, title)
     figures = {"worth.png": "Against the time that a picture takes to render, with 95 % intervals."}
     sources = {"pictures": options.folder, **page.of_atlas(atlas), "seed of the noise": options.seed}
     tables = [page.Table(title, worth.HEADINGS, table)]
-    print(page.write(options.folder, "What are better pictures worth?", lead, figures, tables, sources))
-    return 0
+    report = page.write(options.folder, "What are better pictures worth?", lead, figures, tables, sources)
+    ways = [
+        WayWorth(
+            name=way.name,
+            seconds=way.seconds,
+            accuracy=interval(way.accuracy),
+            error=interval(way.error),
+            detected=interval(way.detected),
+            answers=way.count,
+        )
+        for way in results
+    ]
+    values = Worths(ways=ways, words=lead, files=[options.folder / "worth.png", report])
+    return Answer(values, [Table(title, worth.HEADINGS, table), *lead, str(report)])
 
 
-def run_track(options: argparse.Namespace) -> int:
+def run_track(options: argparse.Namespace) -> Answer:
     """Track the object through the frames of a trajectory."""
     from classify.classifiers import models
     from classify.inference import sequence
@@ -254,25 +427,51 @@ def run_track(options: argparse.Namespace) -> int:
         place = f"{label} at {x:.2f}, {y:.2f}, {z:.2f} m" if step.found else "nothing"
         print(f"frame {record.index}: {place} (presence {step.presence:.0%})", flush=True)
 
-    atlas = loaded(options)
+    atlas, dataset = loaded(options), Dataset.open(options.dataset)
+    for first, last in gaps:
+        if first >= dataset.planned:
+            raise NlosError(f"--gap {first}:{last}: begins after the last of the {dataset.planned} frames")
     tracked = sequence.run(
         atlas,
-        Dataset.open(options.dataset),
+        dataset,
         step=options.step,
         gaps=gaps,
         patience=options.follow,
         seed=options.seed,
         told=report,
     )
-    for line in tracked.words():
-        print(line)
+    text, files = tracked.words(), []
     if options.output:
         write_text(options.output / "track.csv", tracked.csv())
         tracked.draw(options.output / "track.png", options.dataset.name)
         figures = {"track.png": "The path with its uncertainty, and the error over time."}
         sources = {"trajectory": options.dataset, **page.of_atlas(atlas), "seed of the noise": options.seed}
-        print(page.write(options.output, "How does it move?", tracked.words(), figures, [], sources))
-    return 0
+        page_file = page.write(options.output, "How does it move?", tracked.words(), figures, [], sources)
+        files = [options.output / "track.csv", options.output / "track.png", page_file]
+        text.append(str(page_file))
+    values = Tracked(
+        frames=[
+            Frame(
+                frame=record.index,
+                there=there,
+                presence=step.presence,
+                label=atlas.grid.labels[step.voxels.argmax()],
+                position=step.position.tolist(),
+                deviation=np.sqrt(np.diag(step.covariance)).tolist(),
+                true_position=list(record.position),
+            )
+            for record, step, there in zip(tracked.records, tracked.steps, tracked.there, strict=True)
+        ],
+        error=interval(tracked.error()),
+        trajectory_error=tracked.trajectory_error(),
+        accuracy=interval(tracked.voxels()),
+        covered=interval(tracked.held()),
+        presence=interval(tracked.told()),
+        found_again=tracked.reacquired(),
+        words=tracked.words(),
+        files=files,
+    )
+    return Answer(values, text)
 
 
 def _gap(text: str) -> tuple[int, int]:
@@ -286,7 +485,7 @@ def _gap(text: str) -> tuple[int, int]:
     return gap
 
 
-def run_detect(options: argparse.Namespace) -> int:
+def run_detect(options: argparse.Namespace) -> Answer:
     """Print how often an object is found, at a given rate of false alarms."""
     from classify.classifiers import models
     from classify.inference import atlas_file, detect
@@ -312,7 +511,9 @@ def run_detect(options: argparse.Namespace) -> int:
         )
     headings = ["voxel", "from the wall", *(f"{n} frame{'s' if n > 1 else ''}" for n in exposures)]
     table = detect.rows(atlas, detections)
-    print_table(f"{options.atlas}: found, at {100.0 * options.false_alarm:g} % false alarms", headings, table)
+    title = f"{options.atlas}: found, at {100.0 * options.false_alarm:g} % false alarms"
+    text: list[str | Table] = [Table(title, headings, table)]
+    files: list[Path] = []
     if options.output:
         write_text(options.output / "detect.csv", csv_text(headings, table))
         detect.draw(options.output / "detect.png", atlas, detections, options.false_alarm)
@@ -326,8 +527,19 @@ def run_detect(options: argparse.Namespace) -> int:
         figures = {"detect.png": "Left: against exposure, with 95 % intervals. Right: against false alarms."}
         sources = {**page.of_atlas(atlas), "pictures in each voxel": options.count, "seed": options.seed}
         tables = [page.Table("Found, with its 95 % interval", headings, table)]
-        print(page.write(options.output, "Is there something?", lead, figures, tables, sources))
-    return 0
+        page_file = page.write(options.output, "Is there something?", lead, figures, tables, sources)
+        files = [options.output / "detect.csv", options.output / "detect.png", page_file]
+        text.append(str(page_file))
+    voxels = [
+        VoxelDetection(
+            voxel=label,
+            distance=float(np.mean(atlas.grid.bounds(voxel), axis=0)[1]),
+            detected=[interval(detection.found[voxel]) for detection in detections],
+        )
+        for voxel, label in enumerate(atlas.grid.labels)
+    ]
+    values = Detections(false_alarm=options.false_alarm, frames=list(exposures), voxels=voxels, files=files)
+    return Answer(values, text)
 
 
 _LADDER = [n * 10**k for k in range(7) for n in (1, 3)]

@@ -2,18 +2,25 @@
 
 from __future__ import annotations
 
-import argparse
 import sys
 
 from classify.cli import atlas, bound, features, learn, locate
-from classify.cli.options import RAW
+from generator.cli.answer import give
+from generator.cli.parser import Parser, VerbParser, check_volume, command_parser
 from generator.cli.terminal import guarded
 
 VERBS = (features, learn, atlas, locate, bound)
-"""Modules of the verbs, in the order of the help."""
+"""Modules of the verbs."""
+GROUPS = {
+    "describe pictures": ("features", "atlas"),
+    "train and compare": ("train", "compare", "learning-curve"),
+    "answer": ("predict", "locate", "track"),
+    "what could be known": ("bound", "detect", "tradeoff"),
+}
+"""Headings of the help, and the verbs under each."""
 _EXAMPLES = """\
 examples:
-  nlos-classify features sheet/ -o sheet.h5 --set global
+  nlos-classify features sheet/ -o sheet.h5 --features global
   nlos-classify compare sheet.h5 sphere.h5 -o report/
   nlos-classify train sheet.h5 -o sheet.skops --classifier SVM
   nlos-classify predict sheet.skops sheet/E/0007.exr
@@ -21,24 +28,31 @@ examples:
 
 
 def main(argv: list[str] | None = None) -> int:
-    """Run ``nlos-classify``; return the exit code: 0 success, 2 bad input, 130 interrupted, 141 output closed."""
+    """Run ``nlos-classify``.
+
+    Returns
+    -------
+    int
+        Exit code: 0 success, 2 bad input, 70 unexpected error, 130 interrupted, 141 output closed by its reader.
+    """
     return guarded(lambda: _run(argv), "interrupted; nothing was written")
 
 
 def _run(argv: list[str] | None) -> int:
     options = parser().parse_args(argv)
-    return int(options.run(options))
+    check_volume(options)
+    return give(options)
 
 
-def parser() -> argparse.ArgumentParser:
+def parser() -> Parser:
     """Return the parser of the command line, with all verbs."""
-    made = argparse.ArgumentParser(
-        prog="nlos-classify",
-        description="Tell from pictures of the relay wall in which voxel the hidden object stands.",
-        epilog=_EXAMPLES,
-        formatter_class=RAW,
+    made = command_parser(
+        "nlos-classify",
+        "Tell from pictures of the relay wall in which voxel the hidden object stands.",
+        GROUPS,
+        _EXAMPLES,
     )
-    commands = made.add_subparsers(required=True, metavar="COMMAND")
+    commands = made.add_subparsers(required=True, metavar="COMMAND", parser_class=VerbParser)
     for verb in VERBS:
         verb.add_parsers(commands)
     return made

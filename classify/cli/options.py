@@ -8,8 +8,9 @@ import os
 import sys
 from collections.abc import Callable, Iterator
 from pathlib import Path
-from typing import TYPE_CHECKING, TypeAlias
+from typing import TYPE_CHECKING
 
+from generator.cli import volume
 from generator.cli.terminal import LineProgress, left_words
 from generator.jobs.remaining import Remaining
 from generator.model.errors import NlosError
@@ -17,11 +18,6 @@ from generator.model.errors import NlosError
 if TYPE_CHECKING:
     from classify.inference.atlas import Atlas
     from classify.pictures.sensor import Sensor
-
-Commands: TypeAlias = "argparse._SubParsersAction[argparse.ArgumentParser]"
-"""Object of argparse to which verbs are added."""
-RAW = argparse.RawDescriptionHelpFormatter
-
 
 SENSORS = ("full_well", "read_noise", "bits", "exposure", "fill", "frames", "background_frames", "gain_spread")
 
@@ -60,9 +56,9 @@ def add_false_alarm(parser: argparse.ArgumentParser) -> None:
     )
 
 
-def add_seed(parser: argparse.ArgumentParser, words: str) -> None:
+def add_seed(parser: argparse.ArgumentParser, words: str, default: int | None = 0) -> None:
     """Add ``--seed``; ``words`` names what it seeds."""
-    parser.add_argument("--seed", type=int, default=0, metavar="N", help=f"{words} (default: 0)")
+    parser.add_argument("--seed", type=int, default=default, metavar="N", help=f"{words} (default: 0)")
 
 
 def sensor_of(options: argparse.Namespace) -> Sensor:
@@ -89,10 +85,17 @@ def check_output(path: Path, *, folder: bool = False) -> None:
 @contextlib.contextmanager
 def progress_bar(what: str, unit: str) -> Iterator[Callable[[int, int, str], None]]:
     """Yield a function that shows the progress: as a bar, or as lines in a log."""
-    if not sys.stderr.isatty():
-        lines = LineProgress(unit)
-        yield lambda done, total, now: lines(done, total)
-        return
+    with volume.stage(what):
+        if volume.current().quiet or not sys.stderr.isatty():
+            lines = LineProgress(unit)  # says nothing if it is to be quiet
+            yield lambda done, total, now: lines(done, total)
+            return
+        with _bar(what) as show:
+            yield show
+
+
+@contextlib.contextmanager
+def _bar(what: str) -> Iterator[Callable[[int, int, str], None]]:
     from rich.console import Console
     from rich.progress import BarColumn, Progress, TaskProgressColumn, TextColumn
 

@@ -200,6 +200,14 @@ def deviations(information: Array) -> Array:
     return least
 
 
+def in_centre(synthesis: Synthesis, voxel: int) -> Limits | None:
+    """Return the bounds for the object, not rotated, in the centre of a voxel; None if none can be there."""
+    try:
+        return limits(synthesis, np.mean(synthesis.atlas.grid.bounds(voxel), axis=0), np.zeros(3))
+    except NlosError:  # something stands in the way
+        return None
+
+
 def rows(atlas: Atlas, best: Reachable, synthesis: Synthesis | None = None) -> list[tuple[str, ...]]:
     """Return a table of the bounds: a row for each voxel, and one for all.
 
@@ -216,12 +224,10 @@ def rows(atlas: Atlas, best: Reachable, synthesis: Synthesis | None = None) -> l
         if synthesis is None:
             table.append((label, best.by_voxel[voxel].percent()))
             continue
-        centre = np.mean(grid.bounds(voxel), axis=0)
-        try:
-            bounds = limits(synthesis, centre, np.zeros(3))
+        if bounds := in_centre(synthesis, voxel):
             lengths = [*bounds.position, float(np.linalg.norm(bounds.turned))]
             cells = [f"{bounds.presence:.1f}", *map(_short, lengths), *map(_short, bounds.movement)]
-        except NlosError:  # no bounds there: something stands in the way
+        else:
             cells = ["-"] * 8
         table.append((label, best.by_voxel[voxel].percent(), *cells))
     return [*table, ("all", best.accuracy.percent(), *[""] * (8 if synthesis else 0))]

@@ -93,18 +93,24 @@ class Evaluation:
         """Return the share of empty pictures in which an object is found."""
         return exceedance(self.empty, self.detector.threshold, self.empty_draws)
 
-    def rows(self) -> list[tuple[str, ...]]:
-        """Return a table, per voxel and in total: pictures, accuracy, median error, region coverage, detection."""
+    def by_voxel(self) -> list[tuple[str, int, Interval, Interval, Interval, Interval]]:
+        """Return, per voxel and in total: label, pictures, accuracy, median error, region coverage, detection."""
         voxels = np.array([r.voxel for r in self.records])
         parts = [(label, voxels == v) for v, label in enumerate(self.labels) if (voxels == v).any()]
         right, errors, inside, found = self.right, self.errors, self.inside, self.found
         table = []
         for label, some in [*parts, ("all", np.ones(len(voxels), dtype=bool))]:
             draws = self.draws[some]
-            shares = [share(answers[some], draws).percent() for answers in (right, inside, found)]
-            shares.insert(1, median(errors[some], draws).centimetres())
-            table.append((label, str(int(some.sum())), *shares))
+            accuracy, covered, detected = (share(answers[some], draws) for answers in (right, inside, found))
+            table.append((label, int(some.sum()), accuracy, median(errors[some], draws), covered, detected))
         return table
+
+    def rows(self) -> list[tuple[str, ...]]:
+        """Return `by_voxel` as a table of text."""
+        return [
+            (label, str(count), right.percent(), error.centimetres(), held.percent(), detected.percent())
+            for label, count, right, error, held, detected in self.by_voxel()
+        ]
 
     def calibration(self, levels: Array) -> Array:
         """Return the share of true positions that lie in the regions of given stated probabilities."""

@@ -68,6 +68,10 @@ class TrackedSequence:
         distances: Array = np.linalg.norm(self.path - self.truth, axis=1)[np.array(self.there, dtype=bool)]
         return distances
 
+    def error(self) -> Interval:
+        """Return the median of these distances, metres."""
+        return median_of_walk(self.errors)
+
     def trajectory_error(self) -> float:
         """Root mean square of the distances, metres: absolute trajectory error (Sturm et al. 2012, equation 4)."""
         return float(np.sqrt((self.errors**2).mean()))
@@ -104,7 +108,7 @@ class TrackedSequence:
     def words(self) -> list[str]:
         """Return a summary for readers, line by line."""
         lines = [
-            f"median error of the position {median_of_walk(self.errors).centimetres()}, root mean square "
+            f"median error of the position {self.error().centimetres()}, root mean square "
             f"{100.0 * self.trajectory_error():.1f} cm, over {len(self.errors)} frames",
             f"right voxel in {self.voxels().percent()}, within the 95 % region {self.held().percent()}",
             f"presence told rightly in {self.told().percent()}",

@@ -37,6 +37,8 @@ def _for_page(parser: argparse.ArgumentParser) -> argparse.ArgumentParser:
         parser.epilog = f"{title.capitalize()}::\n\n{commands}"
     for action in parser._actions:
         if isinstance(action, argparse._SubParsersAction):
+            for hidden in set(action.choices) - {shown.dest for shown in action._get_subactions()}:
+                del action.choices[hidden]  # older names
             for verb in action.choices.values():
                 _for_page(verb)
     return parser

@@ -5,6 +5,7 @@ from __future__ import annotations
 import argparse
 from pathlib import Path
 
+from generator.cli.answer import Answer
 from generator.cli.options import (
     Commands,
     add_force_option,
@@ -15,9 +16,13 @@ from generator.cli.options import (
     add_vary_option,
     chosen_settings,
     farm_of,
+    farm_options,
+    group_of,
     option,
 )
-from generator.cli.terminal import progress_bar, report
+from generator.cli.rendered import Rendered, report
+from generator.cli.terminal import progress_bar
+from generator.cli.volume import note
 from generator.jobs.request import BulkRequest
 from generator.model.quantities import fraction
 from generator.sets.bulk_settings import Settings
@@ -32,27 +37,29 @@ def add_parsers(commands: Commands) -> None:
         "array. Interrupt it at any time: the same command goes on where it stopped. What is left out "
         "follows from the set, if there is one, else from the scene.",
         epilog="example:\n  nlos-generate bulk room.blend -o million/ --pictures 1000000 --resolution 64",
-        formatter_class=argparse.RawDescriptionHelpFormatter,
     )
     parser.add_argument("scene", type=Path, help="the .blend file")
     parser.add_argument("-o", "--output", type=Path, required=True, metavar="SET", help="folder of the set")
-    add_setting(parser, "pictures", Settings, default="none; needed for a new set", type=int, metavar="N")
+    poses = group_of(parser, "poses and pictures")
+    add_setting(poses, "pictures", Settings, default="none; needed for a new set", type=int, metavar="N")
     add_pose_options(parser)
     add_vary_option(parser)
-    add_setting(parser, "accuracy", Settings, type=option(fraction), metavar="A")
-    add_setting(parser, "compress", Settings)
-    add_setting(parser, "unknown", Settings)
-    add_setting(parser, "part", Settings, type=int, metavar="N")
-    add_setting(parser, "stream", Settings, default="bulk")
-    parser.add_argument("--shard", default="0/1", metavar="i/n", help="make the i-th of n shares only (from 0)")
-    parser.add_argument("--workers", type=int, default=0, metavar="W", help="processes (default: one per core)")
+    add_setting(poses, "unknown", Settings)
+    add_setting(poses, "stream", Settings, default="bulk")
+    add_setting(group_of(parser, "rendering"), "accuracy", Settings, type=option(fraction), metavar="A")
+    files = group_of(parser, "files")
+    add_setting(files, "compress", Settings)
+    add_setting(files, "part", Settings, type=int, metavar="N")
+    farm = farm_options(parser)
+    farm.add_argument("--shard", default="0/1", metavar="i/n", help="make the i-th of n shares only (from 0)")
+    farm.add_argument("--workers", type=int, default=0, metavar="W", help="processes (default: one per core)")
     add_force_option(parser)
     add_probe_option(parser)
     add_links_option(parser)
-    parser.set_defaults(run=run_bulk)
+    parser.set_defaults(run=run_bulk, answer=Rendered)
 
 
-def run_bulk(options: argparse.Namespace) -> int:
+def run_bulk(options: argparse.Namespace) -> Answer:
     """Make a bulk set, or what is missing of it."""
     from generator.jobs import bulk
 
@@ -66,5 +73,5 @@ def run_bulk(options: argparse.Namespace) -> int:
         **farm_of(options),
     )
     with progress_bar() as progress:
-        outcome = bulk.run(request, progress=progress, tell=print)
+        outcome = bulk.run(request, progress=progress, tell=note)
     return report(outcome.bulk, outcome.rendered, outcome.remaining, outcome.failed)

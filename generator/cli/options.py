@@ -8,6 +8,7 @@ from dataclasses import fields
 from pathlib import Path
 from typing import Any, TypeAlias
 
+from generator.cli.parser import VerbParser
 from generator.files.toml import from_dict
 from generator.model.described import choices_of, default_of, words_for
 from generator.model.engines import AUTO, AUTO_HELP, ENGINES
@@ -15,17 +16,18 @@ from generator.model.errors import NlosError
 from generator.model.quantities import fraction, parse_resolution, parse_shard
 from generator.model.settings import Sweep
 
-Commands: TypeAlias = "argparse._SubParsersAction[argparse.ArgumentParser]"
+Commands: TypeAlias = "argparse._SubParsersAction[VerbParser]"
 """Subparsers to which verbs are added."""
 FRAMES = 200
 """Default number of frames of a trajectory."""
 
 
 def add_setting(
-    parser: argparse.ArgumentParser,
+    parser: argparse._ActionsContainer,
     name: str,
     kind: type = Sweep,
     *,
+    flag: str = "",
     default: str | None = None,
     words: str | None = None,
     more: str = "",
@@ -35,11 +37,13 @@ def add_setting(
 
     Parameters
     ----------
-    parser : argparse.ArgumentParser
+    parser : argparse.ArgumentParser, or a group of its arguments
     name : str
-        Name of the field and, with two dashes before it, of the option.
+        Name of the field.
     kind : type
         Dataclass of the settings.
+    flag : str, optional
+        Name of the option; by default two dashes and that of the field.
     default : str, optional
         Words for the value that is taken if the option is not given; by default the field's default.
     words : str, optional
@@ -57,31 +61,46 @@ def add_setting(
         how["choices"] = choices
     taken = default or (f"{value:g}" if isinstance(value, float) else value)
     text = ((words or words_for(kind, name)) + more).replace("%", "%%")
-    parser.add_argument(f"--{name.replace('_', '-')}", help=f"{text} (default: {taken})", **how)
+    flag = flag or f"--{name.replace('_', '-')}"
+    parser.add_argument(flag, dest=name, help=f"{text} (default: {taken})", **how)
 
 
-def add_sweep_options(parser: argparse.ArgumentParser, *, frames: bool = False) -> None:
-    """Add the options of a sweep, or of a trajectory's frames."""
+def add_sweep_options(parser: argparse.ArgumentParser, *, frames: bool = False, goal: bool = False) -> None:
+    """Add the options of a sweep, or of a trajectory's frames; with `goal`, the accuracy decides on samples."""
     parser.add_argument("-o", "--output", type=Path, required=True, metavar="DATASET", help="folder of the data set")
+    poses = group_of(parser, "poses and pictures")
     if frames:
         words = "of the trajectory, one after the other"
-        add_setting(parser, "frames", default=str(FRAMES), words=words, type=int, metavar="N")
-        add_setting(parser, "pace", type=float, metavar="M")
+        add_setting(poses, "frames", default=str(FRAMES), words=words, type=int, metavar="N")
+        add_setting(poses, "pace", type=float, metavar="M")
     else:
-        add_setting(parser, "poses", type=int, metavar="N")
-    add_engine_options(parser, goal=not frames)
+        add_setting(poses, "poses", type=int, metavar="N")
+    add_engine_options(parser, goal=goal)
     add_pose_options(parser, inside=not frames)
     if not frames:
         add_vary_option(parser)
-    parser.add_argument("--shard", default="0/1", metavar="i/n", help="render the i-th of n parts only (from 0)")
+    farm_options(parser).add_argument(
+        "--shard", default="0/1", metavar="i/n", help="render the i-th of n parts only (from 0)"
+    )
     add_force_option(parser)
     add_probe_option(parser)
     add_links_option(parser)
 
 
+def farm_options(parser: argparse.ArgumentParser) -> argparse._ActionsContainer:
+    """Return the group of a parser's options that say where and when is rendered."""
+    return group_of(parser, "processes and machines")
+
+
+def group_of(parser: argparse.ArgumentParser, title: str) -> argparse._ActionsContainer:
+    """Return a group of a parser's arguments by its title, made if it is not there."""
+    made = (group for group in parser._action_groups if group.title == title)
+    return next(made, None) or parser.add_argument_group(title)
+
+
 def add_force_option(parser: argparse.ArgumentParser) -> None:
     """Add ``--force``."""
-    parser.add_argument(
+    group_of(parser, "checks of the scene").add_argument(
         "--force",
         action="store_true",
         help="begin a new set in spite of errors that check finds in the scene; the set remembers them",
@@ -90,7 +109,7 @@ def add_force_option(parser: argparse.ArgumentParser) -> None:
 
 def add_probe_option(parser: argparse.ArgumentParser) -> None:
     """Add ``--no-probe``."""
-    parser.add_argument(
+    group_of(parser, "checks of the scene").add_argument(
         "--no-probe",
         dest="probe",
         action="store_false",
@@ -100,7 +119,7 @@ def add_probe_option(parser: argparse.ArgumentParser) -> None:
 
 def add_links_option(parser: argparse.ArgumentParser) -> None:
     """Add ``--trust-links``."""
-    parser.add_argument(
+    group_of(parser, "checks of the scene").add_argument(
         "--trust-links",
         action="store_true",
         help="follow what the .blend refers to outside its own folder, and let it write caches",
@@ -121,42 +140,46 @@ def option(read: Callable[[str], float]) -> Callable[[str], float]:
 
 def add_engine_options(parser: argparse.ArgumentParser, *, goal: bool = False) -> None:
     """Add the options that say how a picture is rendered."""
-    parser.add_argument(
+    group = group_of(parser, "rendering")
+    group.add_argument(
         "--engine",
         choices=[AUTO, *ENGINES],
         help="; ".join(
             [*(f"{name}: {traits.help}" for name, traits in ENGINES.items()), f"{AUTO}: {AUTO_HELP} (default)"]
         ),
     )
-    add_setting(parser, "samples", type=int, metavar="N")
-    add_setting(parser, "device")
+    add_setting(group, "samples", type=int, metavar="N")
+    add_setting(group, "device")
     more = "; of path and patch too, which then take as many samples as that needs" if goal else ""
-    add_setting(parser, "accuracy", more=more, type=option(fraction), metavar="A")
-    add_setting(parser, "denoise")
-    add_setting(parser, "paired")
+    add_setting(group, "accuracy", more=more, type=option(fraction), metavar="A")
+    add_setting(group, "denoise")
+    add_setting(group, "paired")
 
 
 def add_pose_options(parser: argparse.ArgumentParser, *, inside: bool = True) -> None:
     """Add the options that say where the target is put, and the size of the pictures."""
-    add_setting(parser, "seed", type=int, metavar="N")
-    add_setting(parser, "resolution", default="the scene's", metavar="64|64x48")
+    group = group_of(parser, "poses and pictures")
+    add_setting(group, "seed", type=int, metavar="N")
+    add_setting(group, "resolution", default="the scene's", metavar="64|64x48")
     if inside:
-        add_setting(parser, "inside")
+        add_setting(group, "inside")
     free = "15 15 90, and none for a sphere"
-    add_setting(parser, "rotation", default=free, type=float, nargs=3, metavar=("X", "Y", "Z"))
+    add_setting(group, "rotation", default=free, type=float, nargs=3, metavar=("X", "Y", "Z"))
 
 
 def add_vary_option(parser: argparse.ArgumentParser) -> None:
     """Add ``--vary`` and ``--targets``."""
-    add_setting(parser, "targets", type=int, metavar="N")
-    add_setting(parser, "vary", default="nothing", more="; repeatable", action="append", metavar="NAME=LOW:HIGH")
+    group = group_of(parser, "poses and pictures")
+    add_setting(group, "targets", type=int, metavar="N")
+    add_setting(group, "vary", default="nothing", more="; repeatable", action="append", metavar="NAME=LOW:HIGH")
 
 
 def batch_parser() -> argparse.ArgumentParser:
     """Return the parser of the arguments after ``--`` on Blender's command line."""
-    parser = argparse.ArgumentParser(
+    parser = VerbParser(
         prog="blender -b scene.blend -P generator/batch.py --",
         description="Render a data set inside Blender, in this one process.",
+        default=False,
     )
     add_sweep_options(parser)
     return parser

@@ -5,15 +5,19 @@ from __future__ import annotations
 import argparse
 import time
 from pathlib import Path
+from typing import Any
 
+from generator.cli.answer import Answer, Interval, Table, interval, json_object
 from generator.cli.options import (
     Commands,
     add_force_option,
     add_links_option,
     option,
 )
-from generator.cli.terminal import Status, print_table
+from generator.cli.terminal import Status
+from generator.cli.volume import stage
 from generator.measure import scene_plan
+from generator.model.described import described
 from generator.model.errors import NlosError
 from generator.model.quantities import fraction, seconds
 from generator.model.settings import Sweep
@@ -33,7 +37,6 @@ def _add_tradeoff(commands: Commands) -> None:
         "and pairing, and say what each costs on this machine and how far it is from the reference. Interrupt it "
         "at any time: the same command goes on.",
         epilog="example:\n  nlos-generate tradeoff room.blend -o trade/\n  nlos-classify tradeoff trade/ room.atlas",
-        formatter_class=argparse.RawDescriptionHelpFormatter,
     )
     parser.add_argument("scene", type=Path, help="the .blend file")
     parser.add_argument("-o", "--output", type=Path, required=True, metavar="FOLDER", help="a data set for each way")
@@ -41,7 +44,8 @@ def _add_tradeoff(commands: Commands) -> None:
     parser.add_argument("--seed", type=int, default=0, metavar="N", help="of all poses and all noise (default: 0)")
     parser.add_argument("--resolution", metavar="R", help="64 or 64x48 (default: the scene's)")
     parser.add_argument(
-        "--most",
+        "--time-limit",
+        dest="most",
         type=option(seconds),
         default=1200.0,
         metavar="T",
@@ -50,7 +54,8 @@ def _add_tradeoff(commands: Commands) -> None:
     parser.add_argument("--workers", type=int, default=0, metavar="W", help="processes (default: one per core)")
     add_force_option(parser)
     add_links_option(parser)
-    parser.set_defaults(run=run_tradeoff)
+    parser.alias("--most", "--time-limit")
+    parser.set_defaults(run=run_tradeoff, answer=Traded)
 
 
 def _add_plan(commands: Commands) -> None:
@@ -63,7 +68,6 @@ def _add_plan(commands: Commands) -> None:
         "which sweep --plan follows.",
         epilog="example:\n  nlos-generate plan room.blend --tolerance 1% -o plan/\n"
         "  nlos-generate sweep room.blend -o set/ --plan plan/",
-        formatter_class=argparse.RawDescriptionHelpFormatter,
     )
     parser.add_argument("scene", type=Path, help="the .blend file")
     parser.add_argument(
@@ -79,7 +83,8 @@ def _add_plan(commands: Commands) -> None:
     )
     parser.add_argument("--seed", type=int, default=0, metavar="N", help="of the poses (default: 0)")
     parser.add_argument(
-        "--most",
+        "--time-limit",
+        dest="most",
         type=option(seconds),
         default=scene_plan.MOST,
         metavar="T",
@@ -87,10 +92,56 @@ def _add_plan(commands: Commands) -> None:
     )
     parser.add_argument("--workers", type=int, default=0, metavar="W", help="of the sweep (default: one per core)")
     add_links_option(parser)
-    parser.set_defaults(run=run_plan)
+    parser.alias("--most", "--time-limit")
+    parser.set_defaults(run=run_plan, answer=Planned)
 
 
-def run_tradeoff(options: argparse.Namespace) -> int:
+@json_object
+class Way:
+    """Cost and error of an engine with its settings."""
+
+    name: str = described("name, which is that of the folder of its data set")
+    seconds: float = described("core seconds per picture")
+    error: Interval = described("error of a difference picture in the median pose, relative")
+    level: Interval = described("share of the reference's light that is there; 1 without bias")
+
+
+@json_object
+class Traded:
+    """What accuracy costs."""
+
+    ways: list[Way] = described("the ways to render, the quickest first")
+    advice: list[str] = described("which to take, in sentences")
+    files: list[Path] = described("files that were written")
+
+
+@json_object
+class Left:
+    """An effect that may be left out, or not."""
+
+    name: str = described("name")
+    error: Interval = described("error of a difference picture without it, relative")
+    gain: float | None = described("factor of pictures per second without it; null if not measured")
+    verdict: str = described("needed, left out, or why neither")
+
+
+@json_object
+class Planned:
+    """What a scene needs modelled."""
+
+    tolerance: float = described("error of a difference picture that is allowed, relative")
+    effects: list[Left] = described("effects, the largest first")
+    left_out: list[str] = described("effects that the plan leaves out")
+    error: Interval = described("error with all of these left out together, relative")
+    settings: dict[str, Any] = described("settings of the sweep that sweep --plan makes")
+    predicted: dict[str, float] = described(
+        "cost of that sweep: pictures, seconds, bytes, and seconds_full if nothing were left out"
+    )
+    words: list[str] = described("the plan in sentences")
+    files: list[Path] = described("files that were written")
+
+
+def run_tradeoff(options: argparse.Namespace) -> Answer:
     """Measure what pictures cost and how wrong they are; write the table and the figures."""
     from generator.measure import tradeoff
 
@@ -109,15 +160,15 @@ def run_tradeoff(options: argparse.Namespace) -> int:
         )
     poses = f"{options.poses} poses a voxel, seed {options.seed}"
     title = f"{options.scene.name}, {poses}, {tradeoff.reference_words(options.output)}"
-    print_table(f"{title}; intervals of 95 %", tradeoff.HEADINGS, tradeoff.rows(costs))
-    for line in tradeoff.advice(costs):
-        print(line)
-    for path in tradeoff.write(options.output, costs, title):
-        print(path)
-    return 0
+    with stage("figures"):
+        files = tradeoff.write(options.output, costs, title)
+    ways = [Way(name=c.name, seconds=c.seconds, error=interval(c.error), level=interval(c.level)) for c in costs]
+    advice = tradeoff.advice(costs)
+    table = Table(f"{title}; intervals of 95 %", tradeoff.HEADINGS, tradeoff.rows(costs))
+    return Answer(Traded(ways=ways, advice=advice, files=files), [table, *advice, *map(str, files)])
 
 
-def run_plan(options: argparse.Namespace) -> int:
+def run_plan(options: argparse.Namespace) -> Answer:
     """Measure what a scene needs modelled, and write the plan."""
     begun = time.monotonic()  # loading Blender takes some of the time
     from generator.blender.measure import planning
@@ -137,11 +188,21 @@ def run_plan(options: argparse.Namespace) -> int:
             tell=status.tell,
         )
     title = f"{options.scene.name}, seed {options.seed}, tolerance {100.0 * options.tolerance:g} %"
-    print_table(f"{title}; intervals of 95 %", scene_plan.HEADINGS, scene_plan.rows(plan))
-    for line in scene_plan.words(plan):
-        print(line)
-    if options.output:
-        for path in scene_plan.write(options.output, options.scene, plan, title):
-            print(path)
-        print(f"nlos-generate sweep {options.scene} -o DATASET --plan {options.output}")
-    return 0
+    files = scene_plan.write(options.output, options.scene, plan, title) if options.output else []
+    rows, words = scene_plan.rows(plan), scene_plan.words(plan)
+    values = Planned(
+        tolerance=plan.tolerance,
+        effects=[
+            Left(name=effect.name, error=interval(effect.share), gain=effect.gain, verdict=verdict)
+            for effect, (_, _, _, verdict) in zip(plan.effects, rows, strict=True)
+        ],
+        left_out=plan.dropped,
+        error=interval(plan.together.share),
+        settings=plan.settings,
+        predicted=plan.predicted,
+        words=words,
+        files=files,
+    )
+    table = Table(f"{title}; intervals of 95 %", scene_plan.HEADINGS, rows)
+    follow = [f"nlos-generate sweep {options.scene} -o DATASET --plan {options.output}"] if files else []
+    return Answer(values, [table, *words, *map(str, files), *follow])

@@ -4,9 +4,12 @@ from __future__ import annotations
 
 import argparse
 from pathlib import Path
+from typing import Any
 
+from generator.cli.answer import Answer, json_object
 from generator.cli.options import Commands, add_setting
 from generator.files.toml import dump_toml, from_dict, merge, read_toml, set_field, to_dict
+from generator.model.described import described
 from generator.model.errors import NlosError
 from generator.model.presets import PRESETS, preset
 from generator.model.scene import Scene, unlike
@@ -20,13 +23,12 @@ def add_parsers(commands: Commands) -> None:
         description="Build a preset scene and save it as a .blend file, which Blender can open and edit. "
         "Every figure can be changed: see them with --show, change one with --set, or many with --config.",
         epilog="example:\n  nlos-generate scene room --target sphere --set spot.power=500 -o room.blend",
-        formatter_class=argparse.RawDescriptionHelpFormatter,
     )
     parser.add_argument(
         "preset", choices=list(PRESETS), help="; ".join(f"{name}: {of.words}" for name, of in PRESETS.items())
     )
     parser.add_argument(
-        "--target", default="sheet", metavar="sheet|sphere|FILE", help="the hidden object (default: sheet)"
+        "--target", metavar="sheet|sphere|FILE", help="the hidden object (default: that of --config, or else sheet)"
     )
     parser.add_argument("-o", "--output", type=Path, metavar="FILE.blend", help="where to save it")
     parser.add_argument("--config", type=Path, metavar="FILE.toml", help="figures that replace the preset's")
@@ -39,25 +41,28 @@ def add_parsers(commands: Commands) -> None:
     )
     add_setting(parser, "ambient", Scene, default="the preset's", type=float, metavar="RADIANCE")
     parser.add_argument("--show", action="store_true", help="print every figure as TOML (to edit, for --config)")
-    parser.set_defaults(run=run_scene)
+    parser.set_defaults(run=run_scene, answer=Built)
 
 
-def run_scene(options: argparse.Namespace) -> int:
+@json_object
+class Built:
+    """A scene that was built or shown."""
+
+    path: Path | None = described("the .blend file; null if only shown")
+    figures: dict[str, Any] = described("every figure of the scene, by the names that --set takes")
+    voxels: list[str] = described("labels of the voxels")
+    notes: list[str] = described("what the check without rendering has to say")
+
+
+def run_scene(options: argparse.Namespace) -> Answer:
     """Build a preset scene with the requested changes, and save or show it."""
-    fields = to_dict(preset(options.preset, options.target))
-    if options.config:
-        fields = merge(fields, read_toml(options.config))
-    for assignment in options.set:
-        set_field(fields, assignment)
-    scene: Scene = from_dict(Scene, fields)
-    if options.ambient is not None:
-        scene = scene.with_ambient(options.ambient)
-    if options.show:
-        print(dump_toml(to_dict(scene)), end="")
+    scene = _chosen(options)
+    figures, voxels = to_dict(scene), list(scene.grid.labels)
+    shown = [dump_toml(figures).rstrip("\n")] if options.show else []
     if options.output is None:
         if not options.show:
             raise NlosError("nothing to do: name a file to save with -o FILE.blend, or print the figures with --show")
-        return 0
+        return Answer(Built(path=None, figures=figures, voxels=voxels, notes=[]), shown)
     if options.output.suffix != ".blend":
         raise NlosError(f"{options.output}: a scene file must end in .blend")
     from generator.blender import misgivings
@@ -69,10 +74,38 @@ def run_scene(options: argparse.Namespace) -> int:
     if deviation := unlike(scene, read_scene(blender_scene)):  # a sweep reads the scene from the file
         raise NlosError(f"{deviation}; take a figure that it can hold")
     blend_file.save_file(options.output)
-    for note in misgivings.look(blender_scene).notes:
-        print(note)
-    print(
-        f"{options.output}: {options.preset} with a {scene.target.kind}, voxels {scene.grid.labels[0]} to "
-        f"{scene.grid.labels[-1]}, {scene.resolution[0]} x {scene.resolution[1]} pixels"
+    notes = misgivings.look(blender_scene).notes
+    last = (
+        f"{options.output}: {options.preset} with a {scene.target.kind}, voxels {voxels[0]} to {voxels[-1]}, "
+        f"{scene.resolution[0]} x {scene.resolution[1]} pixels"
     )
-    return 0
+    return Answer(Built(path=options.output, figures=figures, voxels=voxels, notes=notes), [*shown, *notes, last])
+
+
+def _chosen(options: argparse.Namespace) -> Scene:
+    """Return the scene that the options describe: what they name themselves wins over the file of ``--config``."""
+    assigned = [assignment.partition("=")[0].strip() for assignment in options.set]
+    for flag, names in (("target", ("target.kind", "target.mesh")), ("ambient", ("ambient",))):
+        for name in names:
+            if getattr(options, flag) is not None and name in assigned:
+                raise NlosError(f"--{flag} and --set {name}: say the same thing twice; leave one out")
+    fields = to_dict(preset(options.preset, options.target or "sheet"))
+    if options.config:
+        given = read_toml(options.config)
+        if given.get("preset") in set(PRESETS) - {options.preset}:
+            raise NlosError(
+                f"{options.config}: has the figures of the preset {given['preset']!r}, and {options.preset!r} is "
+                f"asked for; name {given['preset']!r}, or take the figure 'preset' out of the file"
+            )
+        given_target = given.get("target")
+        if options.target and isinstance(given_target, dict):
+            same = {name: given_target.get(name, fields["target"][name]) for name in ("kind", "mesh")}
+            if any(fields["target"][name] != value for name, value in same.items()):
+                given = {name: value for name, value in given.items() if name != "target"}  # of another object
+        fields = merge(fields, given)
+    for assignment in options.set:
+        set_field(fields, assignment)
+    scene: Scene = from_dict(Scene, fields)
+    if scene.target.mesh and scene.target.kind != "mesh":
+        raise NlosError(f"target.mesh: means nothing to a {scene.target.kind}; set target.kind=mesh too")
+    return scene if options.ambient is None else scene.with_ambient(options.ambient)

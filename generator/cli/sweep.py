@@ -3,19 +3,23 @@
 from __future__ import annotations
 
 import argparse
-import functools
 from pathlib import Path
 from typing import Any
 
+from generator.cli.answer import Answer
 from generator.cli.options import (
     FRAMES,
     Commands,
     add_sweep_options,
     chosen_settings,
     farm_of,
+    farm_options,
+    group_of,
     option,
 )
-from generator.cli.terminal import progress_bar, report
+from generator.cli.rendered import Rendered, report
+from generator.cli.terminal import progress_bar
+from generator.cli.volume import note
 from generator.jobs.request import ClusterJobs, SweepRequest
 from generator.model.engines import ENGINES
 from generator.model.errors import NlosError
@@ -36,37 +40,38 @@ def _add_sweep(commands: Commands) -> None:
         "Interrupt it at any time: the same command goes on where it stopped. What is left out "
         "follows from the data set, if there is one, else from the scene.",
         epilog="example:\n  nlos-generate sweep room.blend -o sheet/ --poses 100 --engine patch --samples 512",
-        formatter_class=argparse.RawDescriptionHelpFormatter,
     )
     parser.add_argument("scene", type=Path, help="the .blend file")
-    add_sweep_options(parser)
-    parser.add_argument(
+    add_sweep_options(parser, goal=True)
+    farm = farm_options(parser)
+    farm.add_argument(
         "--workers", type=int, default=0, metavar="W", help="processes (default: one per core; on a GPU four)"
     )
-    parser.add_argument(
+    rendering = group_of(parser, "rendering")
+    rendering.add_argument(
         "--budget",
         type=option(seconds),
         metavar="T",
         help="90s, 10min, 2h: take the engine, and the samples or accuracy, with which a new set ends in that time, "
         "measured on this scene and machine",
     )
-    parser.add_argument(
+    rendering.add_argument(
         "--plan", type=Path, metavar="PLAN", help="model what nlos-generate plan found needed, and no more"
     )
-    parser.add_argument(
+    farm.add_argument(
         "--jobs", type=int, metavar="N", help="render as an array of N jobs on a cluster that shares the folder"
     )
-    parser.add_argument(
-        "--cluster", choices=["slurm", "local", "debug"], default="slurm", help="of --jobs (default: slurm)"
-    )
-    parser.add_argument(
-        "--job",
+    farm.add_argument("--cluster", choices=["slurm", "local", "debug"], help="of --jobs (default: slurm)")
+    farm.add_argument(
+        "--job-option",
+        dest="job",
         action="append",
         default=[],
         metavar="NAME=VALUE",
         help="of --jobs, an option of submitit, e.g. slurm_partition=gpu or timeout_min=120; repeatable",
     )
-    parser.set_defaults(run=run_sweep)
+    parser.alias("--job", "--job-option")
+    parser.set_defaults(run=run_sweep, answer=Rendered)
 
 
 def _add_trajectory(commands: Commands) -> None:
@@ -76,17 +81,16 @@ def _add_trajectory(commands: Commands) -> None:
         description="As sweep does, but the target walks through the voxels, straight from one random pose to the "
         "next, and its pictures are frames, one after the other.",
         epilog="example:\n  nlos-generate trajectory room.blend -o walk/ --frames 200 --pace 0.03 --engine surfel",
-        formatter_class=argparse.RawDescriptionHelpFormatter,
     )
     parser.add_argument("scene", type=Path, help="the .blend file")
     add_sweep_options(parser, frames=True)
-    parser.add_argument(
+    farm_options(parser).add_argument(
         "--workers", type=int, default=0, metavar="W", help="processes (default: one per core; on a GPU four)"
     )
-    parser.set_defaults(run=run_trajectory)
+    parser.set_defaults(run=run_trajectory, answer=Rendered)
 
 
-def run_sweep(options: argparse.Namespace) -> int:
+def run_sweep(options: argparse.Namespace) -> Answer:
     """Render a data set, or what is missing of it."""
     from generator.jobs import sweep
 
@@ -109,26 +113,30 @@ def run_sweep(options: argparse.Namespace) -> int:
         **farm_of(options),
     )
     with progress_bar() as progress:
-        outcome = sweep.run(request, progress=progress, tell=functools.partial(print, flush=True))
+        outcome = sweep.run(request, progress=progress, tell=note)
     return report(outcome.dataset, outcome.rendered, outcome.remaining, outcome.failed)
 
 
 def _cluster(options: argparse.Namespace) -> ClusterJobs | None:
-    if getattr(options, "jobs", None) is None:
+    jobs, executor, job = (getattr(options, name, None) for name in ("jobs", "cluster", "job"))
+    if jobs is None:
+        for flag, given in (("--cluster", executor), ("--job-option", job)):
+            if given:
+                raise NlosError(f"{flag}: is an option of --jobs; say how many with --jobs N, or leave it out")
         return None
-    if options.jobs < 1:
-        raise NlosError(f"--jobs {options.jobs}: must be 1 or more")
-    return ClusterJobs(shares=options.jobs, executor=options.cluster, options=dict(map(_job_option, options.job)))
+    if jobs < 1:
+        raise NlosError(f"--jobs {jobs}: must be 1 or more")
+    return ClusterJobs(shares=jobs, executor=executor or "slurm", options=dict(map(_job_option, job or [])))
 
 
 def _job_option(text: str) -> tuple[str, Any]:
     name, equals, value = text.partition("=")
     if not (equals and name.isidentifier()):
-        raise NlosError(f"--job {text!r}: must read NAME=VALUE, for example timeout_min=120")
+        raise NlosError(f"--job-option {text!r}: must read NAME=VALUE, for example timeout_min=120")
     return name, int(value) if value.isdecimal() else value
 
 
-def run_trajectory(options: argparse.Namespace) -> int:
+def run_trajectory(options: argparse.Namespace) -> Answer:
     """Render a trajectory, or what is missing of it."""
     if options.frames is None:
         from generator.sets.dataset import Dataset

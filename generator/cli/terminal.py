@@ -7,17 +7,12 @@ import sys
 import threading
 import time
 from collections.abc import Callable, Iterator, Sequence
-from typing import TYPE_CHECKING
 
-from generator.cli import console
+from generator.cli import console, volume
 from generator.jobs.remaining import Remaining
 from generator.jobs.workers import NO_BLENDER
 from generator.model.errors import NlosError
 from generator.model.quantities import clock
-
-if TYPE_CHECKING:
-    from generator.sets.bulk_set import Bulk
-    from generator.sets.dataset import Dataset
 
 
 def guarded(work: Callable[[], int], interrupted: str = "interrupted; the same command goes on from here") -> int:
@@ -25,8 +20,14 @@ def guarded(work: Callable[[], int], interrupted: str = "interrupted; the same c
 
     Bad input, a missing Blender or an output that cannot be written give one sentence and exit code 2; Ctrl-C gives a
     short message and 130. When the reader of the output has closed it, as ``head`` does, the command ends silently
-    and with 141, like a command that SIGPIPE ends.
+    and with 141, like a command that SIGPIPE ends. An unexpected error gives 70 and one sentence with its place in
+    the code, after the traceback if the command is to be verbose.
     """
+    with volume.separate():
+        return _guarded(work, interrupted)
+
+
+def _guarded(work: Callable[[], int], interrupted: str) -> int:
     try:
         with console.told_apart():
             return work()
@@ -38,28 +39,34 @@ def guarded(work: Callable[[], int], interrupted: str = "interrupted; the same c
         return refused(error)
     except ImportError as error:
         if error.name != "bpy":
-            raise
+            return _unexpected(error)
         missing = isinstance(error, ModuleNotFoundError)
         broken = f"Blender's module bpy does not load, for a system library is missing: {error}"
         return refused(NO_BLENDER if missing else broken)
     except KeyboardInterrupt:
         console.complain(f"\n{interrupted}")
         return 130
+    except Exception as error:
+        return _unexpected(error)
+
+
+def _unexpected(error: Exception) -> int:
+    """Print an error that nobody foresaw; return its exit code, EX_SOFTWARE of sysexits.h."""
+    import traceback
+
+    if volume.current().verbose:
+        console.complain("".join(traceback.format_exception(error)).rstrip())
+    last = traceback.extract_tb(error.__traceback__)[-1]
+    words = " ".join(str(error).split())
+    more = "" if volume.current().verbose else "; -v prints the traceback"
+    console.complain(f"error: unexpected {type(error).__name__} in {last.filename}:{last.lineno}: {words}{more}")
+    return 70
 
 
 def refused(why: object) -> int:
     """Print why a command is refused; return its exit code."""
     console.complain(f"error: {why}")
     return 2
-
-
-def summary(dataset: Dataset | Bulk, *, rendered: int, remaining: int) -> str:
-    """Return the last line of a sweep or of a bulk set."""
-    done = dataset.planned - remaining
-    state = f"{dataset.path}: {done} of {dataset.planned} pictures"
-    if rendered == 0 and remaining == 0:
-        return f"{state}; the data set is finished, nothing to do"
-    return f"{state}, {rendered} of them rendered now" + (f"; {remaining} remain" if remaining else "; finished")
 
 
 class LineProgress:
@@ -76,7 +83,7 @@ class LineProgress:
         if total == 0 or (now - self._last < self._every and done < total):
             return
         self._last = now
-        print(f"{done} of {total} {self._what}{left_words(left if done < total else None)}", flush=True)
+        volume.note(f"{done} of {total} {self._what}{left_words(left if done < total else None)}")
 
 
 class Status:
@@ -92,7 +99,7 @@ class Status:
 
     def __init__(self, every: float = 5.0) -> None:
         self._every = every
-        self._live = sys.stderr is not None and sys.stderr.isatty()
+        self._live = sys.stderr is not None and sys.stderr.isatty() and not volume.current().quiet
         self._lock = threading.Lock()
         self._ended = threading.Event()
         self._doing, self._count = "starting", ""
@@ -112,7 +119,7 @@ class Status:
         """Print a sentence about what begins now, or has ended."""
         with self._lock:
             self._clear()
-            print(words, flush=True)
+            volume.note(words)
             self._doing, self._count = words, ""
             self._since = self._last = time.monotonic()
 
@@ -131,7 +138,7 @@ class Status:
                 elif now - self._last >= self._every:
                     self._last = now
                     with contextlib.suppress(console.Unwritable):  # the next sentence finds out
-                        print(f"... {self._words(now)}", flush=True)
+                        volume.note(f"... {self._words(now)}")
 
     def _words(self, now: float) -> str:
         return f"{self._doing.partition(':')[0]}{self._count}, {clock(now - self._since)}"
@@ -170,9 +177,16 @@ def print_table(title: str, headings: Sequence[str], rows: Sequence[Sequence[str
 @contextlib.contextmanager
 def progress_bar() -> Iterator[Callable[[int, int], None]]:
     """Yield a callable that shows how many pictures are done: as a bar, or as lines in a log."""
-    if not sys.stderr.isatty():
-        yield LineProgress()
-        return
+    with volume.stage("rendering"):
+        if volume.current().quiet or not sys.stderr.isatty():
+            yield LineProgress()  # says nothing if it is to be quiet
+            return
+        with _bar() as show:
+            yield show
+
+
+@contextlib.contextmanager
+def _bar() -> Iterator[Callable[[int, int], None]]:
     from rich.console import Console
     from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn
 
@@ -186,16 +200,3 @@ def progress_bar() -> Iterator[Callable[[int, int], None]]:
             bar.update(task, completed=done, total=total, description=left)
 
         yield show
-
-
-def report(dataset: Dataset | Bulk, rendered: int, remaining: int, failed: list[str]) -> int:
-    """Print how a run ended; return its exit code."""
-    from generator.sets import audit
-    from generator.sets.dataset import Dataset
-
-    for failure in failed:
-        console.complain(f"failed: {failure}")
-    if isinstance(dataset, Dataset) and (warning := audit.words(dataset)):
-        console.complain(warning)
-    print(summary(dataset, rendered=rendered, remaining=remaining))
-    return 1 if failed else 0

@@ -12,7 +12,7 @@ from pathlib import Path
 from types import UnionType
 from typing import Any, Literal, Union, get_args, get_origin, get_type_hints
 
-from generator.model.errors import NlosError, require
+from generator.model.errors import NlosError, instead, require
 
 
 def from_dict(cls: type, data: Mapping[str, Any], where: str = "") -> Any:
@@ -27,7 +27,8 @@ def from_dict(cls: type, data: Mapping[str, Any], where: str = "") -> Any:
     hints = get_type_hints(cls)
     known = {f.name for f in fields(cls)}
     for key in data:
-        require(key in known, f"{where}{key}: no such field; known are {', '.join(sorted(known))}")
+        if key not in known:
+            raise NlosError(f"{where}{key}: no such field; {instead(str(key), sorted(known))}")
     try:
         return cls(**{key: _convert(hints[key], value, f"{where}{key}") for key, value in data.items()})
     except TypeError as error:

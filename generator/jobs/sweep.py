@@ -79,9 +79,10 @@ def _decided(
     new, chosen = not Dataset.exists(request.path), request.chosen
     if request.plan:
         chosen = plan_file.followed(request.plan, request.scene, chosen)
-    if request.budget and not new:
-        tell(f"{request.path}: goes on as it was begun; --budget is for new sets")
-    elif new and (request.budget or request.accuracy):
+    if not new and (request.budget or request.accuracy):
+        option = "--budget" if request.budget else "--accuracy"
+        tell(f"{request.path}: goes on as it was begun; {option} is for new sets")
+    elif request.budget or request.accuracy:
         choice = budget.choose(
             *(request.scene, chosen),
             budget=request.budget or math.inf,

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass
 
-from generator.model.errors import NlosError
+from generator.model.errors import NlosError, instead
 from generator.model.grid import VoxelGrid
 from generator.model.scene import Camera, Partition, Room, Scene, Spot, Target, Wall
 
@@ -43,7 +43,7 @@ def preset(name: str, target: str = "sheet") -> Scene:
         There is no such preset or target.
     """
     if name not in PRESETS:
-        raise NlosError(f"preset {name!r}: there is none; choose from {', '.join(PRESETS)}")
+        raise NlosError(f"preset {name!r}: there is none; {instead(name, PRESETS.keys())}")
     return PRESETS[name].make(name, target)
 
 

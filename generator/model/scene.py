@@ -15,7 +15,7 @@ import numpy as np
 
 from generator.model.arrays import Range, Vector
 from generator.model.described import check_ranges, described, documented
-from generator.model.errors import require
+from generator.model.errors import NlosError, instead, require
 from generator.model.grid import VoxelGrid
 
 ROOM_SURFACES = ("floor", "ceiling", "back", "left", "right")
@@ -132,10 +132,10 @@ class Target:
             return cls(kind="sheet", size=0.5 * scale, albedo=0.9)
         if name == "sphere":
             return cls(kind="sphere", size=0.4 * scale, albedo=1.0)
-        require(
-            Path(name).suffix.lower() in MESH_SUFFIXES,
-            f"target {name!r}: must be sheet, sphere or a mesh file ({', '.join(MESH_SUFFIXES)})",
-        )
+        if Path(name).suffix.lower() not in MESH_SUFFIXES:
+            near = instead(name, ("sheet", "sphere")).removeprefix("choose from sheet, sphere")
+            mesh = f"must be sheet, sphere or a mesh file ({', '.join(MESH_SUFFIXES)})"
+            raise NlosError(f"target {name!r}: {mesh}{near and '; '}{near}")
         return cls(kind="mesh", size=0.0, albedo=0.9, mesh=name)
 
 

@@ -46,7 +46,7 @@ def check_same(dataset: HasSettings, scene: Path, chosen: Mapping[str, Any]) -> 
             differences.append(f"{name} is {settings[name]} there and {value} here")
         elif name == "frames" and name not in settings:
             differences.append("its poses lie in voxels, not on a trajectory")
-        elif name == "poses" and name not in settings:
+        elif name in ("poses", "inside") and name not in settings and "frames" in settings:
             differences.append("its poses lie on a trajectory, not in voxels")
     if scene_hash(scene) not in (settings.get("scene_sha256"), scene_hash(dataset.path / SCENE)):
         differences.append(f"{scene} is not the scene it was rendered from (or has been saved again since)")

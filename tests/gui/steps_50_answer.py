@@ -10,7 +10,7 @@ from helpers import MODULE, WORK, call, check, module, redraw, screenshot, tab, 
 FAKE = """#!/bin/sh
 # Stands for an environment's Python: what is tested here is how the extension asks and shows, not the model.
 case "$*" in
-  *predict*) echo '{"picture": "x", "label": "E", "probability": {"A": 0.1, "B": 0.05, "E": 0.8, "I": 0.05}}';;
+  *predict*) echo '{"answers": [{"label": "E", "probability": {"A": 0.1, "B": 0.05, "E": 0.8, "I": 0.05}}]}';;
   *) echo 3.11.2;;
 esac
 """

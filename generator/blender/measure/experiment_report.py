@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping
+from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -30,6 +31,28 @@ _COLUMNS = [
 ]
 
 
+@dataclass(frozen=True)
+class Reported:
+    """A part of a report, as soon as it is there.
+
+    Attributes
+    ----------
+    words : str
+        A line for the reader.
+    place : str
+        Name of the scene that was measured, and how it was lit.
+    result : Experiment, optional
+        What was measured there.
+    file : Path, optional
+        File that was written.
+    """
+
+    words: str
+    place: str = ""
+    result: Experiment | None = None
+    file: Path | None = None
+
+
 def presets() -> dict[str, Open]:
     """Return two places: the object in front of the wall that it lights, as in the paper, and to the side of it."""
     return {name: partial(_preset, name) for name in ("tabletop", "room")}
@@ -51,7 +74,7 @@ def run(
     *,
     ambient: float = 0.0,
     progress: Callable[[int, int], None] = lambda done, total: None,
-) -> Iterator[str]:
+) -> Iterator[Reported]:
     """Run an experiment in all places, dark and lit; write ``changes.csv``, figures and pictures; yield the results.
 
     Parameters
@@ -70,8 +93,8 @@ def run(
 
     Yields
     ------
-    str
-        A line for the reader.
+    Reported
+        Each result, and each table and figure.
     """
     rows: list[list[str]] = []
     for target in {1: ("sphere",), 2: ("sheet",), 3: ("sphere", "sheet")}[number]:
@@ -85,14 +108,15 @@ def run(
                 done[lit_name] = experiment.run(open_scene(sky), number, target, progress=progress, **settings)
         for name, result in done.items():
             rows += [[target, name, result.engine, *cells] for cells in _cells(result)]
-            yield _sentence(result, name)
+            yield Reported(_sentence(result, name), name, result)
             for axis, letter in enumerate("xyz"):
                 row = np.concatenate(result.differences[axis], axis=1).astype(np.float32)
                 write_picture(folder / f"{target}-{name.replace(' ', '-')}-{letter}.exr", row, {"units": "W/m^2/sr"})
         path = folder / f"experiment-{number}-{target}.png"
-        yield from map(str, _draw(path, done))
-    write_text(folder / "changes.csv", csv_text(_COLUMNS, rows))
-    yield f"{folder / 'changes.csv'}"
+        yield from (Reported(f"{figure}", file=figure) for figure in _draw(path, done))
+    table = folder / "changes.csv"
+    write_text(table, csv_text(_COLUMNS, rows))
+    yield Reported(f"{table}", file=table)
 
 
 def _cells(found: Experiment) -> list[list[str]]:

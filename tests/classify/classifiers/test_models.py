@@ -250,7 +250,7 @@ def test_commands_from_data_set_to_answer(tmp_path, command):
     assert done.returncode == 0, done.stderr
     pictures = [f"sheet/{v}/0000.exr" for v in "AEI"]
     done = command("classify", "predict", "m.skops", *pictures, "--json", cwd=tmp_path, process=True)
-    answers = [json.loads(line) for line in done.stdout.splitlines()]
+    answers = json.loads(done.stdout)["answers"]
     assert [a["picture"] for a in answers] == pictures
     assert sum(a["label"] == p[6] for a, p in zip(answers, pictures, strict=True)) >= 2
     assert answers[0]["label"] == max(answers[0]["probability"], key=answers[0]["probability"].get)

@@ -44,7 +44,7 @@ def test_a_job_that_fails_is_named_and_the_rest_is_done(tmp_path, scene_file, co
     [
         (("--jobs", "0"), "--jobs 0: must be 1 or more"),
         (("--jobs", "2", "--shard", "0/2"), "--jobs: shares the poses out itself"),
-        (("--jobs", "2", "--cluster", "local", "--job", "timeout"), "--job 'timeout': must read NAME=VALUE"),
+        (("--jobs", "2", "--cluster", "local", "--job", "timeout"), "--job-option 'timeout': must read NAME=VALUE"),
         (("--jobs", "2", "--cluster", "local", "--job", "no_such_thing=1"), "no_such_thing"),
         (("--jobs", "2"), "--jobs slurm: "),
     ],

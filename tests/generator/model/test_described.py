@@ -32,7 +32,7 @@ def test_docstring_describes_every_field(kind):
 
 def test_options_say_what_the_fields_say():
     parser = argparse.ArgumentParser()
-    add_sweep_options(parser)
+    add_sweep_options(parser, goal=True)
     shown = " ".join(parser.format_help().split())
     for name in ("poses", "samples", "accuracy", "seed", "inside"):
         default = default_of(Sweep, name)

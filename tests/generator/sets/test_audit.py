@@ -17,7 +17,7 @@ from classify.inference import atlas_build, atlas_file
 from classify.pictures import feature_table
 from classify.pictures.settings import FeatureSettings
 from generator.cli import main as cli
-from generator.cli.terminal import report
+from generator.cli.rendered import report
 from generator.files.pictures import read_picture, write_picture
 from generator.files.toml import dump_toml, merge, read_toml
 from generator.model.errors import NlosError
@@ -340,7 +340,7 @@ def test_pictures_of_nothing_are_a_fault_with_count_and_voxel(tmp_path, capsys):
     assert "no path met it in 512 samples" in faults[0]
     assert faults[1] == f"{made.path / 'C/0000.exr'}: equals C/0002.exr to the bit, though the poses differ"
     assert set(faults) <= set(made.verify())
-    assert report(made, 1, 0, []) == 0
+    assert report(made, 1, 0, []).code == 0
     told = capsys.readouterr()
     assert told.err == f"warning: {faults[0]} (nlos-generate verify lists 2 such faults)\n"
     assert "in full shadow or hidden" in audit.alike(alike_set(tmp_path / "surfel", engine="surfel"))[0]

@@ -1,0 +1,7 @@
+"""Run by ``python -m generator``."""
+
+import sys
+
+from generator.cli.main import main
+
+sys.exit(main())
