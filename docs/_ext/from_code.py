@@ -5,7 +5,8 @@ from __future__ import annotations
 import argparse
 import importlib
 import inspect
-from collections.abc import Iterator
+import re
+from collections.abc import Iterable, Iterator
 from dataclasses import MISSING, fields, is_dataclass
 from typing import Any, ClassVar, get_args, get_type_hints
 
@@ -18,6 +19,8 @@ import generator.cli.main
 from generator.files.toml import dump_toml
 from generator.model.described import choices_of
 from generator.model.presets import preset
+
+PACKAGES = (generator, classify)
 
 
 def generate() -> argparse.ArgumentParser:
@@ -104,19 +107,71 @@ class Public(SphinxDirective):
         module = importlib.import_module(package)
         words = inspect.getdoc(module).replace("Examples\n--------", ".. rubric:: Examples\n")
         lines = [f".. py:module:: {package}", "", words, "", ".. rubric:: All names", ""]
-        lines += [".. autosummary::", "   :nosignatures:", ""]
-        lines += [f"   {name}" for name in module.__all__]
-        for name in module.__all__:
-            what = getattr(module, name)
-            is_class = isinstance(what, type)
-            kind = "exception" if is_class and issubclass(what, Exception) else "class" if is_class else "function"
-            lines += ["", f".. auto{kind}:: {name}"]
-            lines += ["   :members:"] if kind == "class" else []
+        names = [f"{package}.{name}" for name in module.__all__]
+        lines += _described(names)
+        lines += ["", ".. rubric:: Types of their arguments and results", ""]
+        lines += _described([f"{kind.__module__}.{kind.__name__}" for kind in _behind() if _is_of(package, kind)])
         return self.parse_text_to_nodes("\n".join(lines))
+
+
+def _described(names: list[str]) -> list[str]:
+    """Return a summary of names in the current package, and then all of each."""
+    lines = [".. autosummary::", "   :nosignatures:", "", *(f"   ~{name.partition('.')[2]}" for name in names)]
+    for name in names:
+        what = getattr(importlib.import_module(name.rpartition(".")[0]), name.rpartition(".")[2])
+        is_class = isinstance(what, type)
+        kind = "exception" if is_class and issubclass(what, Exception) else "class" if is_class else "function"
+        lines += ["", f".. auto{kind}:: {name}", *(["   :members:"] if kind == "class" else [])]
+    return lines
+
+
+def _behind() -> list[type]:
+    """Return the classes of ours that public functions return, and that public classes are made of."""
+    public = [getattr(package, name) for package in PACKAGES for name in package.__all__]
+    found: list[type] = []
+    for what in (seen := list(public)):
+        hints = get_type_hints(what)
+        near = [hints.get("return")]
+        if isinstance(what, type):
+            near = [*what.__mro__[1:], *hints.values()]
+        new = [one for one in _classes(near) if one not in seen and any(_is_of(p.__name__, one) for p in PACKAGES)]
+        found += new
+        seen += new
+    return sorted(found, key=lambda kind: kind.__name__)
+
+
+def _classes(hints: Iterable[Any]) -> dict[type, None]:
+    """Return the classes in annotations, each once, in their order."""
+    found: dict[type, None] = {}
+    for hint in hints:
+        found |= {hint: None} if isinstance(hint, type) else _classes(get_args(hint))
+    return found
+
+
+def _is_of(package: str, kind: type) -> bool:
+    return kind.__module__.partition(".")[0] == package
+
+
+class ExitCodes(SphinxDirective):
+    """``exit-codes::``: a table of both programs' exit codes, from what their main functions say."""
+
+    def run(self) -> list[nodes.Node]:
+        """Return the table."""
+        mains = (generator.cli.main.main, classify.cli.main.main)
+        codes = [dict(_CODE.findall(" ".join((inspect.getdoc(main) or "").split()))) for main in mains]
+        lines = [".. list-table::", "   :header-rows: 1", "   :widths: auto", ""]
+        lines += ["   * - code", "     - nlos-generate", "     - nlos-classify"]
+        for code in sorted({code for known in codes for code in known}, key=int):
+            lines += [f"   * - {code}", *(f"     - {known.get(code, '')}" for known in codes)]
+        return self.parse_text_to_nodes("\n".join(lines))
+
+
+_CODE = re.compile(r"(\d+) ([a-z][^,.]*)")
 
 
 def setup(app: Sphinx) -> dict[str, Any]:
     """Add the directives."""
     app.add_directive("settings", Settings)
     app.add_directive("public", Public)
+    app.add_directive("exit-codes", ExitCodes)
     return {"parallel_read_safe": True, "parallel_write_safe": True}
