@@ -90,6 +90,12 @@ def _add_plan(commands: Commands) -> None:
         metavar="T",
         help="time for all of it: what cannot be measured in it is kept, and named (default: 5min)",
     )
+    parser.add_argument(
+        "--no-cycles",
+        dest="cycles",
+        action="store_false",
+        help="measure only what surfel models, without noise: what only Cycles models is kept, and takes no time",
+    )
     parser.add_argument("--workers", type=int, default=0, metavar="W", help="of the sweep (default: one per core)")
     add_links_option(parser)
     parser.alias("--most", "--time-limit")
@@ -172,6 +178,7 @@ def run_plan(options: argparse.Namespace) -> Answer:
     """Measure what a scene needs modelled, and write the plan."""
     begun = time.monotonic()  # loading Blender takes some of the time
     from generator.blender.measure import planning
+    from generator.measure import plan_report
 
     if options.output and options.output.exists() and not options.output.is_dir():
         raise NlosError(f"{options.output}: is a file; name a folder")
@@ -185,10 +192,11 @@ def run_plan(options: argparse.Namespace) -> Answer:
             seed=options.seed,
             most=options.most - (time.monotonic() - begun),
             workers=options.workers,
+            by_cycles=options.cycles,
             tell=status.tell,
         )
     title = f"{options.scene.name}, seed {options.seed}, tolerance {100.0 * options.tolerance:g} %"
-    files = scene_plan.write(options.output, options.scene, plan, title) if options.output else []
+    files = plan_report.write(options.output, options.scene, plan, title) if options.output else []
     rows, words = scene_plan.rows(plan), scene_plan.words(plan)
     values = Planned(
         tolerance=plan.tolerance,

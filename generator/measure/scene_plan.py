@@ -1,18 +1,12 @@
-"""A plan of what has to be modelled in a scene: as a table, a picture, and a file that a sweep follows."""
+"""A plan of what has to be modelled in a scene: as a table and in sentences."""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
 from dataclasses import dataclass, field
-from pathlib import Path
 from typing import Any
 
-from generator.files.toml import dump_toml
-from generator.files.writing import csv_text, write_text
 from generator.model.quantities import clock
-from generator.sets.manifest import scene_hash
-from generator.sets.plan_file import FILE, FORMAT
 
 POSES = 10
 """Poses per voxel that `surfel` renders for a plan; five missed an effect of few poses in 1 of 24 random rooms."""
@@ -145,29 +139,3 @@ def words(plan: Plan) -> list[str]:
             f"not measured, for the time was over: {', '.join(plan.unmeasured)}; more time (--most) would tell"
         )
     return sentences
-
-
-def write(folder: Path, scene: Path, plan: Plan, title: str) -> list[Path]:
-    """Write a plan: the file that a sweep follows, the table and the picture; return their paths."""
-    document = {
-        "format": FORMAT,
-        "scene": scene.name,
-        "scene_sha256": scene_hash(scene),
-        "tolerance": plan.tolerance,
-        "settings": {**plan.settings, **({"leave_out": plan.dropped} if plan.dropped else {})},
-        "predicted": {"error": _numbers(plan.together.share), **plan.predicted},
-        "effects": {
-            name: {"error": _numbers(effect.share), "verdict": note}
-            for effect, (name, _, _, note) in zip(plan.effects, rows(plan), strict=True)
-        },
-    }
-    write_text(folder / FILE, dump_toml(document))
-    write_text(folder / "plan.csv", csv_text(HEADINGS, rows(plan)))
-    from generator.measure import plan_figure
-
-    pictures = plan_figure.draw(folder / "plan.png", plan, title)
-    return [folder / FILE, folder / "plan.csv", *pictures]
-
-
-def _numbers(share: Sequence[float]) -> list[float]:
-    return [float(f"{s:.4g}") for s in share if math.isfinite(s)]

@@ -38,7 +38,7 @@ _ORDERS = (4, 5)
 _NOTHING = Effect("nothing", (0.0, 0.0, 0.0))
 _PIXEL_BYTES = 12
 SHARE, _EXACT = 0.4, 0.7
-"""Shares of the remaining time for effects that only Cycles models, and for those that `surfel` models."""
+"""Shares of the remaining time for effects that only Cycles models, each time, and for those of `surfel`."""
 _ENDING = 1.0
 """Seconds to write and draw what was found."""
 _LEAST_TRIAL = 4.0
@@ -166,8 +166,9 @@ def _further(
     """Return what reflections beyond the scene's own would add; last, for no plan depends on it."""
     if not orders:
         return []
-    tell(f"rendering {len(orders)} further reflections, for up to {clock(deadline.left)}")
-    shares = paired.measure(probe, [], orders=orders, tolerance=tolerance, deadline=deadline, progress=tell)
+    part = deadline.part(SHARE)
+    tell(f"rendering {len(orders)} further reflections, for up to {clock(part.left)}")
+    shares = paired.measure(probe, [], orders=orders, tolerance=tolerance, deadline=part, progress=tell)
     names = map(paired.order_name, orders)
     return [Effect(name, shares[name], note="not in the scene") for name in names]
 

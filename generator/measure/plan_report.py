@@ -1,16 +1,21 @@
-"""Draws what a scene needs modelled. Apart from the plan itself, which Blender reads without matplotlib."""
+"""Writes a plan: the file that a sweep follows, a table and a figure."""
 
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
 from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
 
+from generator.files.toml import dump_toml
+from generator.files.writing import csv_text, write_text
 from generator.measure import figures
-from generator.measure.scene_plan import KEPT, LEFT_OUT, NEEDED, Plan
+from generator.measure.scene_plan import HEADINGS, KEPT, LEFT_OUT, NEEDED, Plan, rows
+from generator.sets.manifest import scene_hash
+from generator.sets.plan_file import FILE, FORMAT
 
 _TOLD = "told only"
 """What no plan can leave out: it is not in the scene, or always done."""
@@ -43,3 +48,27 @@ def draw(path: Path, plan: Plan, title: str) -> list[Path]:
     figure.legend(handles=handles, loc="outside lower center", ncols=len(handles))
     figure.suptitle(title)
     return figures.save(path, figure)
+
+
+def write(folder: Path, scene: Path, plan: Plan, title: str) -> list[Path]:
+    """Write a plan: the file that a sweep follows, the table and the picture; return their paths."""
+    document = {
+        "format": FORMAT,
+        "scene": scene.name,
+        "scene_sha256": scene_hash(scene),
+        "tolerance": plan.tolerance,
+        "settings": {**plan.settings, **({"leave_out": plan.dropped} if plan.dropped else {})},
+        "predicted": {"error": _numbers(plan.together.share), **plan.predicted},
+        "effects": {
+            name: {"error": _numbers(effect.share), "verdict": note}
+            for effect, (name, _, _, note) in zip(plan.effects, rows(plan), strict=True)
+        },
+    }
+    write_text(folder / FILE, dump_toml(document))
+    write_text(folder / "plan.csv", csv_text(HEADINGS, rows(plan)))
+    pictures = draw(folder / "plan.png", plan, title)
+    return [folder / FILE, folder / "plan.csv", *pictures]
+
+
+def _numbers(share: Sequence[float]) -> list[float]:
+    return [float(f"{s:.4g}") for s in share if math.isfinite(s)]
