@@ -18,7 +18,7 @@ DOCS_READY := .venv/docs-ready
 SPHINX := $(BIN)/python -m sphinx -W --keep-going -n -d dist/doctrees
 DEMO := demo
 # One process a core; each begins with its share of the tests, in order, and then takes over what others have left.
-PARALLEL := -n auto --dist worksteal
+PARALLEL := -n auto --maxprocesses 8 --dist worksteal
 
 .PHONY: demo test test-all docs linkcheck lint setup extension package matrix gui slurm results clean
 

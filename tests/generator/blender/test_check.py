@@ -226,7 +226,6 @@ def test_an_artists_scene_is_adopted_and_renders_as_the_one_written_by_hand():
     assert_allclose(adopted[1], by_hand[1], rtol=1e-3)
 
 
-@pytest.mark.slow
 def test_an_adopted_scene_is_swept(tmp_path):
     scene = built()
     described = read_scene(scene)

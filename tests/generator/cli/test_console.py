@@ -101,7 +101,6 @@ def test_a_sweep_whose_progress_nobody_reads_ends_and_goes_on_later(tmp_path, sc
     assert len(list((tmp_path / "set").glob("?/*.exr"))) == 9
 
 
-@pytest.mark.slow
 def test_batch_inside_blender(tmp_path, scene_file):
     code = (
         f"import bpy, runpy, sys; sys.argv = ['blender', '--', '-o', sys.argv[1], *{TINY[:-2]!r}];"

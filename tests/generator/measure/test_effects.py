@@ -99,6 +99,7 @@ def test_digits_and_pixels_are_told_and_kept(plan):
     assert shares["pixels beyond 8 x 8"] < shares["pixels beyond 4 x 4"] < 0.1
 
 
+@pytest.mark.slow
 def test_the_error_is_the_one_at_other_poses_too(plan):
     """What was measured on some poses holds on others, within the interval or a factor of 1.5."""
     places, turns = poses(20, 1)

@@ -492,6 +492,7 @@ def test_pictures_can_be_computed_again_without_blender(tiny_bulk):
     np.testing.assert_array_equal(again.background().astype(np.float32), found.background)
 
 
+@pytest.mark.slow
 def test_shards_make_the_same_set(tmp_path, tiny_bulk, scene_file, command):
     for shard, words in (("1/2", "14 of 30 pictures, 14 of them rendered now; 16 remain"), ("0/2", "finished")):
         result = command("generator", "bulk", scene_file, "-o", tmp_path / "s", *TINY, "--shard", shard)
@@ -500,6 +501,7 @@ def test_shards_make_the_same_set(tmp_path, tiny_bulk, scene_file, command):
     assert hashes(Bulk.open(tmp_path / "s")) == hashes(Bulk.open(tiny_bulk))
 
 
+@pytest.mark.slow
 def test_coordinator_and_workers_killed_and_resumed(tmp_path, tiny_bulk, scene_file, command):
     path = tmp_path / "killed"
     arguments = [sys.executable, "-m", "generator.cli", "bulk", str(scene_file), "-o", str(path), *TINY]

@@ -214,7 +214,7 @@ def test_from_the_shell(tmp_path, command):
     assert worlds.error(one.ambient_background(), other.ambient_background()) < 0.02
 
 
-@pytest.mark.parametrize("kind", ["sphere", pytest.param("sheet", marks=pytest.mark.slow)])
+@pytest.mark.parametrize("kind", ["sphere", "sheet"])
 def test_cycles_sees_the_same(kind):
     """In the preset room under a sky that outshines the lamp; by slope over poses, four standard errors and 5 %."""
     scene = blend_file.new_file()

@@ -14,6 +14,7 @@ from generator.model.presets import preset
 from generator.model.scene import Spot, Target, Wall
 
 ENGINES = ["path", "patch", "surfel"]
+PATH_IS_SLOW = pytest.param("path", marks=pytest.mark.slow)
 
 
 def render(scene, engine, *, samples, seeds, target=True, pose=None):
@@ -55,6 +56,7 @@ def test_directly_lit_wall_has_the_inverse_square_radiance(engine, order):
     assert np.abs(picture / expected - 1).max() < 5e-3
 
 
+@pytest.mark.slow
 def test_soft_edged_spot_keeps_its_falloff_in_the_patch_engine():
     scene = radiometry.bare_scene()
     blender = blend_file.new_file()
@@ -72,7 +74,7 @@ def test_soft_edged_spot_keeps_its_falloff_in_the_patch_engine():
     assert abs(path - patch) < 4 * error + 1e-3 * path
 
 
-@pytest.mark.parametrize("engine", ["path", "patch"])
+@pytest.mark.parametrize("engine", [PATH_IS_SLOW, "patch"])
 def test_reflection_orders_switch_on_one_by_one(engine):
     """Wall and floor alone: light on the floor is order 2, back on the wall order 3, there again order 5."""
     room = radiometry.floor_room(-0.6)
@@ -114,7 +116,7 @@ def test_order_two_reaches_what_only_order_two_can():
     np.testing.assert_allclose(got, scene.room.albedo / np.pi * irradiance, rtol=5e-3)
 
 
-@pytest.mark.parametrize("engine", ENGINES)
+@pytest.mark.parametrize("engine", [PATH_IS_SLOW, "patch", "surfel"])
 def test_sheet_gives_the_three_reflection_integral(engine):
     scene = radiometry.bare_scene()
     at = (0.1, 1.1, 0.1)

@@ -233,6 +233,7 @@ def test_what_no_picture_needs_may_be_gone(case, saved):
     assert not (path.parent / name).exists()
 
 
+@pytest.mark.slow
 def test_every_way_to_render_says_so(tmp_path, saved, command):
     """The library is gone before a set is planned, and when one goes on."""
     path, name = saved(linked)
