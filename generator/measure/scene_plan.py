@@ -14,7 +14,7 @@ POSES = 10
 MOST = 300.0
 """Time limit of a plan unless another is given, seconds."""
 
-NEEDED, LEFT_OUT, KEPT = "needed", "left out", "kept"
+NEEDED, LEFT_OUT, KEPT = "needed", "left out", "kept to be safe"
 UNKNOWN = (math.nan, 0.0, math.inf)
 """Share of what could not be measured, and its interval."""
 
@@ -86,11 +86,10 @@ class Plan:
     unmeasured: list[str] = field(default_factory=list)
 
     def verdict(self, effect: Effect) -> str:
-        """Return whether an effect is needed, left out, or kept though it may be small enough to be left out."""
+        """Return whether an effect is left out, or certainly needed: its whole interval lies above the tolerance."""
         if effect.name in self.dropped:
             return LEFT_OUT
-        small = effect.share[2] <= self.tolerance or math.isnan(effect.share[0])
-        return effect.note or (KEPT if small else NEEDED)
+        return effect.note or (NEEDED if effect.share[1] > self.tolerance else KEPT)
 
 
 HEADINGS = ("left out", "error of a difference picture", "pictures a second", "")

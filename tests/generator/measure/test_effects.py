@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 import worlds
 
-from generator.measure import effects
+from generator.measure import effects, scene_plan
 from generator.model.deadline import Deadline
 from generator.transport import Sphere, Transport, left_out
 from generator.transport.left_out import PATCH, SHADOW
@@ -154,3 +154,13 @@ def test_a_vague_effect_keeps_no_clear_one_from_being_left_out(monkeypatch):
     shares = {effect.name: effect.share for effect in found}
     assert shares["vague"][0] < shares["clear"][0] < 0.005 < shares["vague"][2]
     assert dropped == ["clear"]
+
+
+def test_needed_is_what_lies_above_the_tolerance_with_its_whole_interval():
+    """The rest is kept too, but nobody knows whether it had to be."""
+    shares = {"large": (0.05, 0.03, 0.07), "vague": (0.015, 0.005, 0.03), "unknown": (np.nan, 0.0, np.inf)}
+    found = [scene_plan.Effect(name, share) for name, share in {**shares, "small": (0.001, 0.0, 0.002)}.items()]
+    plan = scene_plan.Plan(found, ["small"], found[-1], {"engine": "surfel", "accuracy": 1e-3}, 0.01)
+    verdicts = {row[0]: row[-1] for row in scene_plan.rows(plan)}
+    kept = "kept to be safe"
+    assert verdicts == {"large": "needed", "vague": kept, "unknown": kept, "small": "left out"}

@@ -198,7 +198,7 @@ def test_a_plan_says_what_it_keeps_for_want_of_time():
     ]
     settings = {"engine": "patch"}
     plan = Plan(effects, ["Air"], effects[2], settings, unmeasured=["Fog", "what the plan costs"])
-    assert [row[-1] for row in scene_plan.rows(plan)] == ["needed", "kept", "left out", "kept"]
+    assert [row[-1] for row in scene_plan.rows(plan)] == ["needed", "kept to be safe", "left out", "kept to be safe"]
     words = scene_plan.words(plan)
     assert "plan: patch, samples not known; error 0.001 % (0 to 0.002)" in words
     assert "not measured, for the time was over: Fog, what the plan costs; more time (--most) would tell" in words
