@@ -29,6 +29,9 @@ from generator.sets.readable import check_colours
 
 _REST = 0.5
 """Seconds between two checks of a folder that is still being filled."""
+_FAR = 10.0
+"""Of n poses all over the volume, the closest to a border is this many n-ths of a voxel away, or more, once in exp(20)
+times."""
 _ELLIPSE = 2.448
 """Semi-axes of a 95 % ellipse, in standard deviations."""
 
@@ -250,15 +253,19 @@ def run(
 
 
 def _refuse_gaps(atlas: Atlas) -> None:
-    """Raise NlosError unless the atlas' poses are known to fill the hidden volume."""
-    inside = atlas.about.get("inside")
-    if inside and set(inside) == {"centre"}:
-        return
-    gaps = "leave gaps between the voxels" if inside else "may leave gaps between the voxels: it does not say"
-    raise NlosError(
-        f"the atlas: its poses {gaps}, and a walk crosses them; make one of a set that fills the volume: "
-        "nlos-generate bulk SCENE.blend -o SET --inside centre, then nlos-classify atlas SET -o FILE.atlas"
-    )
+    """Raise NlosError if the atlas' poses leave gaps between the voxels."""
+    if inside := atlas.about.get("inside"):
+        gaps = set(inside) != {"centre"}
+    else:  # an atlas of an earlier version: the closest pose to a border between voxels tells
+        within = np.divide(np.subtract(atlas.positions, atlas.grid.lo), atlas.grid.size) % 1.0
+        closest = np.minimum(within, 1.0 - within).min(axis=0)
+        gaps = bool((closest > _FAR / len(within))[np.array(atlas.grid.shape) > 1].any())
+    if gaps:
+        raise NlosError(
+            "the atlas: its poses leave gaps between the voxels, and a walk crosses them; make one of a set that "
+            "fills the volume: nlos-generate bulk SCENE.blend -o SET --inside centre, then nlos-classify atlas SET "
+            "-o FILE.atlas"
+        )
 
 
 def _frames(dataset: Dataset, patience: float) -> Iterator[PoseRecord]:
