@@ -30,8 +30,7 @@ from generator.sets.readable import check_colours
 _REST = 0.5
 """Seconds between two checks of a folder that is still being filled."""
 _FAR = 10.0
-"""Of n poses all over the volume, the closest to a border is this many n-ths of a voxel away, or more, once in exp(20)
-times."""
+"""Of n poses all over the volume, the closest to a border is that many n-ths of a voxel away once in exp(20)."""
 _ELLIPSE = 2.448
 """Semi-axes of a 95 % ellipse, in standard deviations."""
 
