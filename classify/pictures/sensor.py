@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import hashlib
 import itertools
+import json
 import math
 from collections.abc import Iterable
 from dataclasses import dataclass, replace
@@ -229,6 +230,22 @@ class Sensor:
         return np.maximum(1.0 + self.gain_spread * gain, 0.0), self.offset_spread * offset
 
 
+def _identity(dataset: PictureSet) -> int:
+    """Return a number of what a data set is of: its settings, its scene, and the change in its first picture.
+
+    Neither the hash of the scene's file nor the fingerprint enters: Blender saves a scene as other bytes each time.
+    Of two targets that are described alike the first pictures differ; two digits of it are the same on any processor.
+    """
+    settings = {name: value for name, value in dataset.meta["sweep"].items() if name != "scene_sha256"}
+    change = ""
+    if dataset.records:
+        first = dataset.records[0]
+        empty = dataset.background_of(first) if dataset.own_backgrounds else dataset.background()
+        change = f"{float((dataset.picture(first) - empty).mean(dtype=np.float64)):.1e}"
+    content = json.dumps([settings, dataset.meta.get("scene"), change], sort_keys=True, default=str)
+    return int.from_bytes(hashlib.sha256(content.encode()).digest()[:8], "big")
+
+
 class Camera:
     """Reads a data set as a sensor would have seen it; the clean radiance stays on disk.
 
@@ -238,8 +255,9 @@ class Camera:
     sensor : Sensor
         If it has no exposure, the brightest pixel of the data set fills the well to ``fill``.
     seed : int
-        Seed of all noise. The noise of a picture follows from it, the data set, the voxel and the pose's index. So it
-        does not depend on the order, and no two data sets share noise that a classifier could learn by heart.
+        Seed of all noise. The noise of a picture follows from it, what the data set is of, the voxel and the pose's
+        index. So it does not depend on the order, it is the same for a data set that is made again, and no two that
+        differ share noise that a classifier could learn by heart.
     like : ndarray of shape (height, width), optional
         Background, W/m^2/sr. If the data set's own background differs from it only by a factor (another albedo of the
         wall, a stronger lamp), the exposure makes up for it: all light that meets the wall twice has that factor.
@@ -265,8 +283,7 @@ class Camera:
         self._dataset = dataset
         self._seed = seed
         self.level = 1.0 if like is None else _level(_grey(dataset.background()), like)
-        digest = hashlib.sha256(str(dataset.meta["fingerprint"]).encode()).digest()
-        self._set = int.from_bytes(digest[:8], "big")
+        self._set = _identity(dataset)
         pictures = itertools.chain([dataset.background()], map(dataset.picture, dataset.records))
         self.sensor = sensor.exposed(pictures)
 

@@ -39,7 +39,9 @@ def picture_of(scene, position, albedo=0.9, area=0.25):
     return scene.wall.albedo / np.pi * onto * albedo / np.pi * area * position[1] ** 2 / r2**2
 
 
-def make_dataset(path, *, target="sheet", n=12, seed=0, noise=2e-7, grid=None, skip=0, engine="patch", **more):
+def make_dataset(
+    path, *, target="sheet", n=12, seed=0, noise=2e-7, grid=None, skip=0, engine="patch", saved="none", **more
+):
     """Write a data set of ``n`` poses a voxel, the last ``skip`` poses unrendered, with ``more`` in its manifest."""
     scene = preset("room", target)
     if grid is not None:
@@ -47,7 +49,7 @@ def make_dataset(path, *, target="sheet", n=12, seed=0, noise=2e-7, grid=None, s
     sweep = Sweep(engine=engine, poses=n, seed=seed, resolution=(SIZE, SIZE), inside="centre")
     records = poses.plan(scene.grid, sweep, np.zeros((1, 3)))
     meta = {
-        "sweep": {**to_dict(sweep), "scene_sha256": "none"},
+        "sweep": {**to_dict(sweep), "scene_sha256": saved},
         "reference_radiance": scene.reference_radiance,
         "scene": to_dict(scene),
         "software": {"blender": "none"},

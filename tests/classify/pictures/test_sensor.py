@@ -90,6 +90,20 @@ def test_a_data_set_is_seen_alike_every_time(tmp_path):
     assert np.array_equal(again.picture(first), data.picture(first))
 
 
+def test_noise_is_that_of_what_a_set_shows_and_not_of_its_scene_file(tmp_path):
+    """Blender saves a scene as other bytes each time; two targets of one description must not share noise."""
+
+    def noise(name, **more):
+        data = make_dataset(tmp_path / name, n=2, **more)
+        camera = Camera(data, Sensor(exposure=1e8))
+        return camera.background() - camera.empty()
+
+    first = noise("first")
+    assert np.array_equal(first, noise("saved again", saved="another"))
+    assert not np.array_equal(first, noise("another seed", seed=1))
+    assert not np.array_equal(first, noise("another target", noise=2e-5))
+
+
 @pytest.mark.parametrize(
     ("fields", "words"),
     [
