@@ -57,12 +57,15 @@ def build(
     Raises
     ------
     NlosError
-        If a set is not finished or has no light, has a background a picture, or the sets are not of one scene.
+        If a set is not finished, has no light, a background a picture or several objects, or the sets are not of one
+        scene.
     """
     bulks = [bulk, *others]
     if unknown and (mixed := [b for b in bulks if b.plan.unknown]):
         raise NlosError(f"--unknown: {mixed[0].path} is of objects of all sizes and albedos already; leave it out")
     _check_alike(bulks)
+    if crowds := [b for b in bulks if b.plan.targets > 1]:
+        raise NlosError(f"{crowds[0].path}: shows {crowds[0].plan.targets} objects at once, and an atlas is of one")
     if own := [b for b in bulks if b.backgrounds is not None]:
         raise NlosError(f"{own[0].path}: has a background a picture, and an atlas has one; vary the target alone")
     background = bulk.background

@@ -231,6 +231,8 @@ def run(
     records = dataset.records
     if not records:
         raise NlosError(f"{dataset.path}: holds no finished picture yet")
+    if records[0].others:
+        raise NlosError(f"{dataset.path}: shows {1 + len(records[0].others)} objects at once; locate answers for one")
     positions = np.array([r.position for r in records])
     refuse_shared(atlas.positions, positions, "the atlas", str(dataset.path))
     camera = Camera(dataset, atlas.sensor, seed, like=atlas.background)

@@ -160,6 +160,26 @@ def test_a_file_that_is_no_model_is_named(tmp_path, content):
         models.load(tmp_path / "m.skops")
 
 
+def test_pictures_of_two_objects_are_learnt_by_the_voxels_of_both(pair, tmp_path):
+    """Pairs of voxels are classes as voxels are; maps show each voxel, and no pair has a relative position."""
+    one = pair[0]
+    names = {"A": "A+B", "B": "A+C", "C": "B+C"}
+    rows = np.isin(one.labels, list(names))
+    chosen = {name: getattr(one, name)[rows] for name in ("values", "voxels", "positions", "rotations")}
+    labels = np.array([names[label] for label in one.labels[rows]])
+    files = [file for file, taken in zip(one.files, rows, strict=True) if taken]
+    pairs = replace(one, labels=labels, files=files, **chosen)
+    feature_table.write(tmp_path / "pairs.h5", pairs)
+    results = evaluate.compare([feature_table.read(tmp_path / "pairs.h5")], ["a"], classifiers=["LDA"], folds=3)
+    assert all(result.labels == ["A+B", "A+C", "B+C"] for result in results)
+    assert {words for *_, words in comparison.confusions(results[0], one.grid)} <= {""}
+    page = comparison.write(tmp_path / "report", results, [pairs], ["a.h5"], 3)
+    assert "A+C" in page.read_text()
+    model = models.train(pairs, "LDA", "paper")
+    models.save(tmp_path / "pairs.skops", model)
+    assert models.load(tmp_path / "pairs.skops").estimator.classes_.tolist() == ["A+B", "A+C", "B+C"]
+
+
 def test_collinear_duplicate_and_many_features_are_borne():
     """More features than samples, each twice: every classifier still fits and answers."""
     rng = np.random.default_rng(0)
