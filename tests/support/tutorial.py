@@ -21,7 +21,7 @@ ROOT = Path(__file__).resolve().parents[2]
 PAGE = ROOT / "docs" / "tutorial.md"
 
 BLOCK = re.compile(r"^```(console|pycon)( random)?\n(.*?)^```$", re.MULTILINE | re.DOTALL)
-PROGRESS = re.compile(r"^\d+ of \d+ pictures(, about .* left)?\n", re.MULTILINE)
+PROGRESS = re.compile(r"^\d+ of \d+ pictures(, about .* left)?\n|^engine surfel is compiled .*\n", re.MULTILINE)
 FRACTION = re.compile(r"(\d+\.\d+)")
 CLOSE = 0.05
 """Relative difference that a number with a decimal point may have: another processor sums in another order."""
