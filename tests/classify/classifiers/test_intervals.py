@@ -10,7 +10,7 @@ from classify.intervals import score_interval, wilson
 DRAWS = 500
 
 
-@pytest.mark.parametrize("count", [12, 100])
+@pytest.mark.parametrize("count", [12, pytest.param(100, marks=pytest.mark.slow)])
 @pytest.mark.parametrize("right", [0.35, 0.9, 0.98, 0.995])
 def test_macro_scores(count, right):
     """Nine classes; errors fall unevenly. 500 draws of a true 95 % lie in 92.4 to 97.2 % but once in a hundred."""

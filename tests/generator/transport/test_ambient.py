@@ -84,6 +84,7 @@ def test_an_object_out_of_the_pictures_sight_darkens_it_by_its_shade(size):
     assert worlds.error(changed(world, PLACE), expected) < 0.05
 
 
+@pytest.mark.slow
 def test_poses_in_the_shade_of_a_corridor():
     """A small sphere far down a corridor: from most places no part of the watched wall sees it."""
     grey = preset("corridor", "sphere").with_ambient(0.01)

@@ -42,7 +42,11 @@ def mixed(tree):
     node(tree, "Background", mix.inputs[2], Color=WHITE, Strength=0.1)
 
 
-@pytest.mark.parametrize("build", [emission, textured, fog, fog_under_a_sky, mixed], ids=lambda f: f.__name__)
+@pytest.mark.parametrize(
+    "build",
+    [emission, fog, *(pytest.param(sky, marks=pytest.mark.slow) for sky in (textured, fog_under_a_sky, mixed))],
+    ids=lambda f: f.__name__,
+)
 def test_paired_pictures_have_the_mean_of_those_that_are_not(tmp_path, build):
     scene = bare()
     build(tree_of(scene.world))

@@ -130,7 +130,7 @@ def test_sheet_gives_the_three_reflection_integral(engine):
         assert_same_mean(renders[(slice(None), *half)], expected[half].mean(), within=0.06)
 
 
-@pytest.mark.parametrize("target", ["sheet", "sphere"])
+@pytest.mark.parametrize("target", [pytest.param("sheet", marks=pytest.mark.slow), "sphere"])
 def test_engines_agree_in_the_room(target):
     """Shadows, partition and room included; a wide spot, because only then does `path` converge."""
     scene = preset("room", target)
