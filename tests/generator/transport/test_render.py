@@ -47,6 +47,7 @@ def test_error_is_below_what_was_asked(name, accuracy):
     assert worlds.error(got, expected) < accuracy
 
 
+@pytest.mark.slow
 def test_a_fine_mesh_is_the_sphere():
     """An inscribed mesh of 100,000 triangles differs from its sphere by its faceting, some 1e-4 of the area."""
     rings = 160
@@ -221,6 +222,7 @@ def test_derivatives_are_finite_differences(pose):
         assert worlds.error(rendered.derivatives[k], expected) < 1e-6, k
 
 
+@pytest.mark.slow
 def test_where_a_sheets_own_plane_meets_the_wall():
     """A kink of the picture and a jump of its derivatives, along a line through the pixels."""
     scene = worlds.world(worlds.sheet(), view=worlds.watched(resolution=(8, 8)))
