@@ -112,19 +112,8 @@ def test_another_scene_is_refused(tmp_path, tiny_dataset, command):
 def test_the_noise_of_no_two_poses_is_the_same(tmp_path, scene_file, command):
     """Unpaired, the pictures of a room differ by the target and by noise; equal noise would correlate them."""
     path = tmp_path / "noise"
-    options = (
-        "--engine",
-        "patch",
-        "--poses",
-        "1",
-        "--samples",
-        "2",
-        "--resolution",
-        "24",
-        "--workers",
-        "1",
-        "--no-paired",
-    )
+    small = ("--poses", "1", "--samples", "2", "--resolution", "24", "--workers", "1")
+    options = ("--engine", "patch", "--no-paired", *small)
     assert command("generator", "sweep", scene_file, "-o", path, *options).returncode == 0
     other = tmp_path / "other"
     assert command("generator", "sweep", scene_file, "-o", other, *options, "--seed", "1").returncode == 0
