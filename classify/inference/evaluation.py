@@ -89,6 +89,10 @@ class Evaluation:
         """Return the share of pictures in the right voxel."""
         return share(self.right, self.draws)
 
+    def detected(self) -> Interval:
+        """Return the share of pictures in which an object is found."""
+        return share(self.found, self.draws)
+
     def false_alarms(self) -> Interval:
         """Return the share of empty pictures in which an object is found."""
         return exceedance(self.empty, self.detector.threshold, self.empty_draws)
