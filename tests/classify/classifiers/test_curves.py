@@ -100,5 +100,6 @@ def test_from_the_shell(rendered, tmp_path, capsys, drawn):
     assert (out / "learn.csv").read_text().splitlines()[0] == ",".join(curves.HEADINGS).replace(
         "answer, each", '"answer, each"'
     )
-    assert main.main([*command[:4], "--classifiers", "GPT"]) == 2
-    assert "classifier 'GPT': there is none; choose from LR" in capsys.readouterr().err
+    with pytest.raises(SystemExit, match="2"):
+        main.main([*command[:4], "--classifiers", "GPT"])
+    assert "--classifiers 'GPT': there is none; choose from LR" in capsys.readouterr().err
