@@ -17,6 +17,17 @@ def test_commands_print_what_the_page_shows(tmp_path, monkeypatch):
             assert tutorial.alike(kind, shown, printed), f"{source}the page shows\n{shown}and it prints\n{printed}"
 
 
+def test_the_readme_shows_what_the_tutorial_shows():
+    """So that its commands are run too."""
+    readme = (tutorial.ROOT / "README.md").read_text(encoding="utf-8")
+    shown, run = (
+        {source: printed for block, source, printed in tutorial.parts(page) if block.startswith("console")}
+        for page in (readme, tutorial.PAGE.read_text(encoding="utf-8"))
+    )
+    assert len(shown) == 5
+    assert shown == {source: run[source] for source in shown}
+
+
 def test_a_page_is_all_its_parts():
     page = tutorial.PAGE.read_text(encoding="utf-8")
     assert "".join(source + shown for _, source, shown in tutorial.parts(page)) == page

@@ -23,7 +23,7 @@ from generator.sets.dataset import Dataset
 
 LACKING = {
     *("scipy", "numba", "embreex", "h5py", "OpenEXR", "cv2", "sklearn", "mahotas", "matplotlib", "rich"),
-    *("jinja2", "skops", "joblib", "submitit"),
+    *("jinja2", "skops", "joblib", "submitit", "shtab"),
 }
 BLOCK = f"""
 import sys

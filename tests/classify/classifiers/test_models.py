@@ -298,7 +298,7 @@ def with_nan(path):
     ("arguments", "words"),
     [
         (("features", "nowhere", "-o", "x.h5"), "is not a data set"),
-        (("features", "newer", "-o", "x.h5"), "format 3"),
+        (("features", "newer", "-o", "x.h5"), "format 4"),
         (("features", "nan", "-o", "x.h5"), "A/0000.exr: holds 1 NaN"),
         (("features", "cut", "-o", "x.h5"), "A/0000.exr: is not a whole EXR picture"),
         (("features", "good", "-o", "/dev/null/x.h5"), "/dev/null/x.h5: cannot be written"),
@@ -335,7 +335,7 @@ def broken(tmp_path_factory):
     for name in ("newer", "nan", "cut"):
         shutil.copytree(folder / "good", folder / name)
     manifest = folder / "newer" / "dataset.toml"
-    manifest.write_text(manifest.read_text().replace("format = 2", "format = 3"))
+    manifest.write_text(manifest.read_text().replace("format = 2", "format = 4"))
     with_nan(folder / "nan")
     cut = folder / "cut" / "A" / "0000.exr"
     cut.write_bytes(cut.read_bytes()[:-9])
