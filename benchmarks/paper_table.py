@@ -84,7 +84,7 @@ def main() -> None:
         run("generator.cli", "sweep", scene, "-o", data, "--engine", "patch", "--seed", options.seed, *sizes, *probe)
         run("generator.cli", "verify", data)
         for kind in options.sets:
-            run("classify.cli", "features", data, "-o", folder / f"{target}-{kind}.h5", "--set", kind)
+            run("classify.cli", "features", data, "-o", folder / f"{target}-{kind}.h5", "--features", kind)
     table = []
     for kind in options.sets:
         features = [folder / f"{target}-{kind}.h5" for target in TARGETS]

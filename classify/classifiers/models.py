@@ -230,7 +230,7 @@ def check_folds(labels: NDArray[np.str_], folds: int, settings: Sequence[Setting
     needed = INNER_FOLDS if "tuned" in settings else 2
     if remaining < needed:
         way_out = ", ask for more folds" if samples - 1 >= needed else ""  # at most one fold per sample
-        way_out += ", or use --settings paper" if remaining >= 2 else ""
+        way_out += ", or use --hyperparameters paper" if remaining >= 2 else ""
         raise NlosError(
             f"class {rarest} has {samples} samples, which leaves {remaining} to train on beside a test fold, and "
             f"{'the search for settings' if needed == INNER_FOLDS else 'training'} needs {needed}; render more poses"

@@ -371,7 +371,7 @@ def run_tradeoff(options: argparse.Namespace) -> Answer:
 
     models.check_seed(options.seed)
     if options.noises < 1:
-        raise NlosError(f"--noises {options.noises}: must be 1 or more")
+        raise NlosError(f"--noise-draws {options.noises}: must be 1 or more")
     if not options.folder.is_dir():
         raise NlosError(f"{options.folder}: no such folder")
     atlas = loaded(options)

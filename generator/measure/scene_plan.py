@@ -135,6 +135,6 @@ def words(plan: Plan) -> list[str]:
         )
     if plan.unmeasured:
         sentences.append(
-            f"not measured, for the time was over: {', '.join(plan.unmeasured)}; more time (--most) would tell"
+            f"not measured, for the time was over: {', '.join(plan.unmeasured)}; more time (--time-limit) would tell"
         )
     return sentences

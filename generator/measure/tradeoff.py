@@ -182,7 +182,9 @@ def run(
     try:
         measured = budget.measured_by_trial(scene, settings, workers, force=force, deadline=deadline)
     except Late:
-        raise NlosError(f"--most: {clock(most)} are over before a few pictures are; ask for more time") from None
+        raise NlosError(
+            f"--time-limit: {clock(most)} are over before a few pictures are; ask for more time"
+        ) from None
     if measured.engine == "path":
         raise NlosError(f"{scene}: only the engine 'path' can render it, so there is nothing to trade")
     reference, seconds = _reference(folder, measured, poses * measured.voxels, deadline)
@@ -227,7 +229,8 @@ def run(
         tell(f"{rung.name}: {spent / len(outcome.dataset.records):.3g} core seconds a picture")
     if rendered < 2 or not _finished(folder / REFERENCE):
         raise NlosError(
-            f"--most: {clock(most)} are too short for a reference, which takes about {clock(seconds)}, and one more; "
+            f"--time-limit: {clock(most)} are too short for a reference, which takes about {clock(seconds)}, and one "
+            "more; "
             "ask for more time, or for fewer --poses; the same command goes on with what is there"
         )
     return costs(folder)

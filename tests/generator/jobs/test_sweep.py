@@ -317,7 +317,7 @@ def test_one_hopeless_unit_fails_alone_of_its_batch(monkeypatch):
         (("sweep", "{scene}", "-o", "x", "--samples", "0"), "samples: 0 must be"),
         (("sweep", "{scene}", "-o", "x", "--resolution", "big"), "resolution"),
         (("sweep", "{scene}", "-o", "x", "--workers", "-1"), "--workers"),
-        (("sweep", "{newer}/scene.blend", "-o", "{newer}"), "format 3; this software reads up to 2"),
+        (("sweep", "{newer}/scene.blend", "-o", "{newer}"), "format 4; this software reads up to 3"),
         (("verify", "{foreign}"), "is not a data set"),
         (("scene", "room", "-o", "room.txt"), "must end in .blend"),
         (("scene", "room", "--target", "cube", "-o", "x.blend"), "sheet, sphere or a mesh file"),
@@ -332,7 +332,7 @@ def test_bad_input_is_one_sentence_and_code_2(tmp_path, scene_file, tiny_dataset
     (foreign / "holiday.jpg").touch()
     shutil.copytree(tiny_dataset, newer)
     manifest = newer / "dataset.toml"
-    manifest.write_text(manifest.read_text().replace("format = 2", "format = 3"))
+    manifest.write_text(manifest.read_text().replace("format = 2", "format = 4"))
     before = sorted(p.relative_to(tmp_path) for p in tmp_path.rglob("*"))
     names = {"scene": scene_file, "foreign": foreign, "newer": newer}
     result = command("generator", *(a.format(**names) for a in arguments), cwd=tmp_path)
