@@ -194,6 +194,7 @@ class Located:
     false_alarms: Interval = described("share of empty scenes in which something is found")
     seconds: float = described("median time of an answer, seconds")
     level: float = described("factor on the exposure that makes the empty scene as bright as that of the atlas")
+    doubts: list[str] = described("what speaks against these answers, in sentences")
     answers: list[Location] = described("answers, picture by picture")
     files: list[Path] = described("files that were written")
 
@@ -243,6 +244,9 @@ class Tracked:
     covered: Interval = described("share of frames whose true position lies in the 95 % region")
     presence: Interval = described("share of frames in which presence is told rightly")
     found_again: list[int | None] = described("frames until it was found again, gap by gap; null if it was not")
+    atlas_covered: Interval = described(
+        "share of the atlas' own poses, left out of it, that the 95 % region holds after 20 frames"
+    )
     words: list[str] = described("the same in sentences")
     files: list[Path] = described("files that were written")
 
@@ -296,11 +300,7 @@ def run_locate(options: argparse.Namespace) -> Answer:
         alarms,
         f"an answer takes {1000.0 * float(np.median(answers.seconds)):.1f} ms (median)",
     ]
-    if answers.level != 1.0:
-        text.append(
-            f"exposed {answers.level:.3g} times as long as the atlas, so that the empty scene is as bright as there: "
-            "right if the relay wall, the lamp or the camera is another, wrong if the room is"
-        )
+    text.extend(answers.doubts)
     files: list[Path] = []
     if options.output:
         write_text(options.output / "answers.csv", answers.csv())
@@ -326,6 +326,7 @@ def run_locate(options: argparse.Namespace) -> Answer:
         false_alarms=interval(answers.false_alarms()),
         seconds=float(np.median(answers.seconds)),
         level=answers.level,
+        doubts=list(answers.doubts),
         answers=_locations(answers),
         files=files,
     )
@@ -468,6 +469,7 @@ def run_track(options: argparse.Namespace) -> Answer:
         covered=interval(tracked.held()),
         presence=interval(tracked.told()),
         found_again=tracked.reacquired(),
+        atlas_covered=interval(tracked.atlas_covered),
         words=tracked.words(),
         files=files,
     )

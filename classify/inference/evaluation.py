@@ -50,6 +50,8 @@ class Evaluation:
         Time from the measured picture to the answer.
     level : float
         Factor on the exposure that makes the empty scene as bright as that of the atlas.
+    doubts : tuple of str
+        What speaks against the answers, in sentences.
     """
 
     records: list[PoseRecord]
@@ -62,6 +64,7 @@ class Evaluation:
     labels: tuple[str, ...]
     seconds: Array
     level: float = 1.0
+    doubts: tuple[str, ...] = ()
 
     @property
     def right(self) -> NDArray[np.bool_]:
@@ -187,6 +190,25 @@ _AXES = ("x", "y", "z")
 _MOST_TICKS = 14
 
 
+def doubts(atlas: Atlas, dataset: PictureSet, camera: Camera) -> list[str]:
+    """Return what speaks against answers about a data set: another scene or another object than the atlas is of."""
+    sentences = []
+    if camera.mismatch:
+        sentences.append(
+            f"do not rely on these answers: the empty scene differs from that of the atlas by {camera.mismatch:.1%} "
+            "in shape, so room, lamp or view are others; make the atlas of this scene"
+        )
+    if camera.level != 1.0:
+        sentences.append(
+            f"exposed {camera.level:.3g} times as long as the atlas, so that the empty scene is as bright as there: "
+            "right if the relay wall, the lamp or the camera is another, wrong if the room is"
+        )
+    kinds, kind = atlas.about["targets"], dataset.target_kind
+    if "box" not in kinds and kind not in kinds:  # an atlas of unknown boxes is asked about any object
+        sentences.append(f"the atlas is of a {' and a '.join(kinds)}, and these pictures are of a {kind}")
+    return sentences
+
+
 def run(
     atlas: Atlas,
     dataset: PictureSet,
@@ -271,4 +293,5 @@ def run(
         labels=tuple(atlas.grid.labels),
         seconds=np.array(seconds),
         level=camera.level,
+        doubts=tuple(doubts(atlas, dataset, camera)),
     )

@@ -29,6 +29,8 @@ _CELLS = 15
 """Number of cells along the longer of the grid's horizontal edges: 10 cm each in the preset room."""
 _ENOUGH = 12
 """Least number of poses for the moments of a cell; if it has fewer, those nearest to their mean are taken."""
+AT_REST = 20
+"""Frames over which what is wrong in all of them alike adds up, for an object that hardly moves."""
 _WAYS = 8
 """Number of principal directions of the codes in a cell: three for the position, some for rotations."""
 
@@ -144,6 +146,11 @@ class _Cells:
 class Filter:
     """Tracks one object.
 
+    All frames are compared with one measured background, whose noise they share: a part ``1 - 1 / spread`` of the
+    variance of a code. `AT_REST` frames then tell no more than ``1 / (1 + (AT_REST - 1) (1 - 1 / spread))`` of them
+    would, the effective number of correlated samples (Kish 1965, section 5.4), so each counts with that power of its
+    likelihood.
+
     Parameters
     ----------
     atlas : Atlas
@@ -170,6 +177,7 @@ class Filter:
                 "atlas: is of an object of unknown size and albedo; track follows one made without --unknown"
             )
         self.atlas = atlas
+        self._power = 1.0 / (1.0 + (AT_REST - 1) * (1.0 - 1.0 / atlas.spread))
         self._appear, self._vanish = appear, vanish
         low, high = np.asarray(atlas.grid.lo), np.asarray(atlas.grid.hi)
         edge = max(high[0] - low[0], high[1] - low[1]) / _CELLS
@@ -186,10 +194,14 @@ class Filter:
         self._kernel = np.concatenate([half[:0:-1], half]) / (2.0 * half.sum() - half[0])
         self._inside = np.zeros(int(np.prod(self._shape)))
         self._inside[self._cells] = 1.0
-        self._known = counts / counts.sum()
-        self._presence = 0.5
+        self._at_first = counts / counts.sum()
+        self.restart()
         # Steps out of the volume are not taken: their probability is distributed over the other steps.
         self._spread = np.maximum(self._walk(self._inside[self._cells]), 1e-12)
+
+    def restart(self) -> None:
+        """Forget all frames."""
+        self._known, self._presence = self._at_first, 0.5
 
     def update(self, code: NDArray[np.float32]) -> Step:
         """Update with the code (k,) of a frame's picture, and return the posterior."""
@@ -202,6 +214,7 @@ class Filter:
         present = appeared + stayed
         predicted = (stayed * predicted + appeared * uniform) / present
         logs, places = self._moments.weigh(code.astype(np.float64))
+        logs *= self._power
         top = max(float(logs.max()), 0.0)
         joint = present * predicted * np.exp(logs - top)
         total = float(joint.sum())

@@ -268,6 +268,9 @@ class Camera:
         The sensor with its exposure.
     level : float
         Factor on the radiance of all pictures: above 1 if the exposure is longer.
+    mismatch : float
+        Relative root mean square by which the two backgrounds differ in shape, if by more than 2 %; then they are of
+        different scenes, and no exposure makes up for it.
 
     Raises
     ------
@@ -282,7 +285,7 @@ class Camera:
             )
         self._dataset = dataset
         self._seed = seed
-        self.level = 1.0 if like is None else _level(_grey(dataset.background()), like)
+        self.level, self.mismatch = (1.0, 0.0) if like is None else _level(_grey(dataset.background()), like)
         self._set = _identity(dataset)
         pictures = itertools.chain([dataset.background()], map(dataset.picture, dataset.records))
         self.sensor = sensor.exposed(pictures)
@@ -312,13 +315,15 @@ class Camera:
         return self.sensor.measure(clean, rng, pattern=self._seed)
 
 
-def _level(own: Array, wanted: Array) -> float:
-    """Return the factor from one picture to another that differs in the level alone; 1 if it differs otherwise."""
+def _level(own: Array, wanted: Array) -> tuple[float, float]:
+    """Return the factor from one picture to another, 1 if they do not differ in level alone, and how they differ."""
     if own.shape != wanted.shape or not (own.any() and wanted.any()):
-        return 1.0
+        return 1.0, 0.0
     factor = float((own * wanted).sum() / (own * own).sum())
-    error = np.sqrt(((factor * own - wanted) ** 2).mean() / (wanted**2).mean())
-    return factor if error < _SAME_SHAPE and abs(factor - 1.0) > _SAME_LEVEL else 1.0
+    error = float(np.sqrt(((factor * own - wanted) ** 2).mean() / (wanted**2).mean()))
+    if error >= _SAME_SHAPE:
+        return 1.0, error
+    return factor if abs(factor - 1.0) > _SAME_LEVEL else 1.0, 0.0
 
 
 def _grey(picture: Picture | Array) -> Array:

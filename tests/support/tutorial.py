@@ -20,22 +20,21 @@ from pathlib import Path
 ROOT = Path(__file__).resolve().parents[2]
 PAGE = ROOT / "docs" / "tutorial.md"
 
-BLOCK = re.compile(r"^```(console|pycon)( random)?\n(.*?)^```$", re.MULTILINE | re.DOTALL)
+BLOCK = re.compile(r"^```(console|pycon)\n(.*?)^```$", re.MULTILINE | re.DOTALL)
 PROGRESS = re.compile(r"^\d+ of \d+ pictures(, about .* left)?\n|^engine surfel is compiled .*\n", re.MULTILINE)
+REST = "[...]"
 FRACTION = re.compile(r"(\d+\.\d+)")
 CLOSE = 0.05
 """Relative difference that a number with a decimal point may have: another processor sums in another order."""
-IN_TOTAL = 0.25
-"""The same for totals of what noise makes random, which is drawn anew for each scene file."""
 
 
 def parts(page: str) -> Iterator[tuple[str, str, str]]:
     """Yield all of a page as (kind, source, shown): what is to be run, of kind console or pycon, and text else."""
     end = 0
     for block in BLOCK.finditer(page):
-        yield "text", page[end : block.start(3)], ""
-        kind, inside = block[1] + (block[2] or ""), block[3]
-        if kind.startswith("console"):
+        yield "text", page[end : block.start(2)], ""
+        kind, inside = block[1], block[2]
+        if kind == "console":
             for command in re.split(r"^(?=\$ )", inside, flags=re.MULTILINE)[1:]:
                 source = re.match(r".*?(?<!\\)\n", command, re.DOTALL)[0]
                 yield kind, source, command[len(source) :]
@@ -44,7 +43,7 @@ def parts(page: str) -> Iterator[tuple[str, str, str]]:
                 lines = example.source.splitlines(keepends=True)
                 prompts = [">>> ", *["... "] * (len(lines) - 1)]
                 yield kind, "".join(map("".join, zip(prompts, lines, strict=True))), example.want
-        end = block.end(3)
+        end = block.end(2)
     yield "text", page[end:], ""
 
 
@@ -57,7 +56,7 @@ class Shell:
     def run(self, kind: str, source: str) -> str:
         """Return what a command, or a statement, prints."""
         with contextlib.redirect_stdout(io.StringIO()) as printed:
-            if kind.startswith("console"):
+            if kind == "console":
                 program, *words = shlex.split(source.removeprefix("$ "))
                 assert _main(program)(words) == 0, source
             else:
@@ -75,31 +74,23 @@ def _main(program):
     return main
 
 
-def alike(kind: str, shown: str, printed: str) -> bool:
-    """Whether a page shows what was printed.
-
-    ``[...]`` is the rest of a line, and fractions are equal to 5 %. Of random blocks, lines are compared up to their
-    first fraction, and totals by that too, to 25 %.
-    """
+def alike(shown: str, printed: str) -> bool:
+    """Whether a page shows what was printed: ``[...]`` is the rest of a line, and fractions are equal to 5 %."""
     shown_lines, printed_lines = shown.splitlines(), printed.splitlines()
     if len(shown_lines) != len(printed_lines):
         return False
-    return all(_alike(a, b, kind.endswith("random")) for a, b in zip(shown_lines, printed_lines, strict=True))
+    return all(map(_alike, shown_lines, printed_lines))
 
 
-def _alike(shown: str, printed: str, random: bool) -> bool:
-    if shown.endswith("[...]"):
-        shown = shown.removesuffix("[...]")
-        printed = printed[: len(shown)]
+def _alike(shown: str, printed: str) -> bool:
+    if shown.endswith(REST):
+        return _plain(printed).startswith(_plain(shown.removesuffix(REST)))
     ours, theirs = FRACTION.split(_plain(shown)), FRACTION.split(_plain(printed))
-    if random:
-        total = "│ all" in shown
-        return ours[0] == theirs[0] and (not total or _close(ours[1], theirs[1], IN_TOTAL))
     return ours[::2] == theirs[::2] and all(map(_close, ours[1::2], theirs[1::2]))
 
 
-def _close(one: str, other: str, relative: float = CLOSE) -> bool:
-    return math.isclose(float(one), float(other), rel_tol=relative)
+def _close(one: str, other: str) -> bool:
+    return math.isclose(float(one), float(other), rel_tol=CLOSE)
 
 
 def _plain(line: str) -> str:
@@ -107,12 +98,19 @@ def _plain(line: str) -> str:
     return re.sub(r"[━─]+", "─", " ".join(line.split()))
 
 
+def _written(shown: str, printed: str) -> str:
+    """Return what was printed, with ``[...]`` where the page has it."""
+    kept = [line for line in shown.splitlines(keepends=True) if line.rstrip().endswith(REST)]
+    lines = printed.splitlines(keepends=True)
+    return "".join(next((old for old in kept if _alike(old.rstrip(), line.rstrip())), line) for line in lines)
+
+
 def renewed(page: str) -> str:
-    """Return a page that shows what its commands print now; what is alike stays."""
+    """Return a page that shows what its commands print now."""
     shell, lines = Shell(), []
     for kind, source, shown in parts(page):
         printed = shown if kind == "text" else shell.run(kind, source)
-        lines += [source, shown if alike(kind, shown, printed) else printed]
+        lines += [source, shown if kind == "text" else _written(shown, printed)]
     return "".join(lines)
 
 

@@ -51,6 +51,23 @@ def test_a_wall_of_another_albedo_is_exposed_for(simulated, tmp_path):
     assert stats.ks_2samp(one.errors, other.errors).pvalue > 1e-3
 
 
+def test_another_scene_and_another_object_are_told(simulated, tmp_path):
+    """A floor on one side only lights the wall in another shape: no exposure makes up for it."""
+    half = worlds.quad((-2.0, 0.0, -1.0), (1.5, 0.0, 0.0), (0.0, 3.0, 0.0), 0.5)
+    atlas = atlas_build.build(simulated, DIM)
+    usual, other = (
+        make_seen(tmp_path / name, make_bulk(tmp_path / f"b{name}", pictures=40, room=(floor,), seed=3), poses=4)
+        for name, floor in (("usual", FLOOR), ("other", half))
+    )
+    assert evaluation.run(atlas, usual, empty=0).doubts == ()
+    [doubt] = evaluation.run(atlas, other, empty=0).doubts
+    assert re.match(r"do not rely on these answers: the empty scene differs from that of the atlas by \d", doubt)
+    atlas = replace(atlas, about={**atlas.about, "targets": ["sheet"]})
+    assert evaluation.run(atlas, usual, empty=0).doubts == (
+        "the atlas is of a sheet, and these pictures are of a sphere",
+    )
+
+
 @pytest.mark.parametrize("rate", [0.01, 0.1])
 def test_false_alarms_are_as_many_as_asked_for(simulated, rate):
     """On empty scenes that the threshold was not chosen on."""

@@ -17,6 +17,7 @@ from scipy.stats import binom, multivariate_normal
 from classify.inference import atlas_build, sequence
 from classify.inference.posterior import holds, locate
 from classify.inference.tracker import Filter
+from classify.intervals import wilson
 from classify.pictures.sensor import Sensor
 from generator.model import poses
 from generator.model.errors import NlosError
@@ -228,7 +229,7 @@ def test_a_gap_is_not_ended_by_the_next():
     there = [True, False, True, True, False, True, True, False, True]
     found = [True, False, False, False, True, False, True, False, False]
     steps = [SimpleNamespace(found=each) for each in found]
-    tracked = sequence.TrackedSequence(steps=steps, there=there)
+    tracked = sequence.TrackedSequence(wilson(1, 1), steps=steps, there=there)
     assert tracked.reacquired() == [None, 2, None]
 
 
@@ -277,3 +278,31 @@ def test_frames_are_no_voxels(tiny_dataset, scene_file, command):
     done = command("generator", "trajectory", scene_file, "-o", tiny_dataset, "--frames", "3")
     assert done.returncode == 2
     assert "its poses lie in voxels, not on a trajectory" in done.stderr
+
+
+def test_an_atlas_of_too_few_poses_for_its_sensor_is_told():
+    """Thirty numbers that bend within decimetres, seen sharply: a cell of 12 poses knows too little of them."""
+
+    def waves(count, scale):
+        atlas = lattice(count)
+        turns = np.random.default_rng(1).normal(scale=4.0, size=(3, 30))
+        return replace(atlas, codes=(scale * np.sin(atlas.positions @ turns)).astype(np.float32))
+
+    assert sequence.held_out(waves(6000, 1.0), step=0.1).high >= 0.95
+    assert sequence.held_out(waves(1200, 30.0), step=0.1).high < 0.95
+
+
+def test_regions_hold_though_all_frames_share_the_background_s_noise():
+    """A background of as many frames as a picture: half of the noise stays, and 20 frames tell no more than two."""
+    atlas = replace(lattice(6000, scale=20.0), spread=2.0)
+    assert sequence.held_out(atlas, step=0.03, count=400).high >= 0.95
+    independent = Filter(replace(atlas, spread=1.0), step=0.03)
+    rng, inside = np.random.default_rng(2), 0
+    for pose in range(200):
+        independent.restart()
+        shared = rng.normal(size=3) * math.sqrt(0.5)
+        for _ in range(20):
+            noise = shared + rng.normal(size=3) * math.sqrt(0.5)
+            step = independent.update((atlas.codes[pose] + noise).astype(np.float32))
+        inside += holds(step, atlas.positions[pose])
+    assert wilson(inside, 200).high < 0.9
