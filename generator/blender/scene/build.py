@@ -19,6 +19,7 @@ import mathutils
 import numpy as np
 
 from generator.blender.scene.blend_file import literal, new_file
+from generator.blender.scene.quiet import quiet
 from generator.blender.scene.roles import (
     BUILT,
     COLLECTION,
@@ -279,7 +280,7 @@ def _import_mesh(wanted: Target) -> bpy.types.Object:
     importers = {".obj": bpy.ops.wm.obj_import, ".ply": bpy.ops.wm.ply_import, ".stl": bpy.ops.wm.stl_import}
     before = set(bpy.data.objects)
     try:
-        with meshes.importable(path) as importable_path:
+        with meshes.importable(path) as importable_path, quiet():  # the importers print how long they took
             importers[path.suffix.lower()](filepath=literal(importable_path.absolute()))
     except (OSError, RuntimeError, KeyError):
         raise NlosError(f"target.mesh: {path} is not a mesh file Blender can read (.obj, .ply, .stl)") from None

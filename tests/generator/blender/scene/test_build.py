@@ -413,3 +413,25 @@ def test_an_obj_leads_nowhere_else(tmp_path):
     made = build._import_mesh(Target(kind="mesh", size=0.0, albedo=0.5, mesh=str(tmp_path / "m.obj")))
     assert len(made.data.polygons) == 1
     assert len(bpy.data.images) == before
+
+
+@pytest.mark.parametrize(
+    ("name", "text"),
+    [
+        ("m.obj", "v 0 0 0\nv 1 0 0\nv 0 0 1\nf 1 2 3\n"),
+        (
+            "m.ply",
+            "ply\nformat ascii 1.0\nelement vertex 3\nproperty float x\nproperty float y\nproperty float z\n"
+            "element face 1\nproperty list uchar int vertex_indices\nend_header\n0 0 0\n1 0 0\n0 0 1\n3 0 1 2\n",
+        ),
+        (
+            "m.stl",
+            "solid m\nfacet normal 0 -1 0\nouter loop\nvertex 0 0 0\nvertex 1 0 0\nvertex 0 0 1\nendloop\nendfacet\n"
+            "endsolid m\n",
+        ),
+    ],
+)
+def test_importing_a_mesh_prints_nothing(tmp_path, capfd, name, text):
+    (tmp_path / name).write_text(text)
+    build._import_mesh(Target(kind="mesh", size=0.0, albedo=0.5, mesh=str(tmp_path / name)))
+    assert capfd.readouterr().out == ""
