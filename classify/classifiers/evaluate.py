@@ -36,7 +36,7 @@ class Result:
     Attributes
     ----------
     train, test : str
-        The targets it was trained and tested on.
+        What it was trained and tested on, as `target_names` names it.
     classifier, settings : str
     labels : list of str
         The classes, in voxel order.
@@ -219,8 +219,8 @@ def compare(
 
 
 def target_names(sets: Sequence[Features], names: Sequence[str]) -> list[str]:
-    """Return names for the sets: their targets, or their file names if two targets are the same."""
-    kinds = [features.target for features in sets]
+    """Return names for the sets: what they show, or their file names if two show the same."""
+    kinds = [features.contents for features in sets]
     return kinds if len(set(kinds)) == len(kinds) else list(names)
 
 

@@ -87,6 +87,15 @@ class Features:
         return str(self.provenance.get("colour_space", COLOUR_SPACE))
 
     @property
+    def contents(self) -> str:
+        """What the pictures show, in words: of one object of fixed reflectivity its kind, such as sphere."""
+        count = 1 + str(self.labels[0]).count("+")
+        words = self.target
+        if count > 1:
+            words = f"{count} {'meshes' if words == 'mesh' else f'{words}s'}"
+        return f"{words} with varied {' and '.join(self.varied)}" if self.varied else words
+
+    @property
     def duplicates(self) -> int:
         """Number of pictures whose features equal those of an earlier one."""
         return len(self.values) - len(np.unique(self.values, axis=0))

@@ -47,7 +47,10 @@ _COLOURS = {"paper": figures.SKY, "tuned": figures.BLUE}
 
 
 def paper_row(result: Result) -> tuple[float, float, float, float] | None:
-    """Return the paper's accuracy, precision, recall and F1 for the same scenario, if it reports them."""
+    """Return the paper's accuracy, precision, recall and F1 for the same scenario, if it reports them.
+
+    The paper's sets show one sheet or one sphere of fixed reflectivity, which alone are named so.
+    """
     return PAPER.get(result.train, {}).get(result.classifier) if result.train == result.test else None
 
 

@@ -89,6 +89,22 @@ def test_positions_are_learnt_and_both_cross_scenarios_are_there(pair):
             assert interval.value <= interval.high + 1e-9
 
 
+def test_the_papers_figures_stand_only_beside_what_it_had(pair):
+    sphere = pair[1]
+    assert evaluate.target_names([sphere], ["f"]) == ["sphere"]
+    several = replace(sphere, labels=np.array([f"{label}+I" for label in sphere.labels]))
+    varied = replace(sphere, varied={"target.albedo": np.zeros(len(sphere.labels))})
+    assert several.contents == "2 spheres"
+    assert replace(several, target="mesh").contents == "2 meshes"
+    assert varied.contents == "sphere with varied target.albedo"
+    result = evaluate.compare([sphere], ["f"], classifiers=["NB"], settings=["paper"], folds=2)[0]
+    assert comparison.paper_row(result)
+    for other in (several, varied):
+        named = replace(result, train=other.contents, test=other.contents)
+        assert comparison.paper_row(named) is None
+        assert comparison.text_table([named])[0][2] == "-"
+
+
 def test_shuffled_labels_are_guessed_at_chance(pair):
     """What leaks from a test fold into training shows as skill where there is none to have."""
     rng = np.random.default_rng(0)
