@@ -61,16 +61,24 @@ class _Sight:
     def findings(self) -> list[Finding]:
         """Return all findings about lines of sight."""
         voxels = dict(zip(self._labels, zip(self._bounds, self._points, strict=True), strict=True))
-        results = [*self._around_the_corner(), *self._lit(), *self._open()]
+        corner, unhidden = self._around_the_corner()
+        results = [*corner, *self._lit(), *self._open()]
         results += _lights(self._scene, self._eyes, self._watched, voxels, self._grid)
         if not any(f.level in (WARNING, ERROR) for f in results):
-            subject = f"V{_voxels(self._labels, self._grid.labels)[1:]}"
-            results.append(Finding(GOOD, f"{subject}: hidden from lamp and camera, seen by the wall"))
+            hidden = [label for label in self._labels if label not in unhidden]
+            beside = [label for label in self._labels if label in unhidden]
+            for labels, how in (
+                (hidden, "hidden from lamp and camera, seen by the wall"),
+                (beside, "seen by the wall, while lamp and camera point elsewhere"),
+            ):
+                if labels:
+                    subject = f"V{_voxels(labels, self._grid.labels)[1:]}"
+                    results.append(Finding(GOOD, f"{subject}: {how}"))
         return results
 
-    def _around_the_corner(self) -> list[Finding]:
-        """Return findings about voxels that lamp or camera point at, and about those not hidden from them."""
-        results = []
+    def _around_the_corner(self) -> tuple[list[Finding], set[str]]:
+        """Return findings about voxels that lamp or camera point at or are not hidden from, and the latter voxels."""
+        results, unhidden_from_any = [], set[str]()
         lamp, labels = self._seen.matrices["spot"][:3, 3], self._grid.labels
         solids = clearance.sights(self._scene, self._described.spot, self._seen)
         for obj, solid, verb in zip((self._lamp, self._camera), solids, ("shines", "looks"), strict=True):
@@ -93,11 +101,12 @@ class _Sight:
                     f"{obj.name!r} {verb} straight into {_voxels(direct, labels)}: nothing is around the corner there"
                 )
                 results.append(Finding(ERROR, text, obj.name))
+            unhidden_from_any.update(unhidden)
             if unhidden:
                 voxels = _voxels(unhidden, labels)
                 text = f"Nothing hides {voxels} from {obj.name!r}, which only happens to point elsewhere"
                 results.append(Finding(NOTE, text, obj.name))
-        return results
+        return results, unhidden_from_any
 
     def _lit(self) -> list[Finding]:
         """Return findings about whether the lamp lights the wall, and does so outside the watched patch."""

@@ -84,6 +84,22 @@ def test_without_a_partition_nothing_hides():
         bpy.data.objects.remove(screen)
     texts = [f.text for f in told(scene, NOTE) if "Nothing hides" in f.text]
     assert len(texts) == 2  # from the lamp, and from the camera
+    [good] = told(scene, GOOD)
+    assert good.text == "Voxels A to I: seen by the wall, while lamp and camera point elsewhere"
+
+
+def test_only_the_voxels_behind_the_screen_are_called_hidden():
+    scene = built()
+    [screen] = roles.players(scene, "partition")
+    screen.location.y += 1.0  # the wall's side of the screen ends farther from the wall
+    bpy.context.view_layer.update()
+    assert [f.text[:30] for f in told(scene, NOTE) if "voxels A to G from" in f.text] == [
+        "Nothing hides voxels A to G fr"
+    ] * 2
+    assert [f.text for f in told(scene, GOOD)] == [
+        "Voxels H, I: hidden from lamp and camera, seen by the wall",
+        "Voxels A to G: seen by the wall, while lamp and camera point elsewhere",
+    ]
 
 
 def test_a_voxel_in_the_dark():
