@@ -15,6 +15,7 @@ from generator.blender.finding import ERROR, GOOD, NOTE, WARNING, Finding
 from generator.blender.scene.description import read_scene
 from generator.measure import student
 from generator.model.arrays import Array
+from generator.model.engines import ENGINES
 from generator.model.quantities import ROUNDING, byte_size, rough_time
 from generator.model.settings import Sweep
 
@@ -86,6 +87,8 @@ class Probe:
         adds = f"The object adds {_share(self.share)} to the picture"
         if self.missed:
             return Finding(WARNING, f"{adds}, but {missed}; take many more{more}")
+        if not ENGINES[self.engine].noisy:
+            return Finding(GOOD, f"{adds}; its difference is computed to {_share(1.0 / self.signal_to_noise)}")
         stands = f"its difference stands {self.signal_to_noise:.3g} times above the noise of {self.engine!r}"
         if self.signal_to_noise >= 3.0:
             return Finding(GOOD, f"{adds}; {stands}")

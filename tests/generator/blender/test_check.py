@@ -163,6 +163,9 @@ def test_the_probe_foretells_signal_and_noise():
     assert found.bytes == pytest.approx(3.7 * 3 * 256 * 27)
     exact = check_signal.probe(scene, Sweep(engine="surfel", resolution=size, accuracy=1e-2, rotation=(0, 0, 0)))
     assert exact.signal_to_noise == pytest.approx(100.0)
+    signal = exact.findings()[0]
+    assert signal.level == GOOD
+    assert signal.text.endswith("to the picture; its difference is computed to 1.00%")
 
 
 def test_command_line_checks(scene_file, tmp_path, command):
