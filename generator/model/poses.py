@@ -38,6 +38,9 @@ _PROBES = 32
 _MARGIN = 1e-5
 """Tolerance of the screening, in voxels: larger than any rounding error, and so small that few more tries pass."""
 
+_HUGE = 10.0
+"""A target this many times larger than its voxel is probably of a file in millimetres or inches."""
+
 _SEED_BITS = 31
 
 
@@ -165,11 +168,16 @@ class Sampler:
         pose = self._draw_screened(rng, lo, hi) if self._screened else self._draw_plainly(rng, lo, hi)
         if pose is None:
             extent, size = self._extent, hi - lo
+            ways = ["a smaller target", "larger voxels"]
+            if self._turns:
+                ways.append("smaller turns (--rotation 0 0 0)")
+            if self._sweep.inside == "whole":
+                ways.append("only its centre inside (--inside centre)")
+            unit = " (a mesh's unit is the metre; target.size scales it)" if (extent > _HUGE * size).any() else ""
             raise NlosError(
                 f"voxel {self._grid.labels[voxel]}: found no place for the target ({extent[0]:.3g} x {extent[1]:.3g} "
                 f"x {extent[2]:.3g} m) in {size[0]:.3g} x {size[1]:.3g} x {size[2]:.3g} m clear of all "
-                "surfaces and hidden from lamp and camera; use a smaller target, larger voxels, or keep only its "
-                "centre inside (--inside centre)"
+                f"surfaces and hidden from lamp and camera; take {', or '.join(ways)}{unit}"
             )
         return pose
 

@@ -75,6 +75,18 @@ def test_a_target_that_does_not_fit_is_named_with_both_sizes():
     poses.draw(GRID, 0, 0, Sweep(inside="centre"), SHEET * 1.4)
 
 
+def test_what_does_not_fit_comes_with_what_would_help():
+    def advice(hull, **settings):
+        with pytest.raises(NlosError, match="found no place") as refused:
+            poses.draw(GRID, 0, 0, Sweep(**settings), hull)
+        return str(refused.value).partition("; ")[2]
+
+    rigid = "take a smaller target, or larger voxels, or only its centre inside (--inside centre)"
+    assert advice(SHEET * 1.4) == rigid
+    assert "or smaller turns (--rotation 0 0 0)" in advice(SHEET * 1.4, rotation=(15, 15, 90))
+    assert advice(SHEET * 1000) == f"{rigid} (a mesh's unit is the metre; target.size scales it)"
+
+
 def test_a_taken_place_is_not_used():
     def is_free(position, rotation):
         return position[2] > 1.5
