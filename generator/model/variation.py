@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from generator.model.errors import NlosError, require
+from generator.model.errors import NlosError, instead, require
 
 VARIABLES = ("target.albedo", "wall.albedo", "room.albedo", "spot.power")
 """Fields of a `generator.model.scene.Scene` that may vary; the position of a name here salts its draws."""
@@ -47,7 +47,8 @@ class Variation:
             It does not read so, names what cannot vary, or its range is none.
         """
         name, _, range_ = text.partition("=")
-        require(name in VARIABLES, f"vary: {name!r} is nothing that can vary; choose from {', '.join(VARIABLES)}")
+        if name not in VARIABLES:
+            raise NlosError(f"vary: {name!r} is nothing that can vary; {instead(name, VARIABLES)}")
         low, _, high = range_.partition(":")
         try:
             variation = cls(name, float(low), float(high))
