@@ -348,10 +348,10 @@ def _words(check: _Check, figures: Sequence[Figure], width: float, seconds: floa
         if 1.96 * figure.precision > _VAGUE:
             parts.append(f"{figure.what} too noisy to compare in this time")
         else:
-            parts.append(f"{figure.what} {figure.plain:.3g} and {figure.engine:.3g} {_spread(figure)}")
+            parts.append(f"{figure.what} {figure.plain:.3g} and {figure.engine:.3g} {_spread(figure)} W/m^2/sr")
     comparable = any("too noisy" not in part for part in parts)
     verdict = "agree within the noise: " if comparable else "were compared: "
-    return f"{start}{verdict}{'; '.join(parts)} W/m^2/sr{_wide(width)}"
+    return f"{start}{verdict}{'; '.join(parts)}{_wide(width)}"
 
 
 def _complaint(source: Path, check: _Check, bad: Figure, width: float) -> str:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from types import SimpleNamespace
 
 import bpy
 import numpy as np
@@ -210,6 +211,18 @@ def test_another_picture_than_plain_cycles_makes_stops_the_sweep(
     assert "--no-probe" in words
     assert "--engine path" not in words, "which is wrong too"
     assert not (tmp_path / "a").exists(), "nothing is left, nor the folders that were made for it"
+
+
+def test_only_a_number_has_a_unit():
+    check = SimpleNamespace(pose=SimpleNamespace(label="A"), sweep=SimpleNamespace(engine="surfel"))
+    known = agreement.Figure("background", "", "", 1.0, 1.0, 0.01, 1e4)
+    vague = agreement.Figure("change by the target", "", "", 1.0, 1.0, 10.0, 1.0)
+    words = start_check._words(check, [known, vague], 0.0, 1.0)
+    assert words.endswith(
+        "agree within the noise: background 1 and 1 ± 0.02 W/m^2/sr; "
+        "change by the target too noisy to compare in this time"
+    )
+    assert "W/m^2/sr" not in start_check._words(check, [vague], 0.0, 1.0)
 
 
 @pytest.mark.parametrize("engine", ["path", "patch", "surfel"])
