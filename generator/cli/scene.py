@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import argparse
+import copy
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
@@ -103,9 +105,24 @@ def _chosen(options: argparse.Namespace) -> Scene:
             if any(fields["target"][name] != value for name, value in same.items()):
                 given = {name: value for name, value in given.items() if name != "target"}  # of another object
         fields = merge(fields, given)
+    before = copy.deepcopy(fields)
     for assignment in options.set:
         set_field(fields, assignment)
-    scene: Scene = from_dict(Scene, fields)
+    try:
+        scene: Scene = from_dict(Scene, fields)
+    except NlosError as error:
+        if options.config and _fault(before) == str(error):  # no --set made it
+            raise NlosError(f"{options.config}: {error}") from None
+        raise
     if scene.target.mesh and scene.target.kind != "mesh":
         raise NlosError(f"target.mesh: means nothing to a {scene.target.kind}; set target.kind=mesh too")
     return scene if options.ambient is None else scene.with_ambient(options.ambient)
+
+
+def _fault(fields: Mapping[str, Any]) -> str:
+    """Return what is wrong with a scene as plain tables; empty if nothing is."""
+    try:
+        from_dict(Scene, fields)
+    except NlosError as error:
+        return str(error)
+    return ""

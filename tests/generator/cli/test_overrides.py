@@ -65,6 +65,14 @@ def test_a_scene_that_contradicts_itself_is_refused(capsys, config, arguments, w
     assert words in refused(generate_cli, capsys, "scene", *arguments, "--show")
 
 
+def test_a_fault_of_the_file_names_the_file(capsys, config):
+    config.write_text("[lamp]\npower = 3\n")
+    arguments = ("scene", "room", "--config", config, "--show")
+    assert f"{config}: lamp: no such field" in refused(generate_cli, capsys, *arguments)
+    config.write_text("ambient = 0.5\n")
+    assert "error: ambiant: no such field" in refused(generate_cli, capsys, *arguments, "--set", "ambiant=1")
+
+
 @pytest.mark.parametrize("flags", [("--cluster", "local"), ("--job-option", "timeout_min=5"), ("--job", "a=1")])
 def test_options_of_jobs_need_jobs(tmp_path, capsys, flags):
     said = refused(generate_cli, capsys, "sweep", tmp_path / "room.blend", "-o", tmp_path / "set", *flags)
