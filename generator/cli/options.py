@@ -127,13 +127,13 @@ def add_links_option(parser: argparse.ArgumentParser) -> None:
 
 
 def option(read: Callable[[str], float]) -> Callable[[str], float]:
-    """Return a reader of a number for argparse, which then shows the message of `read` when that refuses."""
+    """Return a reader of a number for argparse, which shows what `read` says after the text that it refuses."""
 
     def reader(text: str) -> float:
         try:
             return read(text)
         except NlosError as error:
-            raise argparse.ArgumentTypeError(str(error)) from None
+            raise argparse.ArgumentTypeError(str(error).partition(f"{text!r}: ")[2]) from None
 
     return reader
 

@@ -15,6 +15,8 @@ from generator.model.errors import NlosError, instead
 FOLDERS = ("FOLDER", "SET", "DATASET")
 """Metavariables of arguments that name a folder; all other paths are files."""
 SHELLS = ("bash", "zsh", "tcsh")
+_NUMBERS: dict[Any, str] = {int: "a whole number", float: "a number"}
+"""What the value of an option of a type must be, in words."""
 
 
 class _Help(argparse.HelpFormatter):
@@ -69,15 +71,22 @@ class Parser(argparse.ArgumentParser):
             if name.startswith("--")
         }
 
+    def _get_value(self, action: argparse.Action, arg_string: str) -> Any:
+        try:
+            return super()._get_value(action, arg_string)
+        except argparse.ArgumentError as error:
+            wanted = _NUMBERS.get(action.type)
+            rest = f"must be {wanted}" if wanted else error.message
+            raise argparse.ArgumentError(None, f"{_name(action)} {arg_string!r}: {rest}") from None
+
     def _check_value(self, action: argparse.Action, value: Any) -> None:
         if action.choices is None or value in action.choices:
             return
         known = {str(choice): str(choice) for choice in action.choices}
-        what = "/".join(action.option_strings) or str(action.metavar or action.dest).lower()
         if isinstance(action, argparse._SubParsersAction):
             shown = {id(action.choices[help.dest]): help.dest for help in action._get_subactions()}
             known = {name: shown[id(parser)] for name, parser in action.choices.items()}
-        raise argparse.ArgumentError(None, f"{what} {value!r}: there is none; {instead(str(value), known)}")
+        raise argparse.ArgumentError(None, f"{_name(action)} {value!r}: there is none; {instead(str(value), known)}")
 
     def format_help(self) -> str:
         """Return the help; of a parser with verbs, in groups."""
@@ -97,6 +106,11 @@ class Parser(argparse.ArgumentParser):
         formatter.end_section()
         formatter.add_text(self.epilog)
         return formatter.format_help()
+
+
+def _name(action: argparse.Action) -> str:
+    """What messages call an argument."""
+    return "/".join(action.option_strings) or str(action.metavar or action.dest).lower()
 
 
 class VerbParser(Parser):

@@ -184,9 +184,9 @@ def test_a_trajectory_has_no_median_pose(tmp_path, scene_file, command):
 @pytest.mark.parametrize(
     ("options", "words"),
     [
-        (("--budget", "never"), "argument --budget: time 'never': must read like 90s"),
+        (("--budget", "never"), "--budget 'never': must read like 90s"),
         (("--budget", "1min", "--shard", "0/2"), "--budget: is one machine's"),
-        (("--accuracy", "500%"), "argument --accuracy: accuracy '500%': must be between 0 and 1"),
+        (("--accuracy", "500%"), "--accuracy '500%': must be between 0 and 1"),
         (("--budget", "1min", "--samples", "4"), "samples: follow from --budget and --accuracy"),
     ],
 )

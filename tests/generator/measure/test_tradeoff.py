@@ -138,7 +138,7 @@ def test_from_scene_to_worth(tmp_path, scene_file, command, monkeypatch, capsys)
 
 @pytest.mark.parametrize(
     ("arguments", "words"),
-    [(("--poses", "0"), "--poses 0: must be from 1"), (("--most", "x"), "argument --time-limit: time 'x'")],
+    [(("--poses", "0"), "--poses 0: must be from 1"), (("--most", "x"), "--time-limit 'x': must read like")],
 )
 def test_bad_input_is_one_sentence(tmp_path, scene_file, command, arguments, words):
     result = command("generator", "tradeoff", scene_file, "-o", tmp_path / "t", *arguments)

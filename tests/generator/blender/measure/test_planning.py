@@ -326,7 +326,7 @@ def test_from_the_shell(tmp_path, command):
     assert 0.0 < np.sqrt(error.mean()) < 0.03
     refused = command("generator", "plan", scene_file, "--tolerance", "2")
     assert refused.returncode == 2
-    assert "accuracy '2': must be between 0 and 1" in refused.stderr
+    assert "--tolerance '2': must be between 0 and 1" in refused.stderr
     twice = command("generator", "sweep", scene_file, "-o", tmp_path / "x", "--plan", folder, "--engine", "patch")
     assert twice.returncode == 2
     assert "engine: follows from --plan" in twice.stderr
