@@ -89,7 +89,7 @@ class Features:
     @property
     def contents(self) -> str:
         """What the pictures show, in words: of one object of fixed reflectivity its kind, such as sphere."""
-        count = 1 + str(self.labels[0]).count("+")
+        count = 1 + max((str(label).count("+") for label in self.labels), default=0)
         words = self.target
         if count > 1:
             words = f"{count} {'meshes' if words == 'mesh' else f'{words}s'}"
