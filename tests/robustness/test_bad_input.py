@@ -48,7 +48,7 @@ def first(features, n):
 @pytest.mark.parametrize(("n", "folds"), [(3, 3), (4, 2)])
 def test_a_search_needs_enough_training_samples(features, n, folds):
     few = first(features, n)
-    with pytest.raises(NlosError, match=rf"f: class A has {n} samples.*--settings paper"):
+    with pytest.raises(NlosError, match=rf"f: class A has {n} samples.*--hyperparameters paper"):
         evaluate.compare([few], ["f"], classifiers=("SVM",), settings=["tuned"], folds=folds)
     assert evaluate.compare([few], ["f"], classifiers=("LDA",), settings=["paper"], folds=folds)
 
