@@ -209,9 +209,9 @@ def _ellipse(axis: Axes, step: Step) -> None:
 def held_out(atlas: Atlas, *, step: float, count: int = 200, seed: int = 0) -> Interval:
     """Return the share of poses, left out of the atlas, that lie in the 95 % region after some frames at rest.
 
-    The filter takes frames as independent, but two errors stay from frame to frame and add up: what a cell's moments
-    get wrong of the codes in it, if poses are few against the sharpness of the codes; and the noise of the measured
-    background. Regions then become too small. This share tells, before any picture is taken.
+    Two errors stay from frame to frame and add up: the noise of the measured background, for which the filter allows;
+    and what a cell's moments get wrong of the codes in it, if poses are few against the sharpness of the codes. That
+    makes regions too small. This share tells by how much, before any picture is taken.
 
     Parameters
     ----------

@@ -230,7 +230,7 @@ class Sensor:
         return np.maximum(1.0 + self.gain_spread * gain, 0.0), self.offset_spread * offset
 
 
-def _identity(dataset: PictureSet) -> int:
+def _identity(dataset: PictureSet, background: Picture) -> int:
     """Return a number of what a data set is of: its settings, its scene, and the change in its first picture.
 
     Neither the hash of the scene's file nor the fingerprint enters: Blender saves a scene as other bytes each time.
@@ -240,7 +240,7 @@ def _identity(dataset: PictureSet) -> int:
     change = ""
     if dataset.records:
         first = dataset.records[0]
-        empty = dataset.background_of(first) if dataset.own_backgrounds else dataset.background()
+        empty = dataset.background_of(first) if dataset.own_backgrounds else background
         change = f"{float((dataset.picture(first) - empty).mean(dtype=np.float64)):.1e}"
     content = json.dumps([settings, dataset.meta.get("scene"), change], sort_keys=True, default=str)
     return int.from_bytes(hashlib.sha256(content.encode()).digest()[:8], "big")
@@ -285,9 +285,10 @@ class Camera:
             )
         self._dataset = dataset
         self._seed = seed
-        self.level, self.mismatch = (1.0, 0.0) if like is None else _level(_grey(dataset.background()), like)
-        self._set = _identity(dataset)
-        pictures = itertools.chain([dataset.background()], map(dataset.picture, dataset.records))
+        background = dataset.background()
+        self.level, self.mismatch = (1.0, 0.0) if like is None else _level(_grey(background), like)
+        self._set = _identity(dataset, background)
+        pictures = itertools.chain([background], map(dataset.picture, dataset.records))
         self.sensor = sensor.exposed(pictures)
 
     def background(self, draw: int = 0) -> Picture:
