@@ -26,6 +26,8 @@ def parse_resolution(text: str, aspect: float = 1.0) -> tuple[int, int]:
 
 Progress = Callable[[int, int], None]
 """Called with (done, total): how many pictures of this run are done, and how many there are to do."""
+ALL_ORDERS = 1024
+"""The reflection order that stands for all reflections: Cycles follows no more."""
 ROUNDING = 2.0**-24
 """Largest rounding error of a float32, of which pictures are made, relative to its value."""
 NO_CHANGE = f"the object makes no change above the rounding of float32 ({100.0 * ROUNDING:.1g} % of a pixel)"

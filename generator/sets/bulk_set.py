@@ -87,7 +87,9 @@ def is_grey(world: World) -> bool:
     """Whether light and surfaces are the same in all three colour channels, and hence every picture."""
     light = [world.patch.intensity, world.patch.albedo, world.watched.albedo]
     if world.ambient is not None:
-        light += [world.ambient.radiance, world.ambient.wall.albedo]
+        light.append(world.ambient.radiance)
+    if world.wall is not None:
+        light.append(world.wall.albedo)
     colours = [np.atleast_2d(c) for c in (*light, *(body.albedo for body in (*world.target, *world.room)))]
     return all(bool((c == c[:, :1]).all()) for c in colours)
 

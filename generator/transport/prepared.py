@@ -78,10 +78,17 @@ class Setting:
         Surfaces of the target that rays can meet, in its own frame.
     convex : bool
         Whether the target is one convex body or one flat sheet, so that no part of it hides another.
+    one_sided : bool
+        Whether nobody sees the back of any of the target's surfaces.
     room, around : Surfaces
-        Surfaces of the room: without the relay wall, and with it if there is ambient light.
-    sky : ndarray of shape (3,)
-        Radiance, W/m^2/sr, of the watched wall where the whole sky lights it; only with ambient light.
+        Surfaces of the room: without the relay wall, and with it if light is followed on (`World.is_followed_on`).
+    sky : ndarray of shape (3,) or None
+        Radiance, W/m^2/sr, of the watched wall where the whole sky lights it; None without ambient light.
+
+    Raises
+    ------
+    NlosError
+        The target has no surface; or light is followed on, and the world has no relay wall.
     room_cells : ndarray
     obstacles : Obstacles
     """
@@ -119,10 +126,11 @@ class Setting:
             raise NlosError("the target has no surface")
         room = _joined([Mesh(frame.points(m.triangles), m.albedo) for m in world.room])
         around = [room]
-        if world.ambient is not None:
-            wall = world.ambient.wall
-            around.append(Mesh(frame.points(wall.triangles), wall.albedo))
-            self.sky = world.ambient.radiance * watched.albedo
+        if world.is_followed_on:
+            if world.wall is None:
+                raise NlosError("world: lacks the relay wall, which light of the sky or of a fourth reflection needs")
+            around.append(Mesh(frame.points(world.wall.triangles), world.wall.albedo))
+        self.sky = None if world.ambient is None else world.ambient.radiance * watched.albedo
         albedos = np.concatenate([tint, *(m.albedo for m in around)])
         self.channel = [0, 0, 0] if (albedos == albedos[:, :1]).all() else [0, 1, 2]
         channels = sorted(set(self.channel))
@@ -138,8 +146,8 @@ class Setting:
         meshes = _joined([Mesh(b.triangles / frame.unit, b.albedo) for b in world.target if isinstance(b, Mesh)])
         spheres = [np.append(b.centre, b.radius) / frame.unit for b in world.target if isinstance(b, Sphere)]
         self.target = Surfaces(meshes.triangles, meshes.albedo[:, channels], np.reshape(spheres, (-1, 4)))
-        one_sided = bool(len(self.balls)) or bool(self.flat[:, elements.SIDED].all())
-        self.convex = len(world.target) == 1 and (one_sided or len(self.flat) == 1)
+        self.one_sided = bool(self.flat[:, elements.SIDED].all())
+        self.convex = len(world.target) == 1 and (self.one_sided or len(self.flat) == 1)
         eye = watched.eye
         self.obstacles = Obstacles(
             self.room,

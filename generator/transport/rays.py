@@ -6,13 +6,13 @@ single precision moves a shadow's edge by a millionth of the scene.
 
 from __future__ import annotations
 
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from generator.model.errors import NlosError
-from generator.transport.compiled import jit
+from generator.transport.compiled import COMPILED, jit_inlined, jit_released
 from generator.transport.elements import TRIANGLE, merge_parallelograms
 
 Floats = NDArray[Any]
@@ -23,6 +23,16 @@ FEW = 32
 
 _NEAR = 1e-6
 _NEAR_EMBREE = 1e-4
+
+
+class Planes(NamedTuple):
+    """Flat surfaces as compiled functions take them; see `Surfaces`."""
+
+    normal: Floats
+    level: Floats
+    origin: Floats
+    dual: Floats
+    triangle: Flags
 
 
 class Surfaces:
@@ -42,6 +52,7 @@ class Surfaces:
         Unit normal of each flat surface.
     tint : ndarray of shape (m, groups)
         Albedo of each flat surface.
+    area : ndarray of shape (m,)
     """
 
     def __init__(self, triangles: Floats, tint: Floats, spheres: Floats | None = None) -> None:
@@ -55,12 +66,23 @@ class Surfaces:
         # Dual vectors: a point p of the plane lies at (u, v) = ((p - origin) . across, (p - origin) . along).
         self.dual = np.stack([np.cross(second, self.normal), np.cross(self.normal, first)], axis=1) / area[:, None]
         self.level = (origin * self.normal).sum(axis=1)
+        self.area = area[:, 0] * np.where(self.triangle, 0.5, 1.0)
         self._embree = None
         if len(origin) > FEW:
             self._embree = _embree_scene(origin, first, second, self.triangle)
 
     def __len__(self) -> int:
         return len(self.origin) + len(self.spheres)
+
+    @property
+    def planes(self) -> Planes:
+        """The flat surfaces as a record."""
+        return Planes(self.normal, self.level, self.origin, self.dual, self.triangle)
+
+    @property
+    def few(self) -> bool:
+        """Whether rays are tested against the surfaces one by one."""
+        return self._embree is None
 
     @property
     def extent(self) -> float:
@@ -92,11 +114,26 @@ class Surfaces:
         far = self.origin + self.first + self.second
         return [self.origin, self.origin + self.first, self.origin + self.second, far[~self.triangle]]
 
+    def outlines(self) -> list[Floats]:
+        """Return the corners (3 or 4, 3) of each flat surface, in order around it."""
+        one, other = self.origin + self.first, self.origin + self.second
+        around = np.stack([self.origin, one, one + self.second, other], axis=1)
+        return [np.delete(a, 2, axis=0) if t else a for a, t in zip(around, self.triangle, strict=True)]
+
+    def at(self, which: NDArray[np.int64], uv: Floats) -> Floats:
+        """Return places (n, 3) on flat surfaces (n,), at points (n, 2) of the unit square that are spread by area."""
+        u, v = uv.T
+        rest = np.sqrt(np.maximum(0.0, 1.0 - u))
+        triangle = self.triangle[which]
+        u, v = np.where(triangle, 1.0 - rest, u), np.where(triangle, v * rest, v)
+        places: Floats = self.origin[which] + u[:, None] * self.first[which] + v[:, None] * self.second[which]
+        return places
+
     def subset(self, keep: Flags) -> Surfaces:
         """Return the flat surfaces selected by ``keep``, and all spheres."""
         part = object.__new__(Surfaces)
         part.spheres = self.spheres
-        for name in ("origin", "first", "second", "triangle", "normal", "tint", "dual", "level"):
+        for name in ("origin", "first", "second", "triangle", "normal", "tint", "dual", "level", "area"):
             setattr(part, name, getattr(self, name)[keep])
         part._embree = None
         if keep.sum() > FEW:
@@ -128,7 +165,7 @@ class Surfaces:
             which = np.where(primitive >= 0, owner[primitive], -1)
             return which, np.where(primitive >= 0, hits["tfar"].astype(float) + low, np.inf)
         with np.errstate(divide="ignore", invalid="ignore"):
-            return _first_hit(start, way, self.normal, self.level, self.origin, self.dual, self.triangle)
+            return _first_hit(start, way, self.planes)
 
     def blocked(self, start: Floats, end: Floats) -> Flags:
         """Return whether something other than their own surface stands between points (n, 3) and (n, 3)."""
@@ -145,7 +182,7 @@ class Surfaces:
             blocked: Flags = np.asarray(hit) >= 0
         else:
             with np.errstate(divide="ignore", invalid="ignore"):
-                blocked = _blocked(start, end, self.normal, self.level, self.origin, self.dual, self.triangle)
+                blocked = _blocked(start, end, self.planes)
         if len(self.spheres):
             blocked |= _blocked_by_spheres(start, end, self.spheres)
         return blocked
@@ -189,46 +226,83 @@ def _embree_scene(origin: Floats, first: Floats, second: Floats, triangle: Flags
     return scene, np.concatenate([np.arange(len(origin)), np.flatnonzero(parallelogram)])
 
 
-@jit
-def _first_hit(
-    start: Floats, way: Floats, normal: Floats, level: Floats, origin: Floats, dual: Floats, triangle: Flags
-) -> tuple[NDArray[np.int64], Floats]:
-    which = np.full(start.shape[0], -1, dtype=np.int64)
-    far = np.full(start.shape[0], np.inf)
-    s0, s1, s2 = start[:, 0].copy(), start[:, 1].copy(), start[:, 2].copy()
-    w0, w1, w2 = way[:, 0].copy(), way[:, 1].copy(), way[:, 2].copy()
-    for k in range(normal.shape[0]):
-        n, o, d = normal[k], origin[k], dual[k]
-        t = (level[k] - (s0 * n[0] + s1 * n[1] + s2 * n[2])) / (w0 * n[0] + w1 * n[1] + w2 * n[2])
-        p0, p1, p2 = s0 + t * w0 - o[0], s1 + t * w1 - o[1], s2 + t * w2 - o[2]
+@jit_inlined
+def nearest(start: Floats, way: Floats, planes: Planes, most: float) -> tuple[int, float]:
+    """Return the first surface that a ray, start (3,) and way (3,), meets before ``most``, -1 for none, and where."""
+    which, far = -1, most
+    for k in range(planes.normal.shape[0]):
+        n, o, d = planes.normal[k], planes.origin[k], planes.dual[k]
+        steep = way[0] * n[0] + way[1] * n[1] + way[2] * n[2]
+        height = planes.level[k] - (start[0] * n[0] + start[1] * n[1] + start[2] * n[2])
+        # Compared before the division, which most surfaces then need not: they lie behind, or farther away.
+        if steep < 0.0:
+            steep, height = -steep, -height
+        if height <= _NEAR * steep or height >= far * steep:
+            continue
+        t = height / steep
+        p0, p1, p2 = start[0] + t * way[0] - o[0], start[1] + t * way[1] - o[1], start[2] + t * way[2] - o[2]
         u = p0 * d[0, 0] + p1 * d[0, 1] + p2 * d[0, 2]
         v = p0 * d[1, 0] + p1 * d[1, 1] + p2 * d[1, 2]
-        most = u + v if triangle[k] else np.maximum(u, v)
-        meets = (t > _NEAR) & (t < far) & (np.minimum(u, v) >= 0.0) & (most <= 1.0)
+        if u < 0.0 or v < 0.0 or (u + v if planes.triangle[k] else max(u, v)) > 1.0:
+            continue
+        which, far = k, t
+    return which, far
+
+
+def _first_hit_loops(start: Floats, way: Floats, planes: Planes) -> tuple[NDArray[np.int64], Floats]:
+    """Return the first surface that each ray meets, -1 for none, and its distance."""
+    which, far = np.empty(start.shape[0], dtype=np.int64), np.empty(start.shape[0])
+    for k in range(start.shape[0]):
+        which[k], far[k] = nearest(start[k], way[k], planes, np.inf)
+    return which, far
+
+
+def _first_hit_arrays(start: Floats, way: Floats, planes: Planes) -> tuple[NDArray[np.int64], Floats]:
+    """NumPy form of `_first_hit_loops`."""
+    which = np.full(start.shape[0], -1, dtype=np.int64)
+    far = np.full(start.shape[0], np.inf)
+    for k in range(planes.normal.shape[0]):
+        t, inside = _on_plane(start, way, planes, k)
+        meets = (t > _NEAR) & (t < far) & inside
         far = np.where(meets, t, far)
         which = np.where(meets, k, which)
     return which, far
 
 
-@jit
-def _blocked(
-    start: Floats, end: Floats, normal: Floats, level: Floats, origin: Floats, dual: Floats, triangle: Flags
-) -> Flags:
-    blocked = np.zeros(start.shape[0], dtype=np.bool_)
-    s0, s1, s2 = start[:, 0].copy(), start[:, 1].copy(), start[:, 2].copy()
-    w0, w1, w2 = end[:, 0] - s0, end[:, 1] - s1, end[:, 2] - s2
-    for k in range(normal.shape[0]):
-        n, o, d = normal[k], origin[k], dual[k]
-        t = (level[k] - (s0 * n[0] + s1 * n[1] + s2 * n[2])) / (w0 * n[0] + w1 * n[1] + w2 * n[2])
-        p0, p1, p2 = s0 + t * w0 - o[0], s1 + t * w1 - o[1], s2 + t * w2 - o[2]
-        u = p0 * d[0, 0] + p1 * d[0, 1] + p2 * d[0, 2]
-        v = p0 * d[1, 0] + p1 * d[1, 1] + p2 * d[1, 2]
-        most = u + v if triangle[k] else np.maximum(u, v)
-        blocked |= (t > _NEAR) & (t < 1.0 - _NEAR) & (np.minimum(u, v) >= 0.0) & (most <= 1.0)
+_first_hit = jit_released(_first_hit_loops) if COMPILED else _first_hit_arrays
+
+
+def _on_plane(start: Floats, way: Floats, planes: Planes, k: int) -> tuple[Floats, Flags]:
+    """Return where rays (n, 3) meet the plane of a surface, and whether that is on the surface."""
+    n, d = planes.normal[k], planes.dual[k]
+    t = (planes.level[k] - start @ n) / (way @ n)
+    place = start + t[:, None] * way - planes.origin[k]
+    u, v = place @ d[0], place @ d[1]
+    most = u + v if planes.triangle[k] else np.maximum(u, v)
+    return t, (np.minimum(u, v) >= 0.0) & (most <= 1.0)
+
+
+def _blocked_loops(start: Floats, end: Floats, planes: Planes) -> Flags:
+    """Return whether surfaces stand between points (n, 3)."""
+    blocked = np.empty(start.shape[0], dtype=np.bool_)
+    for k in range(start.shape[0]):
+        blocked[k] = nearest(start[k], end[k] - start[k], planes, 1.0 - _NEAR)[0] >= 0
     return blocked
 
 
-@jit
+def _blocked_arrays(start: Floats, end: Floats, planes: Planes) -> Flags:
+    """NumPy form of `_blocked_loops`."""
+    blocked = np.zeros(start.shape[0], dtype=np.bool_)
+    for k in range(planes.normal.shape[0]):
+        t, inside = _on_plane(start, end - start, planes, k)
+        blocked |= (t > _NEAR) & (t < 1.0 - _NEAR) & inside
+    return blocked
+
+
+_blocked = jit_released(_blocked_loops) if COMPILED else _blocked_arrays
+
+
+@jit_released
 def _blocked_by_spheres(start: Floats, end: Floats, spheres: Floats) -> Flags:
     """Return whether spheres stand between points. A sphere hides none of its own points, even if rounded inwards."""
     blocked = np.zeros(start.shape[0], dtype=np.bool_)

@@ -12,8 +12,10 @@ from numpy.typing import NDArray
 from generator.model.arrays import Array, rotation_matrix, rotation_rows
 from generator.model.errors import NlosError
 from generator.transport import compiled, direct, picture
-from generator.transport.ambient import Ambient, Sky
 from generator.transport.fields import Fields
+from generator.transport.light.change import LightChange
+from generator.transport.light.field import LightField
+from generator.transport.light.picture_points import drawn
 from generator.transport.prepared import Setting
 from generator.transport.world import World
 
@@ -34,11 +36,13 @@ class Rendered:
     Attributes
     ----------
     pixels : ndarray
-        What the camera sees: ``background + added - hidden + ambient``.
+        What the camera sees: ``background + added - hidden + further + ambient``.
     added : ndarray
-        Light that took its second reflection on the target.
+        Light of the lamp that took its second reflection on the target, and its third on the wall.
     hidden : ndarray
-        Light of the room that the target hides from the wall.
+        Light of the lamp, after its second reflection on the room, that the target hides from the wall.
+    further : ndarray
+        Change of the lamp's light after more than three reflections.
     ambient : ndarray
         Change of ambient light by the target; zero where there is no ambient light.
     derivatives : ndarray of shape (7, height, width, 3), optional
@@ -54,6 +58,7 @@ class Rendered:
     pixels: Array
     added: Array
     hidden: Array
+    further: Array
     ambient: Array
     derivatives: Array | None
     report: dict[str, Any]
@@ -79,7 +84,7 @@ class Gains:
 
 
 class Transport:
-    """Pictures of the relay wall after three diffuse reflections, to a relative accuracy.
+    """Pictures of the relay wall after diffuse reflections, to a relative accuracy.
 
     Parameters
     ----------
@@ -122,12 +127,12 @@ class Transport:
         self._setting = Setting(world)
         self._fields = Fields(self._setting, accuracy)
         self._background: Array | None = None
-        self._sky: Sky | None = None
+        self._field: LightField | None = None
         if like is not None and like._setting.tint.shape[1] == self._setting.tint.shape[1]:
-            self._background, self._sky = like._background, like._sky
-        if world.ambient is not None:
-            self._sky = self._sky or Sky(self._setting, world.order)
-        self._ambient = Ambient(self._setting, self._sky) if self._sky else None
+            self._background, self._field = like._background, like._field
+        if world.is_followed_on:
+            self._field = self._field or LightField(self._setting, world.order)
+        self._change = LightChange(self._setting, self._field, accuracy) if self._field else None
 
     def background(self, *, ambient: bool = True) -> Array:
         """Return the picture without the target, (height, width, 3), W/m^2/sr: room, and lit patch where in view.
@@ -137,16 +142,21 @@ class Transport:
         ambient : bool, default=True
             Whether to include ambient light.
         """
-        if not ambient and self._ambient is not None:
-            return self.background() - self._ambient_colour(self._ambient.background())
+        if not ambient and self.world.ambient is not None:
+            return self.background() - self._followed("sky")
         if self._background is None:
             compiled.limit_threads(self._threads)
             self._background = self._directly_lit()
             if self.world.order >= 3 and len(self._setting.room):
                 self._background = self._background + self._colour(self._fields.room())
-            if self._ambient is not None:
-                self._background = self._background + self._ambient_colour(self._ambient.background())
+            for name in self._field.sources if self._field else ():
+                self._background = self._background + self._followed(name)
         return self._background.copy()
+
+    def _followed(self, name: str) -> Array:
+        """Return the light of a source in the empty room, as `LightField` follows it, (height, width, 3)."""
+        assert self._field is not None
+        return self._of_source(name, drawn(self._field.background(name), self._setting.resolution))
 
     def render(self, position: Any, rotation: Any, *, derivatives: bool = False) -> Rendered:
         """Return the picture with the target at a pose.
@@ -169,8 +179,10 @@ class Transport:
         NlosError
             The target reaches through the relay wall, lies in it, or stands in the lamp's cone or the camera's view.
         """
-        if derivatives and self._ambient is not None:
-            raise NlosError("derivatives: are not known under ambient light")
+        if derivatives and self._change is not None:
+            raise NlosError(
+                "derivatives: are known only of the lamp's first three reflections, without ambient light"
+            )
         added, hidden, reports = self._render(np.array([position], float), np.array([rotation], float), derivatives)
         light = self._colour(added[0, :, 0])
         shade = self._colour(hidden[0, :, 0])
@@ -180,8 +192,10 @@ class Transport:
             moves = np.stack([self._colour(added[0, :, 1 + k] - hidden[0, :, 1 + k]) for k in range(6)])
             turned = np.tensordot(self._setting.frame.axes.T, moves.reshape(2, 3, *light.shape), axes=(1, 1))
             slopes = np.concatenate([turned[:, 0] / self._setting.frame.unit, turned[:, 1], light[None]])
-        ambient = self._changed(position, rotation)
-        return Rendered(self.background() + light - shade + ambient, light, shade, ambient, slopes, reports[0])
+        changed = self._changed(position, rotation, added[0, :, 0] - hidden[0, :, 0])
+        further, ambient = (changed.get(name, np.zeros_like(light)) for name in ("lamp", "sky"))
+        pixels = self.background() + light - shade + further + ambient
+        return Rendered(pixels, light, shade, further, ambient, slopes, reports[0])
 
     def difference(self, position: Any, rotation: Any, *, shadows: bool = True) -> Array:
         """Return the change due to the target at a pose, (height, width, 3), W/m^2/sr: picture minus background.
@@ -201,7 +215,8 @@ class Transport:
             In the same cases as `render`.
         """
         added, hidden, _ = self._render(np.array([position], float), np.array([rotation], float), False, shadows)
-        return self._colour(added[0, :, 0] - hidden[0, :, 0]) + self._changed(position, rotation, shadows)
+        exact = added[0, :, 0] - hidden[0, :, 0]
+        return sum(self._changed(position, rotation, exact, shadows).values(), start=self._colour(exact))
 
     def pictures(self, positions: Any, rotations: Any, *, shadows: bool = True) -> Picture:
         """Return the pictures of many poses, (n, height, width, 3), float32, W/m^2/sr.
@@ -263,10 +278,14 @@ class Transport:
         Raises
         ------
         NlosError
-            In the same cases as `render`; or there is ambient light, whose paths the gains do not describe.
+            In the same cases as `render`; or there is ambient light, or light of more than three reflections, whose
+            paths the gains do not describe.
         """
-        if self._ambient is not None:
-            raise NlosError("gains: describe no ambient light; make a world and a Transport for each picture")
+        if self._change is not None:
+            raise NlosError(
+                "gains: describe neither ambient light nor more than three reflections; make a world and a Transport "
+                "for each picture"
+            )
         places, turns = np.asarray(positions, float).reshape(-1, 3), np.asarray(rotations, float).reshape(-1, 3)
         width, height = self.world.watched.resolution
         pictures, backgrounds = np.empty((2, len(places), height, width, 3), dtype=np.float32)
@@ -289,17 +308,27 @@ class Transport:
         channel, light, shade = np.array(setting.channel, dtype=np.int64), added[:, :, 0], hidden[:, :, 0]
         arguments = (made, self._background, light, shade, channel, setting.factor)
         compiled.in_parts(picture.colour, len(made), *arguments)
-        if self._ambient is not None:
-            for image, position, rotation in zip(made, positions, rotations, strict=True):
-                image += self._changed(position, rotation, shadows)
+        if self._change is None:
+            return
+
+        def follow(start: int, stop: int) -> None:
+            for k in range(start, stop):
+                for change in self._changed(positions[k], rotations[k], light[k] - shade[k], shadows).values():
+                    made[k] += change
+
+        compiled.in_parts(follow, len(made))
 
     def _colour(self, groups: Floats) -> Array:
         """Return the radiance (height, width, 3) of relative pictures (groups, height, width)."""
         return self._times(groups, self._setting.factor)
 
-    def _ambient_colour(self, groups: Floats) -> Array:
-        """Return the radiance of pictures relative to the sky's light."""
-        return self._times(groups, self._setting.sky)
+    def _of_source(self, name: str, groups: Floats) -> Array:
+        """Return the radiance of pictures of a source's light, as `LightField` has it."""
+        setting = self._setting
+        if name == "lamp":
+            return self._times(groups, math.pi * setting.factor)
+        assert setting.sky is not None
+        return self._times(groups, setting.sky)
 
     def _times(self, groups: Floats, factors: Array) -> Array:
         coloured: Array = np.stack(
@@ -307,14 +336,18 @@ class Transport:
         )
         return coloured
 
-    def _changed(self, position: Any, rotation: Any, shadows: bool = True) -> Array:
-        """Return the change of ambient light by the target, (height, width, 3), W/m^2/sr."""
+    def _changed(self, position: Any, rotation: Any, exact: Floats, shadows: bool = True) -> dict[str, Array]:
+        """Return, for each source that is followed on, the change of its light by the target, W/m^2/sr.
+
+        ``exact`` (groups, height, width) is what is known of the lamp's.
+        """
         setting = self._setting
-        if self._ambient is None:
-            return np.zeros((*setting.resolution[::-1], 3))
+        if self._change is None:
+            return {}
         turn = setting.frame.axes @ rotation_matrix(rotation)
         place = setting.frame.points(np.asarray(position, float))
-        return self._ambient_colour(self._ambient.change(turn, place, shadows=shadows))
+        pictures = self._change.pictures(turn, place, exact / math.pi, shadows=shadows)
+        return {name: self._of_source(name, groups) for name, groups in pictures.items()}
 
     def _render(
         self, positions: Floats, rotations: Floats, moving: bool, shadows: bool = True

@@ -1,4 +1,4 @@
-"""Scenes of the three-reflection integral as plain arrays: lit patch, watched patch, target, room.
+"""Scenes of diffuse surfaces as plain arrays: lit patch, watched patch, target, room.
 
 Lengths are metres in the world's frame (any right-handed frame: nothing here assumes that the wall is y = 0), colours
 are three channels, albedos 0 to 1. All surfaces are Lambertian and reflect from both sides.
@@ -143,17 +143,14 @@ class AmbientLight:
     ----------
     radiance : ndarray of shape (3,)
         Radiance per colour channel, W/m^2/sr.
-    wall : Mesh
-        The whole relay wall, which reflects this light and blocks it.
     """
 
     radiance: Array
-    wall: Mesh
 
 
 @dataclass(frozen=True)
 class World:
-    """All of a scene that is relevant to three diffuse reflections.
+    """All of a scene that is relevant to diffuse reflections.
 
     Attributes
     ----------
@@ -164,8 +161,10 @@ class World:
     room : tuple of Mesh
         All other surfaces except the relay wall: they reflect, and they hide what is behind them.
     order : int
-        Largest number of reflections that a picture includes, 1 to 3.
+        Largest number of reflections that a picture includes; `ALL_ORDERS` for all.
     ambient : AmbientLight, optional
+    wall : Mesh, optional
+        The whole relay wall, which reflects and blocks light of the sky and of more than three reflections.
     """
 
     patch: LitPatch
@@ -174,6 +173,12 @@ class World:
     room: tuple[Mesh, ...] = ()
     order: int = 3
     ambient: AmbientLight | None = None
+    wall: Mesh | None = None
+
+    @property
+    def is_followed_on(self) -> bool:
+        """Whether there is light besides the lamp's first three reflections."""
+        return self.order > 3 or self.ambient is not None
 
     def seen_by(self, width: int, height: int) -> World:
         """Return the world with a picture of ``width`` by ``height`` pixels."""

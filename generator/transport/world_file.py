@@ -14,11 +14,14 @@ from numpy.typing import NDArray
 from generator.files.limits import check_archive
 from generator.files.writing import atomic
 from generator.model.errors import NlosError
+from generator.model.quantities import ALL_ORDERS
 from generator.transport.world import Mesh, World
 
 Arrays = dict[str, NDArray[Any]]
 
 _KIND = "kind"
+_OF_AMBIENT, _WALL = "ambient.", "ambient.wall."
+"""The relay wall keeps the names that it had as a part of ambient light, so that older files and hashes hold."""
 
 
 def save_world(path: Path, world: World) -> None:
@@ -30,7 +33,7 @@ def save_world(path: Path, world: World) -> None:
         The file cannot be written.
     """
     with atomic(path) as temporary, temporary.open("wb") as file:
-        np.savez(file, **_flatten(world))
+        np.savez(file, **_named(world))
 
 
 def load_world(path: Path) -> World:
@@ -44,7 +47,7 @@ def load_world(path: Path) -> World:
     try:
         check_archive(path)
         with path.open("rb") as raw, np.load(raw, allow_pickle=False) as file:
-            arrays = {name: file[name] for name in file.files}
+            arrays = {name.removeprefix(_OF_AMBIENT) if _WALL in name else name: file[name] for name in file.files}
         world: World = _unflatten(World, arrays, "")
         _check(world)
     except FileNotFoundError:
@@ -60,7 +63,7 @@ _SHAPES = {"to_wall": (4, 3), "eye": (4,), "triangles": (-1, 3, 3)}
 
 def _check(world: World) -> None:
     """Raise ValueError unless all arrays have the shapes that compiled code, which checks no bounds, expects."""
-    lit = (world.ambient, world.ambient.wall) if world.ambient is not None else ()
+    lit = tuple(part for part in (world.ambient, world.wall) if part is not None)
     for body in (world.patch, world.watched, *world.target, *world.room, *lit):
         for field in fields(body):
             value = getattr(body, field.name)
@@ -76,17 +79,23 @@ def _check(world: World) -> None:
                 raise ValueError(f"{field.name} must be numbers of shape {expected}")
             if not np.isfinite(value).all():
                 raise ValueError(f"{field.name} must be finite")
-    if not 1 <= world.order <= 3 or not all(1 <= n <= 65536 for n in world.watched.resolution):
+    if not 1 <= world.order <= ALL_ORDERS or not all(1 <= n <= 65536 for n in world.watched.resolution):
         raise ValueError("its order or resolution cannot be")
 
 
 def world_hash(world: World) -> str:
     """Return the SHA-256 of all values of a world."""
     digest = hashlib.sha256()
-    for name, array in sorted(_flatten(world).items()):
+    for name, array in sorted(_named(world).items()):
         little = np.ascontiguousarray(array, dtype=array.dtype.newbyteorder("<"))
         digest.update(f"{name} {little.dtype.str} {little.shape}\n".encode() + little.tobytes())
     return digest.hexdigest()
+
+
+def _named(world: World) -> Arrays:
+    """Return every value of a world by its name in files."""
+    arrays = _flatten(world).items()
+    return {f"{_OF_AMBIENT}{name}" if name.startswith("wall.") else name: array for name, array in arrays}
 
 
 def _flatten(value: Any, name: str = "") -> Arrays:

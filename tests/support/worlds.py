@@ -74,6 +74,8 @@ def scaled(world, factor):
         tuple(map(larger, world.target)),
         tuple(map(larger, world.room)),
         world.order,
+        world.ambient,
+        None if world.wall is None else larger(world.wall),
     )
 
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import bpy
@@ -13,7 +13,6 @@ import numpy as np
 from generator.blender.engines import coincident
 from generator.blender.engines.at_rest import refuse_moving
 from generator.blender.engines.lit_patch import other_lights, read_lit_patch
-from generator.blender.engines.reading import MAX_ORDER
 from generator.blender.engines.surface import Light, Reading, Surface
 from generator.blender.engines.watched import read_watched
 from generator.blender.scene import geometry, nodes, posing, roles
@@ -112,18 +111,16 @@ def survey(scene: bpy.types.Scene, *, resolution: tuple[int, int] | None = None,
         patch, patch_reasons = read_lit_patch(scene, reading)
         watched, view_reasons = read_watched(scene, reading, size)
     reasons = [*patch_reasons, *view_reasons, *reading.reasons]
+    walls = [s for s in reading.surfaces if s.role == "relay_wall"]
     sky = None
     if reading.sky is not None and ambient:
-        walls = [s for s in reading.surfaces if s.role == "relay_wall"]
-        sky = AmbientLight(reading.sky, _mesh(walls)) if walls else None
+        sky = AmbientLight(reading.sky)
     elif reading.sky is not None:
         [name] = [light.name for light in reading.lights if light.kind == "WORLD"]
         reasons.append(f"the world {name!r} gives ambient light")
     if patch is not None and watched is not None and patch.normal @ watched.normal < 0:
         reasons.append(f"the camera {camera.name!r} and the spot {spot.name!r} stand on opposite sides of the wall")
     order = roles.reflection_order(scene)
-    if order > MAX_ORDER:
-        reasons.append(f"the reflection order is {order}, and surfel stops at {MAX_ORDER}")
     origin = reading.places["target"][:3, 3]
     parts = [s for s in reading.surfaces if s.role == "target"]
     spheres = [_sphere(part, origin) for part in parts]
@@ -145,6 +142,8 @@ def survey(scene: bpy.types.Scene, *, resolution: tuple[int, int] | None = None,
         surfel_input = World(
             patch=patch, watched=watched, target=tuple(bodies), room=tuple(room), order=order, ambient=sky
         )
+        if surfel_input.is_followed_on:
+            surfel_input = replace(surfel_input, wall=_mesh(walls))
     return Survey(
         scene=bpy.data.filepath or "scene",
         never=list(dict.fromkeys(never)),

@@ -1,0 +1,526 @@
+"""Surfaces cut into cells, over which light is taken as constant or interpolated, and what rays meet of them."""
+
+from __future__ import annotations
+
+import itertools
+import math
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from generator.transport.compiled import COMPILED, jit_in_place, jit_released
+from generator.transport.rays import Planes, Surfaces, nearest
+
+Floats = NDArray[Any]
+Numbers = NDArray[np.int64]
+
+_NEAR = 1e-6
+_TOUCH = 1e-6
+"""Distance from a plane, in units of the scene, within which a corner lies on it."""
+_SLIVER = 1e-4
+"""Width, in units of a surface, below which no cell is made."""
+
+
+class Hits(NamedTuple):
+    """What rays meet first.
+
+    Attributes
+    ----------
+    cell : ndarray of shape (n,), int
+        Cell that each ray meets; the number of cells where it meets none.
+    far : ndarray of shape (n,)
+        Distance; infinite where a ray meets nothing.
+    corners, shares : ndarray of shape (n, 4)
+        Four cells and their weights, which interpolate between the cells' middles.
+    """
+
+    cell: Numbers
+    far: Floats
+    corners: Numbers
+    shares: Floats
+
+    def of(self, values: Floats) -> Floats:
+        """Interpolate cells' values (cells + 1, columns) for each ray, (n, columns)."""
+        return interpolated(values, self.corners, self.shares)
+
+
+class _Axis(NamedTuple):
+    """Cells along one edge of all surfaces, one surface after the other.
+
+    Attributes
+    ----------
+    low, high : ndarray of shape (n,)
+        Ends of each, in units of the edge.
+    piece : ndarray of shape (n,), int
+        Number of the part of the edge that each is in: values are not interpolated from one part to another.
+    first, cells : ndarray of shape (surfaces,), int
+        Where a surface's cells begin, and how many they are.
+    """
+
+    low: Floats
+    high: Floats
+    piece: Numbers
+    first: Numbers
+    cells: Numbers
+
+
+class Grid(NamedTuple):
+    """Cells of surfaces, as compiled functions take them.
+
+    Attributes
+    ----------
+    planes : Planes
+        The flat surfaces.
+    along, across : _Axis
+        Cells along their edges.
+    start : ndarray of shape (surfaces,), int
+        The first cell of each flat surface; those of its other side follow after ``half``.
+    half : int
+    spheres : ndarray of shape (spheres, 4)
+        Their cells follow those of the flat surfaces.
+    bands : int
+        Bands of a sphere's cells, of equal height; each has twice as many cells.
+    """
+
+    planes: Planes
+    along: _Axis
+    across: _Axis
+    start: Numbers
+    half: int
+    spheres: Floats
+    bands: int
+
+
+class Cells:
+    """Surfaces cut into cells, each side of a flat one separately: small near a place, larger away from it.
+
+    Where another surface touches a surface along one of its own directions, cells end: on both sides of a screen that
+    stands on a floor, the floor's light differs.
+
+    Parameters
+    ----------
+    surfaces : Surfaces
+    size : float
+        Size of a cell, in units of its distance from the place, which counts as ``least`` where it is smaller.
+    place : ndarray of shape (3,)
+    least : float
+    ball_tint : ndarray of shape (spheres, groups)
+        Albedo of the spheres; that of flat surfaces is in ``surfaces``.
+
+    Attributes
+    ----------
+    count : int
+    tint : ndarray of shape (cells, groups)
+        Albedo of each cell.
+    area : ndarray of shape (cells,)
+    grid : Grid
+    """
+
+    def __init__(self, surfaces: Surfaces, size: float, place: Floats, least: float, ball_tint: Floats) -> None:
+        self._surfaces = surfaces
+        n = len(surfaces.origin)
+        edges = np.stack([surfaces.first, surfaces.second], axis=1)
+        long = np.linalg.norm(edges, axis=2)
+        offsets = place - surfaces.origin
+        foot = (surfaces.dual * offsets[:, None]).sum(axis=2) * long
+        centres = surfaces.origin + edges.sum(axis=1) / 3.0
+        triangle = surfaces.triangle  # cells of one size, since they are mapped by area, not along the edges
+        distance = np.abs((offsets * surfaces.normal).sum(axis=1))
+        away = np.maximum(least, np.where(triangle, np.linalg.norm(centres - place, axis=1), distance))
+        foot = np.where(triangle[:, None], 0.5 * long, foot)
+        axes = []
+        breaks = _breaks(surfaces)
+        for axis in range(2):
+            cut = [_cut(breaks[i][axis], long[i, axis], foot[i, axis], away[i], size) for i in range(n)]
+            axes.append(_joined(cut))
+        along, across = axes
+        counts = along.cells * across.cells
+        self._owner = np.repeat(np.arange(n), counts)
+        self._half = int(counts.sum())
+        self._bands = max(2, math.ceil(2.0 / size))
+        self.grid = Grid(
+            *(surfaces.planes, along, across, np.cumsum(counts) - counts),
+            *(self._half, surfaces.spheres, self._bands),
+        )
+        self._ball = 2 * self._bands**2
+        self.count = 2 * self._half + self._ball * len(surfaces.spheres)
+        flat = np.repeat(surfaces.tint, counts, axis=0)
+        self.tint = np.concatenate([flat, flat, np.repeat(ball_tint, self._ball, axis=0)])
+        low, high = self._ends(np.arange(self._half))
+        flat_area = (high - low).prod(axis=1) * surfaces.area[self._owner]
+        ball_area = np.repeat(4.0 * math.pi * surfaces.spheres[:, 3] ** 2 / self._ball, self._ball)
+        self.area = np.concatenate([flat_area, flat_area, ball_area])
+
+    @property
+    def few(self) -> bool:
+        """Whether rays are tested against the surfaces one by one."""
+        return self._surfaces.few
+
+    def _ends(self, inner: Numbers) -> tuple[Floats, Floats]:
+        """Return the lowest and highest (u, v), (n, 2) each, of cells counted on one side."""
+        grid, which = self.grid, self._owner[inner]
+        i, j = np.divmod(inner - grid.start[which], np.maximum(grid.across.cells[which], 1))
+        i, j = i + grid.along.first[which], j + grid.across.first[which]
+        low = np.stack([grid.along.low[i], grid.across.low[j]], axis=1)
+        return low, np.stack([grid.along.high[i], grid.across.high[j]], axis=1)
+
+    def blocks(self) -> Numbers:
+        """Return for each cell (cells,) the number of a coarse cell, of two by two cells of one surface and side."""
+        grid = self.grid
+        inner = np.arange(self._half)
+        which = self._owner
+        i, j = np.divmod(inner - grid.start[which], np.maximum(grid.across.cells[which], 1))
+        piece = grid.along.piece[i + grid.along.first[which]], grid.across.piece[j + grid.across.first[which]]
+        keys = np.stack([which, *piece, i // 2, j // 2], axis=1)
+        _, block = np.unique(keys, axis=0, return_inverse=True)
+        block = block.reshape(-1)
+        flat = int(block.max(initial=-1)) + 1
+        return np.concatenate([block, block + flat, 2 * flat + np.arange(self.count - 2 * self._half)])
+
+    def meet(self, start: Floats, way: Floats) -> Hits:
+        """Follow rays (n, 3) of unit length to the first surface."""
+        surfaces, n = self._surfaces, len(start)
+        if COMPILED and surfaces.few:
+            return Hits(*_meet(start, way, self.grid))
+        cell, far = np.full(n, self.count), np.full(n, np.inf)
+        corners, shares = np.full((n, 4), self.count), np.tile([1.0, 0.0, 0.0, 0.0], (n, 1))
+        if len(surfaces.origin):
+            which, far = surfaces.first_hit(start, way)
+            _locate(start, way, which, far, self.grid, cell, corners, shares)
+        for number, ball in enumerate(surfaces.spheres):
+            offset = start - ball[:3]
+            along, beyond = _dot(offset, way), _dot(offset, offset) - ball[3] ** 2
+            discriminant = along**2 - beyond
+            enters = -along - np.sqrt(np.maximum(discriminant, 0.0))
+            met = (discriminant > 0.0) & (enters > _NEAR * ball[3]) & (enters < far)
+            outward = (offset[met] + enters[met, None] * way[met]) / ball[3]
+            far[met], cell[met] = enters[met], self._round(number, outward)
+            corners[met], shares[met] = cell[met, None], [1.0, 0.0, 0.0, 0.0]
+        return Hits(cell, far, corners, shares)
+
+    def _round(self, number: int, outward: Floats) -> Numbers:
+        """Return the cells of a sphere at unit vectors (n, 3): bands of equal height, and twice as many meridians."""
+        bands = self._bands
+        band = np.clip(((outward[:, 2] + 1.0) / 2.0 * bands).astype(np.int64), 0, bands - 1)
+        turn = np.arctan2(outward[:, 1], outward[:, 0]) / (2.0 * math.pi) % 1.0
+        meridian = np.minimum((turn * 2 * bands).astype(np.int64), 2 * bands - 1)
+        cells: Numbers = 2 * self._half + number * self._ball + band * 2 * bands + meridian
+        return cells
+
+    def places(self, cells: Numbers, spread: Floats) -> tuple[Floats, Floats]:
+        """Return places in cells (n,) and the normals there, (n, 3) each, for points (n, 2) of the unit square."""
+        surfaces = self._surfaces
+        points, normals = np.zeros((2, len(cells), 3))
+        flat = cells < 2 * self._half
+        back, inner = np.divmod(cells[flat], max(1, self._half))
+        low, high = self._ends(inner)
+        points[flat] = surfaces.at(self._owner[inner], low + spread[flat] * (high - low))
+        normals[flat] = np.where(back[:, None] > 0, -1.0, 1.0) * surfaces.normal[self._owner[inner]]
+        number, inner = np.divmod(cells[~flat] - 2 * self._half, self._ball)
+        step = np.stack(np.divmod(inner, 2 * self._bands), axis=1) + spread[~flat]
+        z, angle = 2.0 * step[:, 0] / self._bands - 1.0, math.pi * step[:, 1] / self._bands
+        ring = np.sqrt(np.maximum(0.0, 1.0 - z**2))
+        outward = np.stack([ring * np.cos(angle), ring * np.sin(angle), z], axis=1)
+        balls = surfaces.spheres[number]
+        points[~flat], normals[~flat] = balls[:, :3] + balls[:, 3:] * outward, outward
+        return points, normals
+
+    def scattered(self, spread: Floats, one_sided: bool) -> tuple[Numbers, Floats, Floats]:
+        """Return places all over the surfaces, by area.
+
+        Parameters
+        ----------
+        spread : ndarray of shape (n, 2)
+            Points of the unit square. They are mapped to whole surfaces, not cell by cell: their evenness is kept.
+        one_sided : bool
+            Whether to leave out the back of flat surfaces.
+
+        Returns
+        -------
+        cells : ndarray of shape (n,), int
+        places, normals : ndarray of shape (n, 3)
+        """
+        surfaces, sides = self._surfaces, 1 if one_sided else 2
+        flat = sides * len(surfaces.origin)
+        ends = np.cumsum(np.concatenate([np.tile(surfaces.area, sides), 4.0 * math.pi * surfaces.spheres[:, 3] ** 2]))
+        ends /= ends[-1]
+        which = np.minimum(np.searchsorted(ends, spread[:, 0], side="right"), len(ends) - 1)
+        low = np.concatenate([[0.0], ends])[which]
+        u, v = np.clip((spread[:, 0] - low) / (ends[which] - low), 0.0, 1.0), spread[:, 1]
+        cells, places, normals = np.empty(len(which), dtype=np.int64), *np.empty((2, len(which), 3))
+        some = which < flat
+        back, surface = np.divmod(which[some], max(1, len(surfaces.origin)))
+        i = _on_axis_arrays(u[some], surface, self.grid.along)[0]
+        j = _on_axis_arrays(v[some], surface, self.grid.across)[0]
+        cells[some] = self.grid.start[surface] + self._half * back + i * self.grid.across.cells[surface] + j
+        places[some] = surfaces.at(surface, np.stack([u[some], v[some]], axis=1))
+        normals[some] = np.where(back[:, None] > 0, -1.0, 1.0) * surfaces.normal[surface]
+        for number, ball in enumerate(surfaces.spheres):
+            here = which == flat + number
+            z, angle = 2.0 * u[here] - 1.0, 2.0 * math.pi * v[here]
+            ring = np.sqrt(np.maximum(0.0, 1.0 - z**2))
+            normals[here] = np.stack([ring * np.cos(angle), ring * np.sin(angle), z], axis=1)
+            places[here] = ball[:3] + ball[3] * normals[here]
+            cells[here] = self._round(number, normals[here])
+        return cells, places, normals
+
+
+def _breaks(surfaces: Surfaces) -> list[tuple[list[float], list[float]]]:
+    """Return, for each surface, where along its two edges others touch it, or lie on it, in line with the other edge.
+
+    Triangles are not cut: their cells are mapped by area.
+    """
+    outlines = surfaces.outlines()
+    found: list[tuple[list[float], list[float]]] = [([], []) for _ in outlines]
+    if not outlines:
+        return found
+    size = float(np.ptp(np.concatenate(outlines), axis=0).max())
+    lows, highs = (np.array([end(outline, axis=0) for outline in outlines]) for end in (np.min, np.max))
+    for i in np.flatnonzero(~surfaces.triangle):
+        near = ((lows <= highs[i] + _TOUCH * size) & (highs >= lows[i] - _TOUCH * size)).all(axis=1)
+        near[i] = False
+        for j in np.flatnonzero(near):
+            for one, other in _contact(outlines[j], (outlines[j] - surfaces.origin[i]) @ surfaces.normal[i], size):
+                a, b = surfaces.dual[i] @ (one - surfaces.origin[i]), surfaces.dual[i] @ (other - surfaces.origin[i])
+                for axis in range(2):
+                    low, high = sorted((a[1 - axis], b[1 - axis]))
+                    across = abs(a[axis] - b[axis]) < _TOUCH * 10.0 and high - low > _SLIVER
+                    if across and _SLIVER < a[axis] < 1.0 - _SLIVER and high > _SLIVER and low < 1.0 - _SLIVER:
+                        found[i][axis].append(float(a[axis]))
+    return found
+
+
+def _contact(outline: Floats, height: Floats, size: float) -> list[tuple[Floats, Floats]]:
+    """Return the lines that a polygon (k, 3) has in common with a plane above which its corners are at ``height``."""
+    on, after = np.abs(height) < _TOUCH * size, np.roll(np.arange(len(outline)), -1)
+    if on.all():
+        return [(outline[k], outline[after[k]]) for k in range(len(outline))]
+    points = []
+    for k, n in enumerate(after):
+        if on[k]:
+            points.append(outline[k])
+        elif height[k] * height[n] < 0.0 and not on[n]:
+            points.append(outline[k] + (outline[n] - outline[k]) * height[k] / (height[k] - height[n]))
+    return [(points[0], points[-1])] if len(points) >= 2 else []
+
+
+def _cut(breaks: list[float], long: float, foot: float, away: float, size: float) -> tuple[Floats, Numbers]:
+    """Return the ends of the cells along an edge, (n + 1,) on [0, 1], and the part (n,) that each cell is in.
+
+    Parameters
+    ----------
+    breaks : list of float
+        Where the edge is divided into parts.
+    long : float
+        Its length.
+    foot, away : float
+        Where along the edge the place is that cells are small at, and how far from it.
+    size : float
+        Size of a cell in units of its distance from that place.
+    """
+    parts = np.unique(np.concatenate([[0.0, 1.0], breaks]))
+    parts = parts[np.append(True, np.diff(parts) > _SLIVER)]
+    parts[-1] = 1.0
+    ends, pieces = [np.zeros(1)], []
+    for number, (low, high) in enumerate(itertools.pairwise(parts)):
+        first, last = (math.asinh((end * long - foot) / away) for end in (low, high))
+        count = max(1, math.ceil((last - first) / size - 1e-9))
+        cut = (np.sinh(np.linspace(first, last, count + 1)) * away + foot) / long
+        cut[-1] = high
+        ends.append(cut[1:])
+        pieces.append(np.full(count, number))
+    return np.concatenate(ends), np.concatenate(pieces)
+
+
+def _joined(cuts: list[tuple[Floats, Numbers]]) -> _Axis:
+    empty, none = np.zeros(0), np.zeros(0, dtype=np.int64)
+    count = np.array([len(pieces) for _, pieces in cuts], dtype=np.int64)
+    low = np.concatenate([empty, *(ends[:-1] for ends, _ in cuts)])
+    high = np.concatenate([empty, *(ends[1:] for ends, _ in cuts)])
+    return _Axis(low, high, np.concatenate([none, *(p for _, p in cuts)]), np.cumsum(count) - count, count)
+
+
+def _dot(one: Floats, other: Floats) -> Floats:
+    product: Floats = np.einsum("ni,ni->n", one, other)
+    return product
+
+
+@jit_in_place
+def _on_axis(x: float, which: int, axis: _Axis) -> tuple[int, int, int, float]:
+    """Return the cell at ``x`` on a surface's edge, the two to interpolate between, and the weight of the second."""
+    first, n = axis.first[which], axis.cells[which]
+    low, high = first, first + n - 1
+    while low < high:
+        middle = (low + high + 1) // 2
+        if axis.low[middle] <= x:
+            low = middle
+        else:
+            high = middle - 1
+    here = low
+    centre = 0.5 * (axis.low[here] + axis.high[here])
+    one = here if x >= centre else here - 1
+    two = one + 1
+    if one < first or two >= first + n or axis.piece[one] != axis.piece[two]:
+        return here - first, here - first, here - first, 0.0
+    below, above = 0.5 * (axis.low[one] + axis.high[one]), 0.5 * (axis.low[two] + axis.high[two])
+    return here - first, one - first, two - first, (x - below) / (above - below)
+
+
+@jit_in_place
+def locate(start: Floats, way: Floats, i: int, far: float, grid: Grid, corners: Numbers, shares: Floats) -> int:
+    """Return the cell that a ray, start (3,) and way (3,), meets on flat surface ``i`` at a distance.
+
+    Writes the four cells (4,) to interpolate between, and their weights (4,).
+    """
+    u, v, cosine = 0.0, 0.0, 0.0
+    for r in range(3):
+        offset = start[r] + far * way[r] - grid.planes.origin[i, r]
+        u += grid.planes.dual[i, 0, r] * offset
+        v += grid.planes.dual[i, 1, r] * offset
+        cosine += way[r] * grid.planes.normal[i, r]
+    if grid.planes.triangle[i]:
+        rest = max(1.0 - u, 1e-12)
+        u, v = 1.0 - rest * rest, v / rest
+    a, a0, a1, s = _on_axis(u, i, grid.along)
+    b, b0, b1, t = _on_axis(v, i, grid.across)
+    first = grid.start[i] + (grid.half if cosine > 0.0 else 0)
+    n = grid.across.cells[i]
+    corners[0], corners[1] = first + a0 * n + b0, first + a0 * n + b1
+    corners[2], corners[3] = first + a1 * n + b0, first + a1 * n + b1
+    shares[0], shares[1] = (1.0 - s) * (1.0 - t), (1.0 - s) * t
+    shares[2], shares[3] = s * (1.0 - t), s * t
+    return int(first + a * n + b)
+
+
+@jit_in_place
+def meet_sphere(start: Floats, way: Floats, grid: Grid, far: float) -> tuple[int, float]:
+    """Return the cell of a sphere that a ray enters before ``far``, -1 for none, and where."""
+    cell, bands = -1, grid.bands
+    for k in range(grid.spheres.shape[0]):
+        x, y, z = start[0] - grid.spheres[k, 0], start[1] - grid.spheres[k, 1], start[2] - grid.spheres[k, 2]
+        radius = grid.spheres[k, 3]
+        along = x * way[0] + y * way[1] + z * way[2]
+        discriminant = along * along - (x * x + y * y + z * z - radius * radius)
+        if discriminant <= 0.0:
+            continue
+        enters = -along - math.sqrt(discriminant)
+        if enters <= _NEAR * radius or enters >= far:
+            continue
+        far = enters
+        band = min(bands - 1, max(0, int(((z + far * way[2]) / radius + 1.0) / 2.0 * bands)))
+        turn = math.atan2(y + far * way[1], x + far * way[0]) / (2.0 * math.pi)
+        if turn < 0.0:
+            turn += 1.0
+        cell = 2 * grid.half + k * 2 * bands * bands + band * 2 * bands + min(2 * bands - 1, int(turn * 2 * bands))
+    return cell, far
+
+
+@jit_released
+def _meet(start: Floats, way: Floats, grid: Grid) -> tuple[Numbers, Floats, Numbers, Floats]:
+    """Return what `Hits` holds of rays (n, 3), tested against the surfaces one by one."""
+    n = start.shape[0]
+    none = 2 * grid.half + 2 * grid.bands * grid.bands * grid.spheres.shape[0]
+    cell, far = np.empty(n, dtype=np.int64), np.empty(n)
+    corners, shares = np.empty((n, 4), dtype=np.int64), np.zeros((n, 4))
+    for k in range(n):
+        which, far[k] = nearest(start[k], way[k], grid.planes, np.inf)
+        ball, near = meet_sphere(start[k], way[k], grid, far[k])
+        if ball < 0 and which >= 0:
+            cell[k] = locate(start[k], way[k], which, far[k], grid, corners[k], shares[k])
+            continue
+        cell[k] = ball if ball >= 0 else none
+        far[k], shares[k, 0] = near, 1.0
+        for c in range(4):
+            corners[k, c] = cell[k]
+    return cell, far, corners, shares
+
+
+def _on_axis_arrays(x: Floats, which: Numbers, axis: _Axis) -> tuple[Numbers, Numbers, Numbers, Floats]:
+    """NumPy form of `_on_axis`, for rays of many surfaces."""
+    first, last = axis.first[which], axis.first[which] + axis.cells[which] - 1
+    # Ends of cells ascend from 0 to 1 on each surface; two apart, they ascend throughout.
+    owner = np.repeat(np.arange(len(axis.cells)), axis.cells)
+    here = np.searchsorted(axis.low + 2.0 * owner, np.clip(x, 0.0, 1.0) + 2.0 * which, side="right") - 1
+    here = np.clip(here, first, last)
+    middle = 0.5 * (axis.low + axis.high)
+    one = np.where(x >= middle[here], here, here - 1)
+    two = one + 1
+    inside = (one >= first) & (two <= last)
+    one, two = np.where(inside, one, here), np.where(inside, two, here)
+    inside &= axis.piece[one] == axis.piece[two]
+    one, two = np.where(inside, one, here), np.where(inside, two, here)
+    gap = np.where(inside, middle[two] - middle[one], 1.0)
+    return here - first, one - first, two - first, np.where(inside, (x - middle[one]) / gap, 0.0)
+
+
+def _locate(
+    start: Floats,
+    way: Floats,
+    which: Numbers,
+    far: Floats,
+    grid: Grid,
+    cell: Numbers,
+    corners: Numbers,
+    shares: Floats,
+) -> None:
+    """NumPy form of `locate`, for rays (n, 3) and the flat surfaces that they meet (n,), -1 for none."""
+    met = np.flatnonzero(which >= 0)
+    i = which[met]
+    planes = grid.planes
+    offset = start[met] + far[met, None] * way[met] - planes.origin[i]
+    u, v = np.einsum("nij,nj->in", planes.dual[i], offset)
+    rest = np.maximum(1.0 - u, 1e-12)
+    u, v = np.where(planes.triangle[i], 1.0 - rest**2, u), np.where(planes.triangle[i], v / rest, v)
+    a, a0, a1, s = _on_axis_arrays(u, i, grid.along)
+    b, b0, b1, t = _on_axis_arrays(v, i, grid.across)
+    first = grid.start[i] + np.where(_dot(way[met], planes.normal[i]) > 0.0, grid.half, 0)
+    n = grid.across.cells[i]
+    cell[met] = first + a * n + b
+    pairs = [(first + x * n + y, g * h) for x, g in ((a0, 1.0 - s), (a1, s)) for y, h in ((b0, 1.0 - t), (b1, t))]
+    corners[met] = np.stack([corner for corner, _ in pairs], axis=1)
+    shares[met] = np.stack([share for _, share in pairs], axis=1)
+
+
+def _interpolated_loops(values: Floats, corners: Numbers, shares: Floats) -> Floats:
+    """Return the sums (n, columns) of cells' values (cells + 1, columns) at corners (n, 4), weighted by shares."""
+    n, columns = corners.shape[0], values.shape[1]
+    found = np.zeros((n, columns))
+    for k in range(n):
+        for c in range(4):
+            share = shares[k, c]
+            if share != 0.0:
+                for column in range(columns):
+                    found[k, column] += share * values[corners[k, c], column]
+    return found
+
+
+def _interpolated_arrays(values: Floats, corners: Numbers, shares: Floats) -> Floats:
+    """NumPy form of `_interpolated_loops`."""
+    found: Floats = np.einsum("nkc,nk->nc", values[corners], shares)
+    return found
+
+
+interpolated = jit_released(_interpolated_loops) if COMPILED else _interpolated_arrays
+
+
+def _summed_loops(owner: Numbers, values: Floats, count: int) -> Floats:
+    """Return the sums (count, columns) of the values (n, columns) that belong to each owner (n,) below ``count``."""
+    sums = np.zeros((count, values.shape[1]))
+    for k in range(len(owner)):
+        if owner[k] < count:
+            for column in range(values.shape[1]):
+                sums[owner[k], column] += values[k, column]
+    return sums
+
+
+def _summed_arrays(owner: Numbers, values: Floats, count: int) -> Floats:
+    """NumPy form of `_summed_loops`."""
+    sums = np.zeros((count + 1, values.shape[1]))
+    for column in range(values.shape[1]):
+        if len(owner):  # `bincount` returns integers for empty arrays, even with weights
+            sums[:, column] = np.bincount(np.minimum(owner, count), values[:, column], count + 1)
+    return sums[:count]
+
+
+summed = jit_released(_summed_loops) if COMPILED else _summed_arrays

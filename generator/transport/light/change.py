@@ -1,0 +1,529 @@
+"""What a target at a pose changes of the light of many reflections, and of the sky.
+
+Light travels along lines that meet the target. A line leaves the target's surface at y towards a place p of the
+room, and backwards, through the target, reaches a place q behind it. In the empty room p sees q; now it sees y. So of
+the light that has been reflected k times, with B_k the room's radiosity, dB_k its change, and b_k the target's,
+
+    dE_(k+1)(p) = F dB_k + sum over lines of w (b_k(y) - B_k(q) - dB_k(q)),
+    e_(k+1)(y) = sum over lines of w (B_k(p) + dB_k(p))
+
+with the same lines for both sums, so that what the target takes is what it keeps from the room: with all surfaces as
+bright as each other, nothing changes, to the last digit. Lines are spread by Sobol's sequence (Joe and Kuo 2008).
+What the sums at p do to the picture, over any number of further reflections, is known from `field.LightField`.
+
+The lamp's own light is exact up to the third reflection, elsewhere. Here, its first change is the target's shadow on
+the room: the light that falls on the target would have met the room behind it.
+
+From the wall, the target is looked at directly: by lines from points of the picture into the cone around the target.
+
+The lines are four sets, and each gives a picture of its own. These differ by twice the error of their mean if lines
+were drawn by chance, and by more as they are: lines are doubled until that is small enough.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from generator.model.quantities import ALL_ORDERS
+from generator.transport.compiled import COMPILED, jit_released
+from generator.transport.light.cells import Cells, Grid, Hits, locate, meet_sphere, summed
+from generator.transport.light.field import LightField, Source, patch_light
+from generator.transport.light.picture_points import PicturePoints, drawn
+from generator.transport.light.spread import around, hemisphere, shifted, sobol
+from generator.transport.prepared import Setting
+from generator.transport.rays import nearest
+
+Floats = NDArray[Any]
+Numbers = NDArray[np.int64]
+
+FINEST = 1e-2
+"""Least error that is asked for, relative to the whole change: cells are no finer."""
+_BODY_CELL = 0.25
+"""Size of a target's cell, of the target's radius."""
+_LINES, _MOST_LINES = 1 << 13, 1 << 17
+"""Number of lines through the target, at first and at most."""
+_LIT = 1 << 11
+"""How many of the target's places the lamp's light is computed for."""
+_SEEN = 128
+"""Number of lines towards the target from each point of the picture."""
+_MOST_POINTS = 48
+"""Points along a side of the picture at most, where polynomials fit its light badly."""
+_ROUGH = 0.1
+"""Misfit of the polynomials, in units of what they describe, that is left as noise of the lines."""
+_LEFT = 1e-4
+"""Share of the change at which further reflections are left out."""
+SETS = 4
+"""Number of sets of lines. Each is a net of Sobol's sequence, as all of them are."""
+
+
+class _Lines(NamedTuple):
+    """Lines through the target at a pose, set after set.
+
+    Attributes
+    ----------
+    owner : ndarray of shape (n,), int
+        Cell of the target that each leaves.
+    flux : ndarray of shape (n,)
+        Area that it stands for, in its set.
+    own : ndarray of shape (n,), int
+        Cell of the target that it meets before any of the room, or the number of the target's cells.
+    front : Hits
+        What it meets of the room.
+    behind : Hits
+        What it meets of the room in the opposite direction, as if the target were not there.
+    """
+
+    owner: Numbers
+    flux: Floats
+    own: Numbers
+    front: Hits
+    behind: Hits
+
+
+class _Samples(NamedTuple):
+    """Lines in the target's own frame: where they start, their directions, and what of the target they meet.
+
+    ``received`` (target's cells, sets) is the area that the lines of each cell stand for, by set.
+    """
+
+    owner: Numbers
+    flux: Floats
+    places: Floats
+    normals: Floats
+    ways: Floats
+    own: Hits
+    received: Floats
+
+
+class _Pose(NamedTuple):
+    """Pose of the target, and the ball around it: centre (3,) and radius."""
+
+    turn: Floats
+    place: Floats
+    centre: Floats
+    radius: float
+
+
+class _Eye(NamedTuple):
+    """Points of the picture (n, 3), and points of the unit square (n, k, 2) for lines from each to the target."""
+
+    places: Floats
+    spread: Floats
+
+
+class _Sums(NamedTuple):
+    """Light that the wall sees, summed over reflections; columns are sets times groups.
+
+    Attributes
+    ----------
+    room : ndarray of shape (cells + 1, columns)
+        Radiosity of the room's cells and the sky.
+    body : ndarray of shape (target's cells, columns)
+        Radiosity of the target's.
+    coefficients : ndarray of shape (coefficients, columns)
+        Picture of what the changed room sends.
+    """
+
+    room: Floats
+    body: Floats
+    coefficients: Floats
+
+
+class LightChange:
+    """Changes by one target of the light that `LightField` describes.
+
+    Parameters
+    ----------
+    setting : Setting
+    field : LightField
+        Of the same room.
+    accuracy : float
+        Root mean square error of the change that lines cause, relative to the whole change; at least `FINEST`.
+    """
+
+    def __init__(self, setting: Setting, field: LightField, accuracy: float) -> None:
+        self._setting, self._field, self._resolution = setting, field, setting.resolution
+        self._accuracy = max(FINEST, accuracy)
+        target, balls = setting.target, len(setting.target.spheres)
+        low, high = target.box
+        self._centre = (low + high) / 2.0
+        corners = np.concatenate(target.corners())
+        corner_reach = np.linalg.norm(corners - self._centre, axis=1).max(initial=0.0)
+        ball_reach = np.linalg.norm(target.spheres[:, :3] - self._centre, axis=1) + target.spheres[:, 3]
+        self._radius = float(max(corner_reach, ball_reach.max(initial=0.0)))
+        tint = setting.tint[len(setting.tint) - balls :]
+        self._body = Cells(target, _BODY_CELL, self._centre, self._radius, tint)
+        self._samples: dict[int, _Samples] = {}
+        self._eyes: dict[int, tuple[PicturePoints, _Eye]] = {}
+
+    def pictures(
+        self, turn: Floats, place: Floats, exact: Floats | None = None, *, shadows: bool = True
+    ) -> dict[str, Floats]:
+        """Return the change of the picture by the target at a pose, for each of `LightField.sources`.
+
+        Parameters
+        ----------
+        turn, place : ndarray of shape (3, 3) and (3,)
+            Rotation and position in the wall's frame.
+        exact : ndarray of shape (groups, height, width), optional
+            What is known of the lamp's change, in the same unit: errors are relative to all of it.
+        shadows : bool
+            Whether to include the light that it hides from the wall; without, only the light that it sends there.
+
+        Returns
+        -------
+        pictures : dict of str to ndarray of shape (groups, height, width)
+        """
+        pose = _Pose(turn, place, place + turn @ self._centre, self._radius)
+        known = {name: exact if name == "lamp" else None for name in self._field.sources}
+        found: dict[str, Floats] = {}
+        count = _LINES
+        while known:
+            samples = self._sampled(count)
+            lines = self._through(samples, pose)
+            for name in list(known):
+                several, level = self._several(name, lines, samples, pose, known[name], shadows)
+                error = float(np.sqrt(several.var(axis=0, ddof=1).mean() / SETS))
+                if error <= self._accuracy * level or 2 * count > _MOST_LINES:
+                    found[name] = several.mean(axis=0)
+                    del known[name]
+            count *= 2
+        return {name: found[name] for name in self._field.sources}
+
+    def _several(
+        self, name: str, lines: _Lines, samples: _Samples, pose: _Pose, exact: Floats | None, shadows: bool
+    ) -> tuple[Floats, float]:
+        """Return the change of a source's light by each set of lines, (sets, groups, height, width), and the root
+        mean square of the whole change."""
+        source = self._field.sources[name]
+        shade = self._shade(samples, pose) if name == "lamp" else None
+        sums = self._followed(source, lines, samples, self._body.tint, shade)
+        pictures = self._drawn(sums, pose, exact)
+        if not shadows:  # less what a black target changes
+            dark = self._followed(source, lines, samples, np.zeros_like(self._body.tint), shade)
+            pictures = pictures - self._drawn(dark, pose, exact)
+        return pictures, _level(pictures, exact)
+
+    def _sampled(self, count: int) -> _Samples:
+        if count not in self._samples:
+            body, size = self._body, count // SETS
+            points = sobol(count, 4)
+            owner, places, normals = body.scattered(points[:, :2], self._setting.one_sided)
+            ways = hemisphere(normals, points[:, 2:])
+            number = np.stack([np.bincount(part, minlength=body.count) for part in owner.reshape(SETS, -1)], axis=1)
+            received = body.area[:, None] * _fair(number)
+            flux = (received / np.maximum(number, 1))[owner, np.arange(count) // size]
+            own = body.meet(places, ways)
+            self._samples[count] = _Samples(owner, flux, places, normals, ways, own, received)
+        return self._samples[count]
+
+    def _through(self, samples: _Samples, pose: _Pose) -> _Lines:
+        places, ways = samples.places @ pose.turn.T + pose.place, samples.ways @ pose.turn.T
+        front, behind = self._field.cells.meet(places, ways), self._field.cells.meet(places, -ways)
+        own = np.where(samples.own.far < front.far, samples.own.cell, self._body.count)
+        return _Lines(samples.owner, samples.flux, own, front, behind)
+
+    def _shade(self, samples: _Samples, pose: _Pose) -> tuple[Floats, Floats]:
+        """Return the lamp's irradiance of the target's cells (cells, sets), and of the room's, what it takes."""
+        setting, body, cells = self._setting, self._body, self._field.cells
+        size, first = len(samples.owner) // SETS, min(len(samples.owner), _LIT) // SETS
+        # The beginning of each set is spread evenly, too.
+        some = (size * np.arange(SETS)[:, None] + np.arange(first)).reshape(-1)
+        owner, part = samples.owner[some], some // size
+        places, normals = samples.places[some] @ pose.turn.T + pose.place, samples.normals[some] @ pose.turn.T
+        points = self._patch_points(pose)
+        light = patch_light(setting, places, normals, points)
+        nodes = np.append(setting.whole[points][:2, : points**2].T, np.zeros((points**2, 1)), axis=1)
+        row, node = np.nonzero(light)
+        if not setting.convex:
+            start, end = (places[row] - pose.place) @ pose.turn, (nodes[node] - pose.place) @ pose.turn
+            hidden = setting.target.blocked(start, end)
+            light[row[hidden], node[hidden]] = 0.0
+            row, node = row[~hidden], node[~hidden]
+        number, arriving = np.zeros((2, body.count, SETS))
+        np.add.at(number, (owner, part), 1.0)
+        np.add.at(arriving, (owner, part), light.sum(axis=1))
+        arriving = _completed(arriving / np.maximum(number, 1.0), number == 0.0, 1)
+        area = (body.area[:, None] * _fair(number) / np.maximum(number, 1.0))[owner, part]
+        way = places[row] - nodes[node]
+        way /= np.linalg.norm(way, axis=1, keepdims=True)
+        met = cells.meet(places[row], way).cell
+        taken = np.zeros((len(row), SETS))
+        taken[np.arange(len(row)), part[row]] = light[row, node] * area[row]
+        return arriving, -summed(met, taken, cells.count) / cells.area[:, None]
+
+    def _patch_points(self, pose: _Pose) -> int:
+        """Return how many points along its diameter represent the lit patch, as the target sees it."""
+        patch = self._setting.patch
+        far = float(np.linalg.norm(pose.centre - [patch.x, patch.y, 0.0])) - pose.radius
+        ratio = far / math.hypot(patch.major_x, patch.major_y)
+        soft = patch.cos_width > 0.0
+        return 8 if ratio < 2.0 else 6 if soft else 4 if ratio < 6.0 else 2
+
+    def _followed(
+        self,
+        source: Source,
+        lines: _Lines,
+        samples: _Samples,
+        tint: Floats,
+        shade: tuple[Floats, Floats] | None,
+    ) -> _Sums:
+        """Follow a source's light, reflection by reflection, between the target and the room."""
+        field, order, groups = self._field, self._field.order, tint.shape[1]
+        area = field.cells.area[:, None]
+        tint, room_tint = np.tile(tint, SETS), np.tile(field.tint, SETS)
+        received = np.repeat(samples.received, groups, axis=1)
+        missing = received == 0.0
+        empty = np.tile(source.levels[0], SETS)
+        change, body = np.zeros_like(empty), np.zeros((self._body.count, SETS * groups))
+        coefficients = np.zeros((len(field.points.fit), SETS * groups))
+        if shade is not None:
+            arriving, taken = (np.repeat(part, groups, axis=1) for part in shade)
+            body = tint * arriving
+            change[:-1] = room_tint * taken
+            coefficients += field.shown(taken, order - 1 - source.first, directly=False)
+        level, energy = empty + change, np.zeros(SETS * groups)
+        room_sum, body_sum = np.zeros_like(level), np.zeros_like(body)
+        last = len(source.levels) - 1
+        for index in range(last + 1):
+            reflections = source.first + index
+            if reflections >= source.shown:
+                room_sum += level
+                body_sum += body
+            if reflections == order - 1:
+                break
+            added, arriving = _exchanged(lines, level, body, groups)
+            added /= area
+            more = field.shown(added, order - 2 - reflections)
+            coefficients += more
+            before, energy = energy, (level[:-1] * area).sum(axis=0)
+            if index == last or (index > 2 and field.size(more) <= _LEFT * field.size(coefficients)):
+                if order == ALL_ORDERS:
+                    rest = _rest(before, energy)
+                    room_sum, body_sum = room_sum + rest * level, body_sum + rest * body
+                    coefficients += rest * more
+                break
+            smooth = _smooth(field, change[:-1])
+            change[:-1] = room_tint * (added + smooth)
+            level = np.tile(source.levels[index + 1], SETS) + change
+            arriving /= np.maximum(received, 1e-300)
+            # What a cell receives along one set's lines it sends along another's: bright places would else light
+            # themselves, by the few lines that lead there.
+            body = tint * np.roll(_completed(arriving, missing, groups), groups, axis=1)
+        return _Sums(room_sum, body_sum, coefficients)
+
+    def _drawn(self, sums: _Sums, pose: _Pose, exact: Floats | None) -> Floats:
+        """Return the pictures (sets, groups, height, width) of sums, with the target seen directly."""
+        room = drawn(sums.coefficients, self._resolution)
+        level = _level(room.reshape(SETS, -1, *room.shape[1:]), exact)
+        side = math.isqrt(len(self._field.points.places))
+        while True:
+            points, eye = self._eye(side)
+            light = self._looked(eye, pose, sums)
+            fit = points.fit @ light
+            missed, shown = points.misfit(light, fit)
+            if missed <= max(_ROUGH * shown, self._accuracy * level) or 2 * side > _MOST_POINTS:
+                break
+            side *= 2
+        pictures: Floats = room + drawn(fit, self._resolution)
+        return pictures.reshape(SETS, -1, *room.shape[1:])
+
+    def _eye(self, side: int) -> tuple[PicturePoints, _Eye]:
+        if side not in self._eyes:
+            points = PicturePoints(self._setting.to_wall, side)
+            spread = shifted(_SEEN, 2, np.arange(side * side))
+            self._eyes[side] = points, _Eye(points.places, spread)
+        return self._eyes[side]
+
+    def _looked(self, eye: _Eye, pose: _Pose, sums: _Sums) -> Floats:
+        """Return the light (points, columns) that the target sends to the picture's points, less what it hides."""
+        body, cells = self._body, self._field.cells
+        if COMPILED and body.few and cells.few:
+            light = np.zeros((len(eye.places), sums.body.shape[1]))
+            _look(eye, pose, body.grid, cells.grid, sums, light)
+            return light
+        return _look_arrays(eye, pose, body, cells, sums)
+
+
+def _level(pictures: Floats, exact: Floats | None) -> float:
+    """Return the root mean square of the mean of pictures (sets, ...) and what is known besides."""
+    whole = pictures.mean(axis=0) if exact is None else pictures.mean(axis=0) + exact
+    return float(np.sqrt((whole**2).mean()))
+
+
+def _fair(number: Numbers | Floats) -> Floats:
+    """Return factors (cells, sets) for the sets that have lines of a cell, which stand for those that have none."""
+    there = number > 0
+    factor: Floats = np.where(there, SETS / np.maximum(1, there.sum(axis=1, keepdims=True)), 0.0)
+    return factor
+
+
+def _completed(values: Floats, missing: NDArray[np.bool_], groups: int) -> Floats:
+    """Return values (cells, sets * groups) with the mean of the other sets where one has none."""
+    if not missing.any():
+        return values
+    by_set, there = values.reshape(len(values), SETS, groups), ~missing.reshape(len(values), SETS, groups)
+    mean = (by_set * there).sum(axis=1, keepdims=True) / np.maximum(1, there.sum(axis=1, keepdims=True))
+    return np.where(there, by_set, mean).reshape(values.shape)
+
+
+def _rest(before: Floats, energy: Floats) -> Floats:
+    """Return the sum of all further terms of a geometric series, in units of its last, from its last two terms."""
+    ratio = np.divide(energy, before, out=np.zeros_like(energy), where=before > 0.0)
+    ratio = np.clip(ratio, 0.0, 1.0 - 1e-6)
+    rest: Floats = ratio / (1.0 - ratio)
+    return rest
+
+
+def _smooth(field: LightField, change: Floats) -> Floats:
+    """Return the irradiance (cells, groups) of cells by the changed radiosity (cells, groups) of all others.
+
+    What a target adds to it is a small part of a small change, so coarse cells are enough.
+    """
+    n = len(field.coarse)
+    area = field.cells.area[:, None]
+    sent = summed(field.block, change * area, n) / np.maximum(summed(field.block, area, n), 1e-300)
+    received = np.append(field.coarse @ sent, np.zeros((1, change.shape[1])), axis=0)
+    smooth: Floats = received[field.block]
+    return smooth
+
+
+def _exchanged_loops(lines: _Lines, level: Floats, body: Floats, groups: int) -> tuple[Floats, Floats]:
+    """Exchange light along the lines between room and target.
+
+    Parameters
+    ----------
+    lines : _Lines
+    level : ndarray of shape (cells + 1, sets * groups)
+        Radiosity of the room's cells, and of the sky.
+    body : ndarray of shape (target's cells, sets * groups)
+        Radiosity of the target's cells.
+    groups : int
+
+    Returns
+    -------
+    added : ndarray of shape (cells, sets * groups)
+        Light that the room's cells gain, times their area.
+    arriving : ndarray of shape (target's cells, sets * groups)
+        Light on the target's cells, times their area.
+    """
+    cells, n = level.shape[0] - 1, len(lines.owner)
+    added, arriving = np.zeros((cells, level.shape[1])), np.zeros(body.shape)
+    front, behind = lines.front, lines.behind
+    for k in range(n):
+        owner, flux, own = lines.owner[k], lines.flux[k], lines.own[k]
+        first = groups * (SETS * k // n)
+        if own < body.shape[0]:
+            for g in range(first, first + groups):
+                arriving[owner, g] += flux * body[own, g]
+            continue
+        place = front.cell[k]
+        for g in range(first, first + groups):
+            near, far = 0.0, 0.0
+            for c in range(4):
+                near += front.shares[k, c] * level[front.corners[k, c], g]
+                far += behind.shares[k, c] * level[behind.corners[k, c], g]
+            arriving[owner, g] += flux * near
+            if place < cells:
+                added[place, g] += flux * (body[owner, g] - far)
+    return added, arriving
+
+
+def _exchanged_arrays(lines: _Lines, level: Floats, body: Floats, groups: int) -> tuple[Floats, Floats]:
+    """NumPy form of `_exchanged_loops`."""
+    n = len(lines.owner)
+    mine = np.arange(SETS * groups) // groups == (np.arange(n)[:, None] * SETS // n)
+    flux = np.where(mine, lines.flux[:, None], 0.0)
+    padded = np.append(body, np.zeros((1, body.shape[1])), axis=0)
+    is_own = (lines.own < len(body))[:, None]
+    near = np.where(is_own, padded[lines.own], lines.front.of(level))
+    sent = np.where(is_own, 0.0, body[lines.owner] - lines.behind.of(level))
+    arriving = summed(lines.owner, flux * near, len(body))
+    return summed(lines.front.cell, flux * sent, len(level) - 1), arriving
+
+
+_exchanged = jit_released(_exchanged_loops) if COMPILED else _exchanged_arrays
+
+
+@jit_released
+def _look(eye: _Eye, pose: _Pose, body: Grid, room: Grid, sums: _Sums, light: Floats) -> None:
+    """Add to ``light`` (points, columns) what lines into the cone around the target meet, less what is behind it."""
+    rays, columns = eye.spread.shape[1], light.shape[1]
+    axis, way, start, turned, moved = np.empty(3), np.empty(3), np.empty(3), np.empty(3), np.empty(3)
+    corners, shares = np.zeros(4, dtype=np.int64), np.zeros(4)
+    unused, none = np.zeros(4, dtype=np.int64), np.zeros(4)
+    for p in range(eye.places.shape[0]):
+        far = 0.0
+        for r in range(3):
+            start[r] = eye.places[p, r]
+            axis[r] = pose.centre[r] - start[r]
+            far += axis[r] * axis[r]
+        far = math.sqrt(far)
+        cone = -1.0
+        if far > pose.radius:
+            cone = math.sqrt(1.0 - (pose.radius / far) ** 2)
+        x, y, z = axis[0] / far, axis[1] / far, axis[2] / far
+        sign = 1.0 if z >= 0.0 else -1.0
+        a = -1.0 / (sign + z)
+        b = x * y * a
+        for k in range(rays):
+            cosine = 1.0 - (1.0 - cone) * eye.spread[p, k, 0]
+            angle = 2.0 * math.pi * eye.spread[p, k, 1]
+            sine = math.sqrt(max(0.0, 1.0 - cosine * cosine))
+            u, v = sine * math.cos(angle), sine * math.sin(angle)
+            way[0] = cosine * x + u * (1.0 + sign * x * x * a) + v * b
+            way[1] = cosine * y + u * sign * b + v * (sign + y * y * a)
+            way[2] = cosine * z - u * sign * x - v * y
+            if way[2] <= 0.0:
+                continue
+            for r in range(3):
+                turned[r], moved[r] = 0.0, 0.0
+                for t in range(3):
+                    turned[r] += pose.turn[t, r] * way[t]
+                    moved[r] += pose.turn[t, r] * (start[t] - pose.place[t])
+            which, near = nearest(moved, turned, body.planes, np.inf)
+            ball, near = meet_sphere(moved, turned, body, near)
+            if which < 0 and ball < 0:
+                continue
+            wall, beyond = nearest(start, way, room.planes, np.inf)
+            if beyond <= near:
+                continue
+            cell = ball if ball >= 0 else locate(moved, turned, which, near, body, unused, none)
+            weight = way[2] * 2.0 * (1.0 - cone) / rays
+            if wall >= 0:
+                locate(start, way, wall, beyond, room, corners, shares)
+                for g in range(columns):
+                    hidden = 0.0
+                    for c in range(4):
+                        hidden += shares[c] * sums.room[corners[c], g]
+                    light[p, g] += weight * (sums.body[cell, g] - hidden)
+            else:
+                for g in range(columns):
+                    light[p, g] += weight * (sums.body[cell, g] - sums.room[sums.room.shape[0] - 1, g])
+
+
+def _look_arrays(eye: _Eye, pose: _Pose, body: Cells, room: Cells, sums: _Sums) -> Floats:
+    """NumPy form of `_look`, and for surfaces that are too many to be tested one by one; returns the light."""
+    points, rays = eye.spread.shape[:2]
+    offset = pose.centre - eye.places
+    far = np.sqrt(np.einsum("ni,ni->n", offset, offset))
+    sine = pose.radius / np.maximum(far, pose.radius)
+    cone = np.repeat(np.where(far > pose.radius, np.sqrt(1.0 - sine**2), -1.0), rays)
+    axis = np.repeat(offset / np.maximum(far, 1e-300)[:, None], rays, axis=0)
+    spread = eye.spread.reshape(-1, 2)
+    way = around(axis, 1.0 - (1.0 - cone) * spread[:, 0], 2.0 * math.pi * spread[:, 1])
+    rows = np.flatnonzero(way[:, 2] > 0.0)
+    way, owner = way[rows], rows // rays
+    start = eye.places[owner]
+    front = body.meet((start - pose.place) @ pose.turn, way @ pose.turn)
+    met = np.flatnonzero(front.cell < body.count)
+    behind = room.meet(start[met], way[met])
+    free = behind.far > front.far[met]
+    met = met[free]
+    hidden = Hits(*(part[free] for part in behind)).of(sums.room)
+    weight = way[met, 2] * 2.0 * (1.0 - cone[rows[met]]) / rays
+    return summed(owner[met], weight[:, None] * (sums.body[front.cell[met]] - hidden), points)

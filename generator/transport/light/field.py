@@ -1,0 +1,360 @@
+"""The light of the empty room, reflection by reflection, and what light that is added anywhere does to the picture.
+
+All surfaces of the room, the relay wall included, are cut into cells. Light comes from sources: the lamp, of which
+the first two reflections are exact, and the sky. With E_k the irradiance and B_k = rho E_k the radiosity of
+reflection k, and F the share of each cell in what a cell sees (Goral et al. 1984, equation 6, unrolled),
+
+    E_(k+1) = F B_k.
+
+Light s that is added to cells' irradiance changes the light on the watched wall, m reflections later at most, by
+
+    R_m s = W (1 + rho F + ... + (rho F)^m) rho s
+
+with W the share of each cell in what the wall's points see. R_m has as few rows as polynomials describe the picture,
+so it is computed once a scene, from the wall backwards (adjoint light, as in Christensen 2003), and what a target at
+a pose changes costs no more than its own light.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from generator.model.errors import NlosError
+from generator.model.quantities import ALL_ORDERS
+from generator.transport.light.cells import Cells
+from generator.transport.light.picture_points import PicturePoints
+from generator.transport.light.spread import hemisphere, shifted
+from generator.transport.prepared import Setting
+from generator.transport.rays import Surfaces
+
+Floats = NDArray[Any]
+Numbers = NDArray[np.int64]
+
+_CELL = 0.15
+"""Size of a cell in units of its distance from the watched patch."""
+_ROWS, _WALL = 1024, 4096
+"""Number of rays into the room from each cell, and from each point of the picture."""
+_POINTS = 12
+"""Points along a side of the picture."""
+_PATCH = 8
+"""Points along a diameter of the lit patch, as seen from the room's cells; and those within a cell, along a side."""
+_WITHIN = 4
+_MOST_SURFACES = 2000
+_CHUNK = 1 << 18
+_NEAR, _CLOSE = 0.15, 2.0
+"""Size of a part of a cell, in units of its distance, that a sum over a cell's parts allows; and of a whole cell,
+above which rays tell its share instead."""
+_LEFT = 1e-4
+"""Share of the light at which further reflections are left out."""
+_MOST_LEVELS = 64
+"""Number of reflections that are followed one by one where all count; the rest is a geometric series."""
+_TOUCH = 1e-9
+_LAMP, _SKY = 2, 0
+"""Reflections of the light that sources begin with: of the lamp's on cells, and none of the sky's."""
+
+
+@dataclass
+class Source:
+    """The light of one source in the empty room.
+
+    Attributes
+    ----------
+    first : int
+        Number of reflections of the light in ``levels[0]``.
+    shown : int
+        Fewest reflections of light on cells whose next reflection, on the wall, belongs to the picture; what comes
+        before is exact elsewhere.
+    levels : list of ndarray of shape (cells + 1, groups)
+        Radiosity after each number of reflections; the last row is the sky's.
+    rest : ndarray of shape (cells + 1, groups)
+        Sum of what comes after the last of ``levels``, if all reflections count.
+    """
+
+    first: int
+    shown: int
+    levels: list[Floats]
+    rest: Floats
+
+
+class LightField:
+    """Light of many reflections, and of the sky, in an empty room.
+
+    Parameters
+    ----------
+    setting : Setting
+        Setting of a world with a relay wall, whatever its target.
+    order : int
+        Largest number of reflections; `ALL_ORDERS` for all.
+
+    Attributes
+    ----------
+    cells : Cells
+        Cells of the room and of the relay wall; those that the picture sees neither directly nor by way of others (a
+        room's outer sides) are given no light.
+    tint : ndarray of shape (cells, groups)
+        Albedo.
+    block : ndarray of shape (cells,), int
+        Coarse cell that each cell is part of.
+    coarse : ndarray of shape (blocks, blocks)
+        Irradiance of coarse cells per radiosity of each other.
+    sources : dict of str to Source
+        "lamp", and "sky" if there is ambient light.
+
+    Raises
+    ------
+    NlosError
+        There are too many surfaces.
+    """
+
+    def __init__(self, setting: Setting, order: int) -> None:
+        self.order = order
+        if len(setting.around) > _MOST_SURFACES:
+            raise NlosError(
+                f"light of more than three reflections, or of the sky: {len(setting.around)} surfaces are more than "
+                f"{_MOST_SURFACES}; use --engine patch"
+            )
+        groups = setting.tint.shape[1]
+        cells = self.cells = Cells(setting.around, _CELL, np.zeros(3), 1.0, np.zeros((0, groups)))
+        self.points = PicturePoints(setting.to_wall, _POINTS)
+        self._wall_share, wall = self._seen(*_from_wall(self.points, _WALL), _WALL)
+        wall = _refined(wall, self.points, cells, setting)
+        reached, share, rows = self._reached(np.flatnonzero(wall.any(axis=0)))
+        gather = _reciprocal(rows, cells.area[reached])
+        self.tint = cells.tint
+        self._reached_cells, self._gather, self._wall = reached, gather, wall[:, reached]
+        self._share = np.zeros(cells.count)
+        self._share[reached] = share
+        self.block, self.coarse = self._coarsened()
+        self.sources: dict[str, Source] = {}
+        if order > 3:
+            lit = self._lit(setting)
+            self.sources["lamp"] = self._source(
+                _LAMP, _LAMP + 1, np.append(self.tint * lit, np.zeros((1, groups)), 0)
+            )
+        if setting.sky is not None:
+            sky = np.zeros((cells.count + 1, groups))
+            sky[-1] = 1.0
+            self.sources["sky"] = self._source(_SKY, _SKY, sky)
+        self._responses = [self._response(g) for g in range(groups)]
+
+    def _seen(self, places: Floats, normals: Floats, spread: Floats, rays: int) -> tuple[Floats, Floats]:
+        """Return what receivers see: the share of the sky (n,), and of each cell (n, cells), by ``rays`` for each."""
+        n = len(places) // rays
+        sky, seen = np.empty(n), np.zeros((n, self.cells.count), dtype=np.float32)
+        step = max(1, _CHUNK // rays)
+        for start in range(0, n, step):
+            some = slice(start * rays, (start + step) * rays)
+            hits = self.cells.meet(places[some], hemisphere(normals[some], spread[some]))
+            cell = hits.cell.reshape(-1, rays)
+            for k, met in enumerate(cell, start=start):
+                counts = np.bincount(met, minlength=self.cells.count + 1) / rays
+                seen[k], sky[k] = counts[:-1], counts[-1]
+        return sky, seen
+
+    def _reached(self, fresh: Numbers) -> tuple[Numbers, Floats, Floats]:
+        """Return the cells (n,) that are seen, directly or by way of others, from some; what each sees of the sky
+        (n,), and of each of these cells (n, n)."""
+        is_reached = np.zeros(self.cells.count, dtype=bool)
+        found, shares, rows = [], [], []
+        while len(fresh):
+            is_reached[fresh] = True
+            spread = shifted(_ROWS, 4, fresh).reshape(-1, 4)
+            places, normals = self.cells.places(np.repeat(fresh, _ROWS), spread[:, 2:])
+            sky, seen = self._seen(places, normals, spread[:, :2], _ROWS)
+            found.append(fresh)
+            shares.append(sky)
+            rows.append(seen)
+            fresh = np.flatnonzero(seen.any(axis=0) & ~is_reached)
+        if not found:
+            return np.zeros(0, dtype=np.int64), np.zeros(0), np.zeros((0, 0))
+        order = np.argsort(np.concatenate(found))
+        reached = np.concatenate(found)[order]
+        return reached, np.concatenate(shares)[order], np.concatenate(rows)[order][:, reached].astype(np.float64)
+
+    def _coarsened(self) -> tuple[Numbers, Floats]:
+        reached, area = self._reached_cells, self.cells.area
+        blocks, inner = np.unique(self.cells.blocks()[reached], return_inverse=True)
+        inner = inner.reshape(-1)
+        n = len(blocks)
+        size = np.bincount(inner, area[reached], n)
+        sums = np.zeros((n, len(reached)))
+        np.add.at(sums, inner, area[reached, None] * self._gather)
+        coarse = np.zeros((n, n))
+        np.add.at(coarse.T, inner, sums.T)
+        block = np.full(self.cells.count, n)  # cells that are not reached are in none
+        block[reached] = inner
+        return block, coarse / size[:, None]
+
+    def _lit(self, setting: Setting) -> Floats:
+        """Return the irradiance (cells, groups) from the lit patch, of radiance 1 under the lamp."""
+        light = np.zeros(self.cells.count)
+        steps = (np.arange(_WITHIN) + 0.5) / _WITHIN
+        cells = self._reached_cells
+        for u in steps:
+            for v in steps:
+                places, normals = self.cells.places(cells, np.tile([u, v], (len(cells), 1)))
+                light[cells] += patch_light(setting, places, normals, _PATCH).sum(axis=1)
+        return np.repeat(light[:, None] / _WITHIN**2, setting.tint.shape[1], axis=1)
+
+    def _source(self, first: int, shown: int, start: Floats) -> Source:
+        levels, last = [start], self.order - 1
+        total = start[:-1].copy()
+        reached, gather = self._reached_cells, self._gather
+        for _ in range(first, last):
+            level = np.zeros_like(start)
+            incoming = gather @ levels[-1][reached] + self._share[reached, None] * levels[-1][-1]
+            level[reached] = self.tint[reached] * incoming
+            levels.append(level)
+            total += level[:-1]
+            if self.order == ALL_ORDERS and np.abs(level).max() <= _LEFT * np.abs(total).max():
+                break
+            if len(levels) == _MOST_LEVELS and self.order == ALL_ORDERS:
+                break
+        rest = np.zeros_like(start)
+        if self.order == ALL_ORDERS:
+            for group in range(start.shape[1]):
+                tint = self.tint[reached, group]
+                matrix = np.eye(len(reached)) - tint[:, None] * gather
+                after = tint * (gather @ levels[-1][reached, group])
+                rest[reached, group] = np.linalg.solve(matrix, after)
+        return Source(first, shown, levels, rest)
+
+    def _response(self, group: int) -> list[Floats]:
+        """Return R_0, R_1, ... as (coefficients, reached cells) each, up to where they change no more."""
+        tint, wall = self.tint[self._reached_cells, group], self.points.fit @ self._wall
+        if self.order == ALL_ORDERS:
+            matrix = np.eye(len(tint)) - tint[:, None] * self._gather
+            return [wall * tint, np.linalg.solve(matrix.T, wall.T).T * tint]
+        found, term = [wall * tint], wall
+        for _ in range(1, self.order - 1):
+            term = (term * tint) @ self._gather
+            found.append(found[-1] + term * tint)
+            if np.abs(term * tint).max(initial=0.0) <= _LEFT * np.abs(found[-1]).max(initial=0.0):
+                break
+        return found
+
+    def shown(self, light: Floats, most: int, *, directly: bool = True) -> Floats:
+        """Return what light that is added to cells changes of the picture, (coefficients, k * groups).
+
+        Parameters
+        ----------
+        light : ndarray of shape (cells, k * groups)
+            Irradiance; k columns for each group, which vary fastest.
+        most : int
+            Largest number of reflections on the way from there to the wall, besides those on the cells themselves.
+        directly : bool, default=True
+            Whether what the cells send to the wall without any further reflection counts.
+        """
+        coefficients = np.zeros((len(self.points.fit), light.shape[1]))
+        groups = len(self._responses)
+        arriving = light[self._reached_cells]
+        for group, responses in enumerate(self._responses):
+            some = slice(group, None, groups)
+            coefficients[:, some] = responses[min(most, len(responses) - 1)] @ arriving[:, some]
+            if not directly:
+                coefficients[:, some] -= responses[0] @ arriving[:, some]
+        return coefficients
+
+    @staticmethod
+    def size(coefficients: Floats) -> float:
+        """Return the largest of some coefficients, as a measure of the picture's light."""
+        return float(np.abs(coefficients).max(initial=0.0))
+
+    def background(self, name: str) -> Floats:
+        """Return the coefficients (n, groups) of the light of a source on the wall of the empty scene."""
+        source = self.sources[name]
+        total = source.rest.copy()
+        for level in source.levels[source.shown - source.first :]:
+            total += level
+        light = self._wall @ total[self._reached_cells] + self._wall_share[:, None] * total[-1]
+        coefficients: Floats = self.points.fit @ light
+        return coefficients
+
+
+def patch_light(setting: Setting, places: Floats, normals: Floats, points: int) -> Floats:
+    """Return the irradiance of places (n, 3) with normals (n, 3) from each of points^2 points of the lit patch.
+
+    The patch has radiance 1 under the lamp. Surfaces of the room hide it, the target does not.
+
+    Returns
+    -------
+    irradiance : ndarray of shape (n, points^2)
+    """
+    nodes = setting.whole[points][:, : points**2]
+    light = np.zeros((len(places), points**2))
+    above = places[:, 2] > _TOUCH
+    blockers = setting.obstacles.static_blockers
+    for k, (x, y, weight) in enumerate(nodes.T):
+        source = np.array([x, y, 0.0])
+        way = source - places
+        squared = np.einsum("ni,ni->n", way, way)
+        facing = np.einsum("ni,ni->n", way, normals)
+        lit = np.flatnonzero(above & (facing > 0.0))
+        if len(blockers):
+            lit = lit[~blockers.blocked(np.tile(source, (len(lit), 1)), places[lit])]
+        light[lit, k] = weight * facing[lit] * places[lit, 2] / squared[lit] ** 2
+    return light
+
+
+def _from_wall(points: PicturePoints, rays: int) -> tuple[Floats, Floats, Floats]:
+    """Return places, normals, and points of the unit square for directions, of rays from the picture's points."""
+    owner = np.arange(len(points.places))
+    spread = shifted(rays, 2, owner).reshape(-1, 2)
+    return np.repeat(points.places, rays, axis=0), np.tile([0.0, 0.0, 1.0], (len(spread), 1)), spread
+
+
+def _refined(seen: Floats, points: PicturePoints, cells: Cells, setting: Setting) -> Floats:
+    """Return the share of each cell in what the picture's points see, (points, cells), by sums over parts of cells.
+
+    Rays, by which ``seen`` was found, meet distant cells too seldom, and everything that a target does to the room
+    reaches the picture by way of these shares. They remain for cells that are as large as their distance.
+    """
+    found = seen.astype(np.float64)
+    every = np.arange(cells.count)
+    middles, _ = cells.places(every, np.full((cells.count, 2), 0.5))
+    corners = [cells.places(every, np.tile(uv, (cells.count, 1)))[0] for uv in ((0.0, 0.0), (1.0, 1.0))]
+    extent = np.linalg.norm(corners[1] - corners[0], axis=1)
+    blockers = setting.obstacles.static_blockers
+    for k, place in enumerate(points.places):
+        ratio = extent / np.maximum(np.linalg.norm(middles - place, axis=1), 1e-300)
+        parts = np.ceil(ratio / _NEAR).astype(np.int64)
+        for count in np.unique(parts[ratio < _CLOSE]):
+            some = np.flatnonzero((parts == count) & (ratio < _CLOSE))
+            steps = (np.arange(count) + 0.5) / count
+            spread = np.stack([np.repeat(steps, count), np.tile(steps, count)], axis=1)
+            found[k, some] = _share(place, some, spread, cells, blockers)
+    return found
+
+
+def _share(place: Floats, some: Numbers, spread: Floats, cells: Cells, blockers: Surfaces) -> Floats:
+    """Return the share of some cells in what a wall point (3,) sees: a sum over points (k, 2) of the unit square."""
+    n, k = len(some), len(spread)
+    points, normals = cells.places(np.repeat(some, k), np.tile(spread, (n, 1)))
+    way = points - place
+    squared = np.einsum("ni,ni->n", way, way)
+    facing = -np.einsum("ni,ni->n", way, normals)
+    lit = np.flatnonzero((way[:, 2] > _TOUCH) & (facing > 0.0))
+    if len(blockers):
+        lit = lit[~blockers.blocked(np.tile(place, (len(lit), 1)), points[lit])]
+    share = np.zeros(n * k)
+    share[lit] = way[lit, 2] * facing[lit] / (np.pi * squared[lit] ** 2)
+    found: Floats = share.reshape(n, k).mean(axis=1) * cells.area[some]
+    return found
+
+
+def _reciprocal(rows: Floats, area: Floats) -> Floats:
+    """Return shares (n, n) of cells in what others see, made to exchange as much light in one direction as back.
+
+    Each exchange is known from both sides, the better the smaller the cell that it is seen from. What a cell sees in
+    all stays as it was.
+    """
+    exchange = area[:, None] * rows
+    weight = area[None, :] / (area[:, None] + area[None, :])
+    exchange = weight * exchange + (weight * exchange).T if len(area) else exchange
+    seen, found = rows.sum(axis=1), exchange.sum(axis=1)
+    share: Floats = exchange * np.divide(seen, found, out=np.zeros_like(seen), where=found > 0.0)[:, None]
+    return share
