@@ -528,7 +528,7 @@ class Product:
         roles.refuse_hidden(self.scene)
         chosen = {"poses": 1, "engine": engine, "resolution": list(SIZE), "rotation": list(TURN)}
         self.sweep, _ = settled(self.scene, described, chosen)
-        survey.survey(self.scene, resolution=self.sweep.resolution, ambient=True).check(engine)
+        survey.survey(self.scene, resolution=self.sweep.resolution).check(engine)
         self.described = read_scene(self.scene, self.sweep.resolution)
         sweep_worker.doubted(self.scene, self.sweep, force=False)
         self.records = sweep_worker.placed(self.scene, self.described, self.sweep)

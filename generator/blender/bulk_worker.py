@@ -31,6 +31,7 @@ from generator.jobs.protocol import PlanBulk, RenderBulk, answer, batches
 from generator.model import poses
 from generator.model.errors import NlosError
 from generator.model.poses import PoseRecord
+from generator.model.quantities import order_words
 from generator.sets import bulk_set, links
 from generator.sets.bulk_part import DrawOthers
 from generator.sets.bulk_set import Bulk
@@ -81,7 +82,7 @@ def plan(
     if chosen.get("unknown"):
         chosen = {"rotation": list(TURNS["mesh"]), **chosen}
     settings: Settings = from_dict(Settings, {"stream": "bulk", **with_defaults(described, chosen)}, "")
-    world, reasons = survey.world(scene, resolution=settings.resolution, ambient=True)
+    world, reasons = survey.world(scene, resolution=settings.resolution)
     if world is None:
         raise NlosError(
             f"{source}: a bulk set is made by the engine 'surfel', which cannot honour that "
@@ -129,9 +130,10 @@ def plan(
 def _refuse_gains(scene: bpy.types.Scene, source: Path, world: World, settings: Settings) -> None:
     """Raise NlosError if pictures are not proportional to what varies (`generator.transport.Gains`)."""
     names = [variation.name for variation in settings.sweep.variations]
-    if names and world.ambient is not None:
+    if names and world.is_followed_on:
+        light = "ambient light" if world.ambient is not None else order_words(world.order)
         raise NlosError(
-            f"{source}: a bulk set cannot honour that {names[0]} varies under ambient light; use nlos-generate sweep"
+            f"{source}: a bulk set cannot honour that {names[0]} varies under {light}; use nlos-generate sweep"
         )
     if "room.albedo" in names:
         for name, mesh in zip(survey.room_names(scene), world.room, strict=True):

@@ -18,6 +18,7 @@ from generator.blender.scene.description import read_scene
 from generator.model import poses
 from generator.model.engines import AUTO, ENGINES
 from generator.model.errors import NlosError
+from generator.model.quantities import order_words
 from generator.model.settings import Sweep
 
 
@@ -124,7 +125,7 @@ def _settings(scene: bpy.types.Scene) -> list[Finding]:
         text = f"Light makes {order} reflections at most: by way of the hidden object it takes three"
         results.append(Finding(ERROR, text, fix="reflections"))
     elif order > MAX_ORDER:
-        text = f"Light makes up to {order} reflections: more than three cost time and wash the signal out"
+        text = f"Light makes {order_words(order)}, as in a real room; three are the paper's model"
         results.append(Finding(NOTE, text, fix="reflections"))
     if others := roles.others(scene):
         listed = ", ".join(others[:3]) + (f" and {len(others) - 3} more" if len(others) > 3 else "")
@@ -145,8 +146,7 @@ def _engine(scene: bpy.types.Scene, engine: str) -> list[Finding]:
     chosen, _ = renderers.choose(scene, surveyed)
     if engine in (AUTO, chosen):
         return []
-    # `surfel` renders ambient light to a few per cent: accepted if the user asks for it, but never advised.
-    reasons = (survey.survey(scene, ambient=True) if engine == "surfel" else surveyed).reasons(engine)
+    reasons = surveyed.reasons(engine)
     if reasons:
         return [
             Finding(ERROR, f"The engine {engine!r} cannot honour that {why}; {chosen!r} can", _named(scene, why))

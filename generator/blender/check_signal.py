@@ -117,7 +117,7 @@ def probe(scene: bpy.types.Scene, sweep: Sweep) -> Probe:
     pictures = sweep.poses * voxels
     samples = min(_PROBE_SAMPLES, sweep.samples)
     exact = not sweep.noisy
-    other = exact or not survey.survey(scene, ambient=True).reasons("surfel")
+    other = exact or not survey.survey(scene).reasons("surfel")
     with renderers.opened(scene, sweep.engine, **renderers.settings(sweep)) as renderer:
         renderer.render(samples=samples, seed=0)  # warm-up: one-off work is not part of a picture's time
         if not exact:

@@ -89,7 +89,7 @@ def plan(
     roles.refuse_hidden(scene)
     sweep, reasons = settled(scene, described, chosen)
     # Refuse before any work what the engine cannot render, unless the sweep may be leaving out just that.
-    survey.survey(scene, resolution=sweep.resolution, ambient=True).check("path" if sweep.leave_out else sweep.engine)
+    survey.survey(scene, resolution=sweep.resolution).check("path" if sweep.leave_out else sweep.engine)
     described = read_scene(scene, sweep.resolution)
     if chosen.get("engine", AUTO) != AUTO:
         for name in Sweep.idle(sweep.engine):

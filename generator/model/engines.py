@@ -49,7 +49,8 @@ ENGINES = {
         ),
         Traits(
             "surfel", "Integral",
-            "the integral itself, plain diffuse scenes, no noise, far faster, ambient light to a few per cent",
+            "the integral itself, plain diffuse scenes, no noise, far faster; the sky's light, and that of more than "
+            "three reflections, to 1 % of the change",
             noisy=False, from_patch=True, settings=("accuracy",), largest_batch=32,
         ),
     )

@@ -34,6 +34,11 @@ NO_CHANGE = f"the object makes no change above the rounding of float32 ({100.0 *
 """What is known of an object whose picture is that of the empty scene."""
 
 
+def order_words(order: int) -> str:
+    """Return a reflection order as words: "up to 6 reflections", "all reflections"."""
+    return "all reflections" if order >= ALL_ORDERS else f"up to {order} reflections"
+
+
 def clock(seconds: float) -> str:
     """Return a remaining time in minutes and seconds, with hours if there are any: 1:05 or 2:00:07."""
     minutes, seconds = divmod(round(seconds), 60)

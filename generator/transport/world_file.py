@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import math
-from dataclasses import fields, is_dataclass
+from dataclasses import fields, is_dataclass, replace
 from pathlib import Path
 from typing import Any, get_args, get_origin, get_type_hints
 
@@ -94,7 +94,7 @@ def world_hash(world: World) -> str:
 
 def _named(world: World) -> Arrays:
     """Return every value of a world by its name in files."""
-    arrays = _flatten(world).items()
+    arrays = _flatten(world if world.is_followed_on else replace(world, wall=None)).items()
     return {f"{_OF_AMBIENT}{name}" if name.startswith("wall.") else name: array for name, array in arrays}
 
 

@@ -15,7 +15,7 @@ from generator.blender.scene.words import numbers
 from generator.model.arrays import Array
 
 MAX_ORDER = 3
-"""Largest number of reflections that `surfel` models."""
+"""Reflections of the paper's model: wall, hidden object, wall."""
 
 
 _NOT_MESH = {
@@ -48,7 +48,8 @@ def read_surfaces(scene: bpy.types.Scene) -> Reading:
         layers = _layer_reasons(scene)
         reading = Reading(reasons=list(layers), layers=layers)
         layer = scene.view_layers[depsgraph.view_layer.name]
-        _read_world(getattr(layer, "world_override", None) or depsgraph.scene.world, reading)
+        world = getattr(layer, "world_override", None) or depsgraph.scene.world
+        _read_world(world, roles.reflection_order(scene), reading)
         reader = _Reader(played, parts[0], layer, reading)
         for instance in depsgraph.object_instances:
             reader.read(instance)
@@ -182,9 +183,9 @@ def _read_lamp(instance: Any, role: str, matrix: Array, reading: Reading) -> Non
         reading.reasons.append(f"the lamp {obj.name!r} shines too")
 
 
-def _read_world(world: Any, reading: Reading) -> None:
+def _read_world(world: Any, order: int, reading: Reading) -> None:
     """Record the world's light and volume, and the reasons against an engine."""
-    reading.sky, reasons = _sky(world)
+    reading.sky, reasons = _sky(world, order)
     reading.reasons += reasons
     if world is None:
         return
@@ -258,7 +259,7 @@ def _layer_reasons(scene: bpy.types.Scene) -> list[str]:
     return reasons
 
 
-def _sky(world: Any) -> tuple[Array | None, list[str]]:
+def _sky(world: Any, order: int) -> tuple[Array | None, list[str]]:
     """Radiance (3,), W/m^2/sr, of a world with uniform light, else None, and the reasons against an engine."""
     if world is None:
         return None, []
@@ -269,7 +270,7 @@ def _sky(world: Any) -> tuple[Array | None, list[str]]:
         return None, reasons
     if not world.cycles_visibility.diffuse:
         reasons.append(f"the world {world.name!r} is not visible to diffuse rays")
-    if world.cycles.max_bounces < MAX_ORDER - 1:
+    if world.cycles.max_bounces < order - 1:
         reasons.append(f"the world {world.name!r} has a limit of bounces of its own ({world.cycles.max_bounces})")
     radiance = nodes.radiance(world)
     if radiance is None:

@@ -81,7 +81,7 @@ def opened(
         overrides.set(scene.render, "threads_mode", "FIXED" if threads else "AUTO")
         if threads:
             overrides.set(scene.render, "threads", threads)
-        surveyed = survey.survey(scene, resolution=resolution, ambient=True)
+        surveyed = survey.survey(scene, resolution=resolution)
         surveyed.check(engine)
         order = roles.reflection_order(scene)  # after a render has started, which applies animation
         if surveyed.world is not None and engine == "surfel":

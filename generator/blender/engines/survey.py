@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Any
 
 import bpy
@@ -19,6 +19,7 @@ from generator.blender.scene import geometry, nodes, posing, roles
 from generator.blender.scene.quiet import Overrides
 from generator.model.arrays import Array
 from generator.model.errors import NlosError
+from generator.transport.light.field import MOST_SURFACES
 from generator.transport.world import AmbientLight, LitPatch, Mesh, Sphere, World
 
 _SPHERE_FACES = 80
@@ -85,7 +86,7 @@ class Survey:
             )
 
 
-def survey(scene: bpy.types.Scene, *, resolution: tuple[int, int] | None = None, ambient: bool = False) -> Survey:
+def survey(scene: bpy.types.Scene, *, resolution: tuple[int, int] | None = None) -> Survey:
     """Read a scene as a render sees it, for all engines.
 
     Parameters
@@ -94,9 +95,6 @@ def survey(scene: bpy.types.Scene, *, resolution: tuple[int, int] | None = None,
         The target is moved in the process, and put back.
     resolution : (int, int), optional
         Width and height of the pictures; the scene's own if not given.
-    ambient : bool
-        Whether `surfel` may model uniform ambient light, to a few per cent only; if not, such light is a reason
-        against it.
 
     Raises
     ------
@@ -112,12 +110,7 @@ def survey(scene: bpy.types.Scene, *, resolution: tuple[int, int] | None = None,
         watched, view_reasons = read_watched(scene, reading, size)
     reasons = [*patch_reasons, *view_reasons, *reading.reasons]
     walls = [s for s in reading.surfaces if s.role == "relay_wall"]
-    sky = None
-    if reading.sky is not None and ambient:
-        sky = AmbientLight(reading.sky)
-    elif reading.sky is not None:
-        [name] = [light.name for light in reading.lights if light.kind == "WORLD"]
-        reasons.append(f"the world {name!r} gives ambient light")
+    sky = None if reading.sky is None else AmbientLight(reading.sky)
     if patch is not None and watched is not None and patch.normal @ watched.normal < 0:
         reasons.append(f"the camera {camera.name!r} and the spot {spot.name!r} stand on opposite sides of the wall")
     order = roles.reflection_order(scene)
@@ -133,6 +126,8 @@ def survey(scene: bpy.types.Scene, *, resolution: tuple[int, int] | None = None,
     smooth += [part for sphere, part in zip(spheres, parts, strict=True) if part.smooth and sphere is None]
     reasons += [f"{s.label} is shaded smooth, so that it reflects as if it were curved" for s in smooth]
     reasons += _coincident(reading, patch)
+    if order > 3 or sky is not None:
+        reasons += _too_many([*room, *([_mesh(walls)] if walls else [])])
     if hidden := roles.unseen(scene, target):
         reasons.append(f"the target {target.name!r} {hidden}")
     elif not bodies:
@@ -140,10 +135,8 @@ def survey(scene: bpy.types.Scene, *, resolution: tuple[int, int] | None = None,
     surfel_input = None
     if not (never or reasons) and patch is not None and watched is not None:
         surfel_input = World(
-            patch=patch, watched=watched, target=tuple(bodies), room=tuple(room), order=order, ambient=sky
+            *(patch, watched, tuple(bodies), tuple(room)), order=order, ambient=sky, wall=_mesh(walls)
         )
-        if surfel_input.is_followed_on:
-            surfel_input = replace(surfel_input, wall=_mesh(walls))
     return Survey(
         scene=bpy.data.filepath or "scene",
         never=list(dict.fromkeys(never)),
@@ -154,6 +147,14 @@ def survey(scene: bpy.types.Scene, *, resolution: tuple[int, int] | None = None,
         lights=reading.lights,
         kinds=frozenset().union(*reading.kinds.values()),
     )
+
+
+def _too_many(meshes: Sequence[Mesh]) -> list[str]:
+    """Why light of more than three reflections, or of the sky, cannot be followed from surface to surface."""
+    count = sum(len(mesh.triangles) for mesh in meshes)
+    if count <= MOST_SURFACES:
+        return []
+    return [f"the room has {count} triangles, over which neither a sky nor a fourth reflection is followed"]
 
 
 def _coincident(reading: Reading, patch: LitPatch | None) -> list[str]:
@@ -201,24 +202,22 @@ def lit_patch(scene: bpy.types.Scene) -> LitPatch:
 
 
 def surfel_world(scene: bpy.types.Scene, *, resolution: tuple[int, int] | None = None) -> World:
-    """Return the input of the engine `surfel` for a scene, including ambient light, if it can render the scene.
+    """Return the input of the engine `surfel` for a scene, if it can render the scene.
 
     Raises
     ------
     NlosError
         As `Survey.check` for the engine `surfel`.
     """
-    result = survey(scene, resolution=resolution, ambient=True)
+    result = survey(scene, resolution=resolution)
     result.check("surfel")
     assert result.world is not None
     return result.world
 
 
-def world(
-    scene: bpy.types.Scene, *, resolution: tuple[int, int] | None = None, ambient: bool = False
-) -> tuple[World | None, list[str]]:
+def world(scene: bpy.types.Scene, *, resolution: tuple[int, int] | None = None) -> tuple[World | None, list[str]]:
     """Return the input of the engine `surfel` for a scene, or None, and what it cannot honour; see `survey`."""
-    result = survey(scene, resolution=resolution, ambient=ambient)
+    result = survey(scene, resolution=resolution)
     return result.world, result.reasons("surfel")
 
 

@@ -17,6 +17,7 @@ from generator.measure.scene_plan import UNKNOWN
 from generator.model.arrays import Array
 from generator.model.deadline import Deadline, Late
 from generator.model.poses import PoseRecord
+from generator.model.quantities import ALL_ORDERS
 
 PIXELS = 8
 """Longer side of the rendered pictures, pixels. Radiance is a mean over a pixel, so only detail is lost, and for a
@@ -280,7 +281,7 @@ def _time_for_more(spent: float, done: int, deadline: Deadline) -> bool:
 
 def order_name(order: int) -> str:
     """Return the name of the light of a reflection order beyond the scene's own."""
-    return f"reflections up to the {order}th"
+    return "all reflections" if order >= ALL_ORDERS else f"reflections up to the {order}th"
 
 
 def _decided(found: tuple[float, float, float], order: int, tolerance: float) -> bool:

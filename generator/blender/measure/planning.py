@@ -22,12 +22,13 @@ from generator.measure import effects
 from generator.measure.intervals import relative
 from generator.measure.scene_plan import MOST, POSES, UNKNOWN, Effect, Plan
 from generator.model import poses
+from generator.model.arrays import Array
 from generator.model.deadline import Deadline, Late
 from generator.model.errors import NlosError
 from generator.model.poses import PoseRecord
-from generator.model.quantities import clock
+from generator.model.quantities import ALL_ORDERS, clock
 from generator.model.settings import Sweep
-from generator.transport import Transport, World, caching, left_out
+from generator.transport import Rendered, Transport, World, caching, left_out
 
 _REFERENCE = 1 / 10
 """Accuracy of the engine that effects are measured with, in units of the tolerance."""
@@ -105,9 +106,8 @@ def make(
     others = [piece for piece in pieces if piece not in fine]
     records = sorted((p for p in all_records if p.index < count), key=lambda p: (p.index, p.voxel))
     _compile(source, records[0], deadline, tell)
-    sky = ambient(source, records, deadline.part(SHARE)) if simplify.AMBIENT in others else None
-    if sky is not None:
-        others.remove(simplify.AMBIENT)
+    exactly = {effect.name: effect for effect in followed(source, records, deadline.part(SHARE))}
+    others = [piece for piece in others if piece not in exactly]
     measured = [Effect(name, UNKNOWN) for name in others]
     dropped: list[str] = []
     words: list[str] = []
@@ -123,11 +123,11 @@ def make(
         shares = paired.measure(probe, others, tolerance=tolerance, deadline=part, progress=tell)
         measured = [Effect(name, shares[name]) for name in others]
         dropped, spent = _droppable(probe, measured, tolerance)
-    if sky is not None:
-        measured.append(sky)
-        joined = _joined(spent, sky)
-        if joined.share[2] <= tolerance:
-            dropped, spent = [*dropped, sky.name], joined
+    for effect in sorted(exactly.values(), key=lambda effect: effect.share[2]):
+        measured.append(effect)
+        joined = _joined(spent, effect)
+        if not effect.note and joined.share[2] <= tolerance:
+            dropped, spent = [*dropped, effect.name], joined
     if dropped and not {effect.name for effect in measured if not effect.note} - set(dropped):
         _, reasons = _simplified(source, dropped)
     if reasons:
@@ -149,7 +149,8 @@ def make(
     if predict:
         plan = _predicted(source, plan, described.grid.n_voxels, described.resolution, workers, deadline, tell)
     if by_cycles and engine != "path":
-        further = _further(probe, [k for k in _ORDERS if k > order >= MAX_ORDER], tolerance, deadline, tell)
+        orders = [k for k in _ORDERS if k > order >= MAX_ORDER and paired.order_name(k) not in exactly]
+        further = _further(probe, orders, tolerance, deadline, tell)
         plan = replace(plan, effects=sorted([*plan.effects, *further], key=Effect.rank))
         unknown = [effect.name for effect in plan.effects if math.isnan(effect.share[0])]
         plan = replace(plan, unmeasured=[*plan.unmeasured, *unknown])
@@ -183,7 +184,7 @@ def _compile(source: Path, pose: PoseRecord, deadline: Deadline, tell: Callable[
     """Compile `surfel`, if that is still to be done; the time does not count."""
     if not (words := caching.compiling_words("auto")):
         return
-    world, _ = survey.world(blend_file.open_file(source), ambient=True)
+    world, _ = survey.world(blend_file.open_file(source))
     if world is None:  # compiled later, if the engine is used after all
         return
     tell(words)
@@ -193,10 +194,11 @@ def _compile(source: Path, pose: PoseRecord, deadline: Deadline, tell: Callable[
     tell(f"compiled in {clock(deadline.clock() - begun)}, which no time limit counts")
 
 
-def ambient(source: Path, some: Sequence[PoseRecord], deadline: Deadline | None = None) -> Effect | None:
-    """Return the contribution of uniform ambient light by `surfel`; None if it cannot model the rest of the scene.
+def followed(source: Path, some: Sequence[PoseRecord], deadline: Deadline | None = None) -> list[Effect]:
+    """Return the contributions of the sky, and of light after the third reflection, by `surfel`.
 
-    Cycles' noise from a sky that any ray may hit would hide it; an error of a few per cent of it changes no decision.
+    Cycles' noise from paths that any ray may end would hide them. Light of more reflections than the scene's own is
+    among them, as what is not in the scene.
 
     Parameters
     ----------
@@ -205,26 +207,49 @@ def ambient(source: Path, some: Sequence[PoseRecord], deadline: Deadline | None 
     some : sequence of PoseRecord
         Poses of the object: round by round, in each one pose of every voxel.
     deadline : Deadline, optional
-        Only rounds that end in time are used; without one, the contribution is `UNKNOWN`.
+        Only rounds that end in time are used; without one in time, contributions are `UNKNOWN`.
+
+    Returns
+    -------
+    list of Effect
+        Empty if `surfel` cannot model the rest of the scene.
     """
-    world, _ = survey.world(blend_file.open_file(source), ambient=True)
-    if world is None or world.ambient is None:
-        return None
-    engine = Transport(world.seen_by(*_SMALL), accuracy=_SKY)
+    world, _ = survey.world(blend_file.open_file(source))
+    if world is None:
+        return []
+    more = [order for order in (*_ORDERS, ALL_ORDERS) if order > world.order >= MAX_ORDER]
+    engines = [Transport(world.seen_by(*_SMALL), accuracy=_SKY)]
+    engines += [Transport(replace(world, order=order).seen_by(*_SMALL), accuracy=_SKY) for order in more]
     renders, deadline = [], deadline or Deadline()
     for pose in some:
         if not deadline.left:
             break
-        renders.append(engine.render(pose.position, pose.rotation))
+        renders.append([engine.render(pose.position, pose.rotation) for engine in engines])
     every = 1 + max(pose.index for pose in some)
     rounds = len(renders) * every // len(some)
-    if not rounds:
-        return Effect(simplify.AMBIENT, UNKNOWN)
     renders = renders[: rounds * len(some) // every]
-    sky = np.array([render.ambient.mean(axis=2) for render in renders])
-    lamp = np.array([(render.added - render.hidden).mean(axis=2) for render in renders])
-    error, signal = ((x**2).mean(axis=(1, 2)).reshape(rounds, -1) for x in (sky, lamp + sky))
-    return Effect(simplify.AMBIENT, relative(error, signal))
+
+    changes = [_change(row[0]) for row in renders]
+
+    def share(parts: list[Array]) -> tuple[float, float, float]:
+        if not rounds:
+            return UNKNOWN
+        squares = (np.array([(p.mean(axis=2) ** 2).mean() for p in some]) for some in (parts, changes))
+        return relative(*(square.reshape(rounds, -1) for square in squares))
+
+    found = []
+    if world.order > MAX_ORDER:
+        found.append(Effect(simplify.BEYOND, share([row[0].further for row in renders])))
+    if world.ambient is not None:
+        found.append(Effect(simplify.AMBIENT, share([row[0].ambient for row in renders])))
+    for k, order in enumerate(more, start=1):
+        beyond = [_change(row[k]) - change for row, change in zip(renders, changes, strict=True)]
+        found.append(Effect(paired.order_name(order), share(beyond), note="not in the scene"))
+    return found
+
+
+def _change(render: Rendered) -> Array:
+    return render.added - render.hidden + render.further + render.ambient
 
 
 def _exact(

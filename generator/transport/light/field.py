@@ -43,7 +43,8 @@ _POINTS = 12
 _PATCH = 8
 """Points along a diameter of the lit patch, as seen from the room's cells; and those within a cell, along a side."""
 _WITHIN = 4
-_MOST_SURFACES = 2000
+MOST_SURFACES = 2000
+"""Most surfaces of room and wall that light is followed over."""
 _CHUNK = 1 << 18
 _NEAR, _CLOSE = 0.15, 2.0
 """Size of a part of a cell, in units of its distance, that a sum over a cell's parts allows; and of a whole cell,
@@ -112,10 +113,10 @@ class LightField:
 
     def __init__(self, setting: Setting, order: int) -> None:
         self.order = order
-        if len(setting.around) > _MOST_SURFACES:
+        if len(setting.around) > MOST_SURFACES:
             raise NlosError(
                 f"light of more than three reflections, or of the sky: {len(setting.around)} surfaces are more than "
-                f"{_MOST_SURFACES}; use --engine patch"
+                f"{MOST_SURFACES}; use --engine patch"
             )
         groups = setting.tint.shape[1]
         cells = self.cells = Cells(setting.around, _CELL, np.zeros(3), 1.0, np.zeros((0, groups)))

@@ -154,8 +154,10 @@ def test_both_engines_see_the_same():
     scene = blend_file.new_file()
     build.build(scene, preset("tabletop"))
     exact = experiment.run(scene, 2, "sheet", pixels=12)
-    scene.world.node_tree.nodes["Background"].inputs["Color"].default_value = (1e-9, 1e-9, 1e-9, 1.0)
-    scene.world.node_tree.nodes["Background"].inputs["Strength"].default_value = 1.0
+    sky = scene.world.node_tree.nodes["Background"]
+    sky.inputs["Strength"].default_value = 1e-9
+    checks = scene.world.node_tree.nodes.new("ShaderNodeTexChecker")  # not uniform, so that only Cycles can follow it
+    scene.world.node_tree.links.new(checks.outputs["Color"], sky.inputs["Color"])
     sampled = experiment.run(scene, 2, "sheet", pixels=12, samples=256, repeats=5)
     assert (exact.engine, sampled.engine) == ("surfel", "patch")
     for (truth, _), (value, half) in zip(exact.changes(), sampled.changes(), strict=True):
