@@ -78,8 +78,8 @@ class Setting:
         Surfaces of the target that rays can meet, in its own frame.
     convex : bool
         Whether the target is one convex body or one flat sheet, so that no part of it hides another.
-    one_sided : bool
-        Whether nobody sees the back of any of the target's surfaces.
+    outward : ndarray of shape (surfaces,), bool, or None
+        Whether the normal of each flat surface of the target leads out of a solid; None if not all are parts of one.
     room, around : Surfaces
         Surfaces of the room: without the relay wall, and with it if light is followed on (`World.is_followed_on`).
     sky : ndarray of shape (3,) or None
@@ -146,8 +146,15 @@ class Setting:
         meshes = _joined([Mesh(b.triangles / frame.unit, b.albedo) for b in world.target if isinstance(b, Mesh)])
         spheres = [np.append(b.centre, b.radius) / frame.unit for b in world.target if isinstance(b, Sphere)]
         self.target = Surfaces(meshes.triangles, meshes.albedo[:, channels], np.reshape(spheres, (-1, 4)))
-        self.one_sided = bool(self.flat[:, elements.SIDED].all())
-        self.convex = len(world.target) == 1 and (self.one_sided or len(self.flat) == 1)
+        one_sided = bool(self.flat[:, elements.SIDED].all())
+        self.convex = len(world.target) == 1 and (one_sided or len(self.flat) == 1)
+        self.outward = None
+        if one_sided and len(self.flat) == len(self.target.origin):  # the same surfaces: cells are turned outwards
+            first, second = (
+                self.flat[:, elements.FIRST : elements.SECOND],
+                self.flat[:, elements.SECOND : elements.LOW],
+            )
+            self.outward = (np.cross(first, second) * self.target.normal).sum(axis=1) > 0.0
         eye = watched.eye
         self.obstacles = Obstacles(
             self.room,

@@ -179,10 +179,6 @@ class Transport:
         NlosError
             The target reaches through the relay wall, lies in it, or stands in the lamp's cone or the camera's view.
         """
-        if derivatives and self._change is not None:
-            raise NlosError(
-                "derivatives: are known only of the lamp's first three reflections, without ambient light"
-            )
         added, hidden, reports = self._render(np.array([position], float), np.array([rotation], float), derivatives)
         light = self._colour(added[0, :, 0])
         shade = self._colour(hidden[0, :, 0])
@@ -190,8 +186,14 @@ class Transport:
         if derivatives:
             # Positions are in the unit of the wall's frame; positions and rotations are along its axes.
             moves = np.stack([self._colour(added[0, :, 1 + k] - hidden[0, :, 1 + k]) for k in range(6)])
+            strength = light
+            if self._change is not None:
+                known = (added[0, :, 0] - hidden[0, :, 0]) / math.pi
+                for name, more in self._change.slopes(*self._placed(position, rotation), known).items():
+                    moves = moves + np.stack([self._of_source(name, more[k]) for k in range(6)])
+                    strength = strength + self._of_source(name, more[6])
             turned = np.tensordot(self._setting.frame.axes.T, moves.reshape(2, 3, *light.shape), axes=(1, 1))
-            slopes = np.concatenate([turned[:, 0] / self._setting.frame.unit, turned[:, 1], light[None]])
+            slopes = np.concatenate([turned[:, 0] / self._setting.frame.unit, turned[:, 1], strength[None]])
         changed = self._changed(position, rotation, added[0, :, 0] - hidden[0, :, 0])
         further, ambient = (changed.get(name, np.zeros_like(light)) for name in ("lamp", "sky"))
         pixels = self.background() + light - shade + further + ambient
@@ -341,13 +343,15 @@ class Transport:
 
         ``exact`` (groups, height, width) is what is known of the lamp's.
         """
-        setting = self._setting
         if self._change is None:
             return {}
-        turn = setting.frame.axes @ rotation_matrix(rotation)
-        place = setting.frame.points(np.asarray(position, float))
-        pictures = self._change.pictures(turn, place, exact / math.pi, shadows=shadows)
+        pictures = self._change.pictures(*self._placed(position, rotation), exact / math.pi, shadows=shadows)
         return {name: self._of_source(name, groups) for name, groups in pictures.items()}
+
+    def _placed(self, position: Any, rotation: Any) -> tuple[Floats, Floats]:
+        """Return a pose as rotation (3, 3) and place (3,) in the wall's frame."""
+        frame = self._setting.frame
+        return frame.axes @ rotation_matrix(rotation), frame.points(np.asarray(position, float))
 
     def _render(
         self, positions: Floats, rotations: Floats, moving: bool, shadows: bool = True

@@ -226,22 +226,22 @@ class Cells:
         points[~flat], normals[~flat] = balls[:, :3] + balls[:, 3:] * outward, outward
         return points, normals
 
-    def scattered(self, spread: Floats, one_sided: bool) -> tuple[Numbers, Floats, Floats]:
+    def scattered(self, spread: Floats, outward: NDArray[np.bool_] | None) -> tuple[Numbers, Floats, Floats]:
         """Return places all over the surfaces, by area.
 
         Parameters
         ----------
         spread : ndarray of shape (n, 2)
             Points of the unit square. They are mapped to whole surfaces, not cell by cell: their evenness is kept.
-        one_sided : bool
-            Whether to leave out the back of flat surfaces.
+        outward : ndarray of shape (flat surfaces,), bool, or None
+            Which flat surfaces' normals lead outwards, to leave out their other sides; None takes both.
 
         Returns
         -------
         cells : ndarray of shape (n,), int
         places, normals : ndarray of shape (n, 3)
         """
-        surfaces, sides = self._surfaces, 1 if one_sided else 2
+        surfaces, sides = self._surfaces, 2 if outward is None else 1
         flat = sides * len(surfaces.origin)
         ends = np.cumsum(np.concatenate([np.tile(surfaces.area, sides), 4.0 * math.pi * surfaces.spheres[:, 3] ** 2]))
         ends /= ends[-1]
@@ -251,6 +251,8 @@ class Cells:
         cells, places, normals = np.empty(len(which), dtype=np.int64), *np.empty((2, len(which), 3))
         some = which < flat
         back, surface = np.divmod(which[some], max(1, len(surfaces.origin)))
+        if outward is not None:
+            back = 1 - outward[surface].astype(np.int64)
         i = _on_axis_arrays(u[some], surface, self.grid.along)[0]
         j = _on_axis_arrays(v[some], surface, self.grid.across)[0]
         cells[some] = self.grid.start[surface] + self._half * back + i * self.grid.across.cells[surface] + j

@@ -56,6 +56,10 @@ _ROUGH = 0.1
 """Misfit of the polynomials, in units of what they describe, that is left as noise of the lines."""
 _LEFT = 1e-4
 """Share of the change at which further reflections are left out."""
+_STEP = 0.25
+"""Step of central differences, radians, and in units of the target's radius."""
+_MOST_PARTS, _PARTS = 512, 4
+"""Largest number of cells that are parts of their own, and of parts of a fine mesh along each axis."""
 SETS = 4
 """Number of sets of lines. Each is a net of Sobol's sequence, as all of them are."""
 
@@ -95,7 +99,8 @@ class _Samples(NamedTuple):
     places: Floats
     normals: Floats
     ways: Floats
-    own: Hits
+    own: Numbers
+    own_far: Floats
     received: Floats
 
 
@@ -106,6 +111,13 @@ class _Pose(NamedTuple):
     place: Floats
     centre: Floats
     radius: float
+
+
+class _Choice(NamedTuple):
+    """How many lines a picture took, and points along a side of it; 0 if that is to be found."""
+
+    lines: int
+    side: int
 
 
 class _Eye(NamedTuple):
@@ -157,6 +169,11 @@ class LightChange:
         self._radius = float(max(corner_reach, ball_reach.max(initial=0.0)))
         tint = setting.tint[len(setting.tint) - balls :]
         self._body = Cells(target, _BODY_CELL, self._centre, self._radius, tint)
+        self._part, self._area, self._tint = self._parts()
+        self._count = len(self._area)
+        # The back of a solid is part of no sum.
+        sided = target.area.sum() * (2.0 if setting.outward is None else 1.0)
+        self._sampled_area = float(sided + 4.0 * math.pi * (target.spheres[:, 3] ** 2).sum())
         self._samples: dict[int, _Samples] = {}
         self._eyes: dict[int, tuple[PicturePoints, _Eye]] = {}
 
@@ -178,58 +195,126 @@ class LightChange:
         -------
         pictures : dict of str to ndarray of shape (groups, height, width)
         """
-        pose = _Pose(turn, place, place + turn @ self._centre, self._radius)
+        pose = self._pose(turn, place)
+        return {name: found for name, (found, _) in self._settled(pose, exact, shadows).items()}
+
+    def slopes(self, turn: Floats, place: Floats, exact: Floats | None = None) -> dict[str, Floats]:
+        """Return the derivatives of `pictures`, by central differences with the same lines on both sides.
+
+        Returns
+        -------
+        slopes : dict of str to ndarray of shape (7, groups, height, width)
+            With respect to the target's place (3), its rotation about the frame's axes (3, per radian), and its
+            strength (a factor on all its albedo).
+        """
+        step = _STEP * self._radius
+        found = {}
+        for name, (_, choice) in self._settled(self._pose(turn, place), exact, True).items():
+            # A difference of two pictures keeps the noise of both.
+            choice = choice._replace(lines=min(2 * choice.lines, _MOST_LINES))
+
+            def at(turn: Floats, place: Floats, gain: float, name: str = name, choice: _Choice = choice) -> Floats:
+                pose = self._pose(turn, place)
+                lines = self._through(self._sampled(choice.lines), pose)
+                drawn, _, _ = self._several(name, lines, pose, exact, True, choice, gain)
+                return drawn.mean(axis=0)
+
+            moved = [[at(turn, place + sign * step * axis, 1.0) for sign in (1.0, -1.0)] for axis in np.eye(3)]
+            turned = [
+                [at(_turned(axis, sign * _STEP) @ turn, place, 1.0) for sign in (1.0, -1.0)] for axis in np.eye(3)
+            ]
+            gained = [at(turn, place, 1.0 + sign * _STEP) for sign in (1.0, -1.0)]
+            pairs = [*((pair, step) for pair in moved), *((pair, _STEP) for pair in (*turned, gained))]
+            found[name] = np.stack([(after - before) / (2.0 * width) for (after, before), width in pairs])
+        return found
+
+    def _pose(self, turn: Floats, place: Floats) -> _Pose:
+        return _Pose(turn, place, place + turn @ self._centre, self._radius)
+
+    def _settled(self, pose: _Pose, exact: Floats | None, shadows: bool) -> dict[str, tuple[Floats, _Choice]]:
+        """Return the pictures (groups, height, width), and how many lines and points they needed."""
         known = {name: exact if name == "lamp" else None for name in self._field.sources}
-        found: dict[str, Floats] = {}
+        found: dict[str, tuple[Floats, _Choice]] = {}
         count = _LINES
         while known:
-            samples = self._sampled(count)
-            lines = self._through(samples, pose)
+            lines = self._through(self._sampled(count), pose)
             for name in list(known):
-                several, level = self._several(name, lines, samples, pose, known[name], shadows)
+                several, level, side = self._several(name, lines, pose, known[name], shadows, _Choice(count, 0))
                 error = float(np.sqrt(several.var(axis=0, ddof=1).mean() / SETS))
                 if error <= self._accuracy * level or 2 * count > _MOST_LINES:
-                    found[name] = several.mean(axis=0)
+                    found[name] = several.mean(axis=0), _Choice(count, side)
                     del known[name]
             count *= 2
         return {name: found[name] for name in self._field.sources}
 
     def _several(
-        self, name: str, lines: _Lines, samples: _Samples, pose: _Pose, exact: Floats | None, shadows: bool
-    ) -> tuple[Floats, float]:
-        """Return the change of a source's light by each set of lines, (sets, groups, height, width), and the root
-        mean square of the whole change."""
-        source = self._field.sources[name]
+        self,
+        name: str,
+        lines: _Lines,
+        pose: _Pose,
+        exact: Floats | None,
+        shadows: bool,
+        choice: _Choice,
+        gain: float = 1.0,
+    ) -> tuple[Floats, float, int]:
+        """Return the change of a source's light by each set of lines, (sets, groups, height, width), the root mean
+        square of the whole change, and the number of points along a side of the picture.
+
+        ``gain`` is a factor on the target's albedo.
+        """
+        source, samples = self._field.sources[name], self._sampled(choice.lines)
         shade = self._shade(samples, pose) if name == "lamp" else None
-        sums = self._followed(source, lines, samples, self._body.tint, shade)
-        pictures = self._drawn(sums, pose, exact)
+        sums = self._followed(source, lines, samples, gain * self._tint, shade)
+        pictures, side = self._drawn(sums, pose, exact, choice.side)
         if not shadows:  # less what a black target changes
-            dark = self._followed(source, lines, samples, np.zeros_like(self._body.tint), shade)
-            pictures = pictures - self._drawn(dark, pose, exact)
-        return pictures, _level(pictures, exact)
+            dark = self._followed(source, lines, samples, np.zeros_like(self._tint), shade)
+            pictures = pictures - self._drawn(dark, pose, exact, side)[0]
+        return pictures, _level(pictures, exact), side
+
+    def _parts(self) -> tuple[Numbers, Floats, Floats]:
+        """Return the part of the target that each of its cells is in, (cells + 1,), and the parts' areas and albedos.
+
+        A target of few cells has a part for each. Of a fine mesh, cells of one albedo that are near each other and
+        face the same way are one part.
+        """
+        body = self._body
+        if body.count <= _MOST_PARTS:
+            return np.arange(body.count + 1), body.area, body.tint
+        places, normals = body.places(np.arange(body.count), np.full((body.count, 2), 0.5))
+        where = np.clip(((places - self._centre) / self._radius + 1.0) * (_PARTS / 2.0), 0, _PARTS - 1).astype(
+            np.int64
+        )
+        keys = np.concatenate([where.astype(np.int64), np.rint(1.2 * normals).astype(np.int64), body.tint], axis=1)
+        _, part = np.unique(keys, axis=0, return_inverse=True)
+        part = part.reshape(-1)
+        area = np.bincount(part, body.area)
+        tint = summed(part, body.tint * body.area[:, None], len(area)) / area[:, None]
+        return np.append(part, len(area)), area, tint
 
     def _sampled(self, count: int) -> _Samples:
         if count not in self._samples:
             body, size = self._body, count // SETS
             points = sobol(count, 4)
-            owner, places, normals = body.scattered(points[:, :2], self._setting.one_sided)
-            ways = hemisphere(normals, points[:, 2:])
-            number = np.stack([np.bincount(part, minlength=body.count) for part in owner.reshape(SETS, -1)], axis=1)
-            received = body.area[:, None] * _fair(number)
+            cell, places, normals = body.scattered(points[:, :2], self._setting.outward)
+            owner, ways = self._part[cell], hemisphere(normals, points[:, 2:])
+            number = np.stack([np.bincount(part, minlength=self._count) for part in owner.reshape(SETS, -1)], axis=1)
+            received = self._seen_area(owner)[:, None] * _fair(number)
             flux = (received / np.maximum(number, 1))[owner, np.arange(count) // size]
-            own = body.meet(places, ways)
-            self._samples[count] = _Samples(owner, flux, places, normals, ways, own, received)
+            met = body.meet(places, ways)
+            self._samples[count] = _Samples(
+                *(owner, flux, places, normals, ways, self._part[met.cell], met.far, received)
+            )
         return self._samples[count]
 
     def _through(self, samples: _Samples, pose: _Pose) -> _Lines:
         places, ways = samples.places @ pose.turn.T + pose.place, samples.ways @ pose.turn.T
         front, behind = self._field.cells.meet(places, ways), self._field.cells.meet(places, -ways)
-        own = np.where(samples.own.far < front.far, samples.own.cell, self._body.count)
+        own = np.where(samples.own_far < front.far, samples.own, self._count)
         return _Lines(samples.owner, samples.flux, own, front, behind)
 
     def _shade(self, samples: _Samples, pose: _Pose) -> tuple[Floats, Floats]:
         """Return the lamp's irradiance of the target's cells (cells, sets), and of the room's, what it takes."""
-        setting, body, cells = self._setting, self._body, self._field.cells
+        setting, cells = self._setting, self._field.cells
         size, first = len(samples.owner) // SETS, min(len(samples.owner), _LIT) // SETS
         # The beginning of each set is spread evenly, too.
         some = (size * np.arange(SETS)[:, None] + np.arange(first)).reshape(-1)
@@ -244,11 +329,11 @@ class LightChange:
             hidden = setting.target.blocked(start, end)
             light[row[hidden], node[hidden]] = 0.0
             row, node = row[~hidden], node[~hidden]
-        number, arriving = np.zeros((2, body.count, SETS))
+        number, arriving = np.zeros((2, self._count, SETS))
         np.add.at(number, (owner, part), 1.0)
         np.add.at(arriving, (owner, part), light.sum(axis=1))
         arriving = _completed(arriving / np.maximum(number, 1.0), number == 0.0, 1)
-        area = (body.area[:, None] * _fair(number) / np.maximum(number, 1.0))[owner, part]
+        area = (self._seen_area(owner)[:, None] * _fair(number) / np.maximum(number, 1.0))[owner, part]
         way = places[row] - nodes[node]
         way /= np.linalg.norm(way, axis=1, keepdims=True)
         met = cells.meet(places[row], way).cell
@@ -279,7 +364,7 @@ class LightChange:
         received = np.repeat(samples.received, groups, axis=1)
         missing = received == 0.0
         empty = np.tile(source.levels[0], SETS)
-        change, body = np.zeros_like(empty), np.zeros((self._body.count, SETS * groups))
+        change, body = np.zeros_like(empty), np.zeros((self._count, SETS * groups))
         coefficients = np.zeros((len(field.points.fit), SETS * groups))
         if shade is not None:
             arriving, taken = (np.repeat(part, groups, axis=1) for part in shade)
@@ -316,21 +401,30 @@ class LightChange:
             body = tint * np.roll(_completed(arriving, missing, groups), groups, axis=1)
         return _Sums(room_sum, body_sum, coefficients)
 
-    def _drawn(self, sums: _Sums, pose: _Pose, exact: Floats | None) -> Floats:
-        """Return the pictures (sets, groups, height, width) of sums, with the target seen directly."""
+    def _drawn(self, sums: _Sums, pose: _Pose, exact: Floats | None, side: int) -> tuple[Floats, int]:
+        """Return the pictures (sets, groups, height, width) of sums, with the target seen directly from as many
+        points along a side of the picture as given, or, for 0, as needed; and that number."""
         room = drawn(sums.coefficients, self._resolution)
         level = _level(room.reshape(SETS, -1, *room.shape[1:]), exact)
-        side = math.isqrt(len(self._field.points.places))
+        fixed = side > 0
+        side = side or math.isqrt(len(self._field.points.places))
+        sums = sums._replace(body=np.append(sums.body, np.zeros((1, sums.body.shape[1])), axis=0)[self._part])
         while True:
             points, eye = self._eye(side)
             light = self._looked(eye, pose, sums)
             fit = points.fit @ light
             missed, shown = points.misfit(light, fit)
-            if missed <= max(_ROUGH * shown, self._accuracy * level) or 2 * side > _MOST_POINTS:
+            if fixed or missed <= max(_ROUGH * shown, self._accuracy * level) or 2 * side > _MOST_POINTS:
                 break
             side *= 2
         pictures: Floats = room + drawn(fit, self._resolution)
-        return pictures.reshape(SETS, -1, *room.shape[1:])
+        return pictures.reshape(SETS, -1, *room.shape[1:]), side
+
+    def _seen_area(self, owner: Numbers) -> Floats:
+        """Return the area of each part, made larger where lines (n,) lead to others only: none of it is lost."""
+        there = np.bincount(owner, minlength=self._count) > 0
+        area: Floats = np.where(there, self._area * (self._sampled_area / self._area[there].sum()), 0.0)
+        return area
 
     def _eye(self, side: int) -> tuple[PicturePoints, _Eye]:
         if side not in self._eyes:
@@ -347,6 +441,13 @@ class LightChange:
             _look(eye, pose, body.grid, cells.grid, sums, light)
             return light
         return _look_arrays(eye, pose, body, cells, sums)
+
+
+def _turned(axis: Floats, angle: float) -> Floats:
+    """Return the rotation matrix about one of the frame's axes (3,), a unit vector, by an angle."""
+    cross = np.cross(np.eye(3), axis)
+    turn: Floats = np.eye(3) + math.sin(angle) * cross + (1.0 - math.cos(angle)) * cross @ cross
+    return turn
 
 
 def _level(pictures: Floats, exact: Floats | None) -> float:

@@ -153,8 +153,24 @@ def test_pictures_differences_and_backgrounds_agree():
     other = Transport(replace(world, target=(ball(0.1),)), accuracy=1e-2, like=engine)
     fresh = Transport(replace(world, target=(ball(0.1),)), accuracy=1e-2)
     np.testing.assert_array_equal(*(e.pictures([PLACE], [(0.0, 0.0, 0.0)]) for e in (other, fresh)))
-    with pytest.raises(NlosError, match="derivatives: are known only of the lamp"):
-        engine.render(PLACE, (0.0, 0.0, 0.0), derivatives=True)
+
+
+def test_derivatives_of_the_sky_that_a_sphere_hides_are_those_of_its_form_factor():
+    """Howell's B-43 again, for a sphere that moves along the wall."""
+    radius, step = 0.1, 1e-3
+    world = under_sky(ball(radius), order=1)
+    points, weights = worlds.picture_points(world.watched, 3)
+
+    def hidden(place):
+        away = place - points
+        far = np.linalg.norm(away, axis=-1)
+        return -worlds.WALL * (((radius / far) ** 2 * away[..., 1] / far) @ weights)
+
+    slopes = Transport(world, accuracy=1e-2).render(PLACE, (0.0, 0.0, 0.0), derivatives=True).derivatives[..., 0]
+    for axis in range(3):
+        moves = [np.array(PLACE) + sign * step * np.eye(3)[axis] for sign in (1.0, -1.0)]
+        expected = (hidden(moves[0]) - hidden(moves[1])) / (2.0 * step)
+        assert worlds.error(slopes[axis], expected) < 0.03
 
 
 @pytest.mark.parametrize("factor", [1e-3, 1e3])

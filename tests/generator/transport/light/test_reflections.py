@@ -1,0 +1,240 @@
+"""Light of many reflections: against paths followed at random, closed forms, and conservation of light."""
+
+from dataclasses import replace
+
+import brute_force
+import numpy as np
+import pytest
+import worlds
+
+from generator.model.quantities import ALL_ORDERS
+from generator.transport import AmbientLight, Mesh, Sphere, Transport
+from generator.transport.light import cells, change, spread
+from generator.transport.light.field import LightField
+from generator.transport.prepared import Setting
+
+HIGH, WIDE, DEEP = 1.4, 1.6, 2.0
+
+
+def room(*, albedo=0.8, order=6, ceiling=True, sky=0.0, screen=True, target=None):
+    """A box behind the wall, with a screen between camera and target, or open above."""
+    x, z = (-WIDE, 2.0 * WIDE), (-HIGH, 2.0 * HIGH)
+    across, up, back = (x[1], 0.0, 0.0), (0.0, 0.0, z[1]), (0.0, DEEP, 0.0)
+    sides = [
+        worlds.quad((x[0], 0.0, z[0]), across, back, albedo),
+        worlds.quad((x[0], DEEP, z[0]), across, up, albedo),
+        worlds.quad((x[0], 0.0, z[0]), back, up, albedo),
+        worlds.quad((x[0] + x[1], 0.0, z[0]), back, up, albedo),
+    ]
+    if ceiling:
+        sides.append(worlds.quad((x[0], 0.0, z[0] + z[1]), across, back, albedo))
+    if screen:
+        sides.append(worlds.quad((0.1, 0.8, z[0]), (0.0, DEEP - 0.8, 0.0), up, 0.1))
+    made = worlds.world(target or worlds.sheet(0.6, 0.9), room=tuple(sides))
+    wall = worlds.quad((x[0], 0.0, z[0]), across, up, albedo)
+    watched = replace(made.watched, albedo=np.full(3, albedo))
+    patch = replace(made.patch, albedo=np.full(3, albedo))
+    ambient = AmbientLight(np.full(3, sky)) if sky else None
+    return replace(made, watched=watched, patch=patch, order=order, wall=wall, ambient=ambient)
+
+
+def both(world, position, rotation):
+    """The engine's mean change after more than three reflections, by the sky, and of the first three of the lamp."""
+    engine = Transport(world, accuracy=1e-2)
+    rendered = engine.render(position, rotation)
+    setting = engine._setting
+    lamp = np.pi * setting.factor[0]
+    sky = 0.0 if setting.sky is None else rendered.ambient[..., 0].mean() / setting.sky[0]
+    exact = (rendered.added - rendered.hidden)[..., 0].mean() / lamp
+    return rendered.further[..., 0].mean() / lamp, sky, exact
+
+
+POSES = [((0.8, 1.1, 0.3), (0.0, 0.0, 30.0)), ((0.9, 0.4, -0.6), (20.0, 0.0, -40.0))]
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("order", [4, 7])
+@pytest.mark.parametrize("pose", POSES)
+def test_paths_at_random_say_the_same(order, pose):
+    """Within four standard errors and 1.5 % of the whole change, in a closed room."""
+    world = room(order=order)
+    mean, error = brute_force.change(world, *pose, 40000)
+    further, _, exact = both(world, *pose)
+    level = abs(mean[0]).sum()
+    spread_of_it = np.sqrt((error[0, 4:] ** 2).sum())
+    assert spread_of_it < 0.02 * level  # or the test could not fail
+    assert abs(further - mean[0, 4:].sum()) < 4.0 * spread_of_it + 0.015 * level
+    assert abs(exact - mean[0, 3]) < 4.0 * error[0, 3] + 0.01 * level
+    assert abs(mean[0, 4:]).sum() > 10.0 * spread_of_it
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("order", [1, 3, 6])
+@pytest.mark.parametrize("pose", POSES)
+def test_paths_at_random_say_the_same_under_a_sky(order, pose):
+    """Within four standard errors and 1 % of the change, in a room that is open above."""
+    world = room(order=order, ceiling=False, sky=1.0)
+    mean, error = brute_force.change(world, *pose, 10000)
+    further, sky, _ = both(world, *pose)
+    for ours, row, first in ((sky, 1, 1), (further, 0, 4)):
+        theirs, spread_of_it = mean[row, first:].sum(), np.sqrt((error[row, first:] ** 2).sum())
+        level = abs(mean[row]).sum()
+        assert abs(ours - theirs) <= 4.0 * spread_of_it + 0.01 * level
+
+
+@pytest.mark.parametrize("albedo", [0.5, 0.99])
+def test_a_closed_room_keeps_its_light(albedo):
+    """Each reflection leaves the albedo's share, whatever the shape; all together leave 1 / (1 - albedo)."""
+    field = LightField(Setting(room(albedo=albedo, order=ALL_ORDERS, screen=False)), ALL_ORDERS)
+    source = field.sources["lamp"]
+    area = field.cells.area
+    flux = np.array([(level[:-1, 0] * area).sum() for level in source.levels])
+    np.testing.assert_allclose(flux[1:] / flux[:-1], albedo, rtol=1e-3)
+    total = flux.sum() + (source.rest[:-1, 0] * area).sum()
+    assert total / flux[0] == pytest.approx(1.0 / (1.0 - albedo), rel=2e-2 if albedo > 0.9 else 1e-3)
+
+
+def test_a_target_like_the_room_keeps_its_light_too():
+    """In a closed room of one albedo, a target of that albedo neither adds nor takes light, reflection by reflection."""
+    world = room(albedo=0.8, order=5, screen=False, target=worlds.sheet(0.6, 0.8))
+    setting = Setting(world)
+    field = LightField(setting, 5)
+    changes = change.LightChange(setting, field, 1e-2)
+    pose = changes._pose(setting.frame.axes, setting.frame.points(np.array(POSES[0][0])))
+    samples = changes._sampled(change._LINES)
+    lines = changes._through(samples, pose)
+    arriving, taken = changes._shade(samples, pose)
+    # What falls on the target is missing behind it.
+    np.testing.assert_allclose(
+        (taken * field.cells.area[:, None]).sum(), -(arriving.T @ changes._area).sum(), rtol=1e-6
+    )
+    level = np.tile(np.append(np.full((field.cells.count, 1), 0.3), [[0.3]], axis=0), change.SETS)
+    added, received = change._exchanged(lines, level, np.full((changes._count, change.SETS), 0.3), 1)
+    assert abs(added).max() < 1e-12  # as bright as each other: nothing changes
+    np.testing.assert_allclose(received, 0.3 * samples.received, rtol=1e-12)
+
+
+def test_all_reflections_are_the_limit_of_many():
+    pose = POSES[0]
+    several = [Transport(room(order=order), accuracy=3e-2).difference(*pose) for order in (6, 40, ALL_ORDERS)]
+    assert worlds.error(several[0], several[2]) > 0.02
+    assert worlds.error(several[1], several[2]) < 0.01
+
+
+@pytest.mark.slow
+def test_the_end_of_a_long_series_is_a_geometric_one():
+    """With an albedo of 0.97 in a closed room, a hundredth of the light is left after 150 reflections."""
+    several = [Transport(room(albedo=0.97, order=n), accuracy=3e-2).difference(*POSES[0]) for n in (400, ALL_ORDERS)]
+    assert worlds.error(several[0], several[1]) < 0.02
+
+
+def test_three_reflections_are_as_they_were():
+    pose = POSES[0]
+    three, four = (Transport(room(order=order), accuracy=1e-3).render(*pose) for order in (3, 4))
+    np.testing.assert_array_equal(three.added, four.added)
+    np.testing.assert_array_equal(three.hidden, four.hidden)
+    assert not three.further.any()
+    np.testing.assert_allclose(
+        four.pixels - four.further - Transport(room(order=4)).background(), four.added - four.hidden, atol=1e-12
+    )
+
+
+def test_derivatives_are_those_of_the_pictures():
+    """Against differences of pictures, relative to the largest of the same kind: shifts, turns."""
+    world = room(order=5, ceiling=False, sky=0.02)
+    position, rotation = (np.array(part) for part in POSES[0])
+    engine = Transport(world, accuracy=2e-2)
+    slopes = engine.render(position, rotation, derivatives=True).derivatives
+    sizes = np.sqrt((slopes**2).mean(axis=(1, 2, 3)))
+    step = 0.08
+    for axis in range(3):
+        move = step * np.eye(3)[axis]
+        found = (engine.difference(position + move, rotation) - engine.difference(position - move, rotation)) / (
+            2 * step
+        )
+        assert np.sqrt(((found - slopes[axis]) ** 2).mean()) < 0.1 * sizes[:3].max()
+    turn = np.array([0.0, 0.0, 4.0])
+    found = engine.difference(position, rotation + turn) - engine.difference(position, rotation - turn)
+    assert np.sqrt(((found / np.radians(8.0) - slopes[5]) ** 2).mean()) < 0.1 * sizes[3:6].max()
+
+
+@pytest.mark.parametrize("count", [256, 4096])
+def test_lines_are_a_net(count):
+    """In the first two dimensions, each of the equal boxes of any shape holds as many points (Sobol 1967)."""
+    points = spread.sobol(count, 4)
+    for k in range(5):
+        boxes = np.histogram2d(points[:, 0], points[:, 1], bins=(1 << k, 16 >> k), range=[[0, 1], [0, 1]])[0]
+        assert (boxes == count / 16).all()
+
+
+def test_cells_end_where_another_surface_touches():
+    """A screen on a floor leaves light on one side; a cell on both would carry it through."""
+    setting = Setting(room(order=4))
+    made = cells.Cells(setting.around, 0.4, np.zeros(3), 1.0, np.zeros((0, 1)))
+    every = np.arange(made.count)
+    ends = [made.places(every, np.tile(end, (made.count, 1)))[0] for end in ((0.0, 0.0), (1.0, 1.0))]
+    world = [setting.frame.origin + setting.frame.unit * end @ setting.frame.axes for end in ends]
+    low, high = np.minimum(*world), np.maximum(*world)
+    behind = low[:, 1] > 0.8 - 1e-6
+    across = (low[:, 0] < 0.1 - 1e-6) & (high[:, 0] > 0.1 + 1e-6)
+    floor = (abs(low[:, 2] + HIGH) < 1e-6) & (high[:, 2] < -HIGH + 1e-6)
+    assert floor.sum() > 20
+    assert not (across & behind & floor).any()
+    assert made.area.sum() == pytest.approx(2.0 * setting.around.area.sum())
+
+
+def test_compiled_and_array_forms_agree():
+    """Blender has no numba: both forms of each sum give the same."""
+    rng = np.random.default_rng(0)
+    setting = Setting(room(order=5))
+    field = LightField(setting, 5)
+    changes = change.LightChange(setting, field, 1e-2)
+    pose = changes._pose(setting.frame.axes, setting.frame.points(np.array(POSES[1][0])))
+    lines = changes._through(changes._sampled(1 << 10), pose)
+    level = rng.random((field.cells.count + 1, change.SETS))
+    body = rng.random((changes._count, change.SETS))
+    forms = change._exchanged, change._exchanged_arrays
+    for one, other in zip(*(form(lines, level, body, 1) for form in forms), strict=True):
+        np.testing.assert_allclose(one, other, rtol=1e-9, atol=1e-12)
+    start, way = rng.uniform(-0.5, 0.5, (500, 3)) + np.array([0.0, 0.0, 1.0]), rng.normal(size=(500, 3))
+    way /= np.linalg.norm(way, axis=1, keepdims=True)
+    met = field.cells.meet(start, way)
+    which, far = setting.around.first_hit(start, way)
+    cell, corners, shares = np.full(500, field.cells.count), np.full((500, 4), field.cells.count), np.zeros((500, 4))
+    shares[:, 0] = 1.0
+    cells._locate(start, way, which, far, field.cells.grid, cell, corners, shares)
+    np.testing.assert_array_equal(met.cell, cell)
+    np.testing.assert_allclose(met.of(level), cells._interpolated_arrays(level, corners, shares), rtol=1e-9)
+    _, eye = changes._eye(12)
+    sums = change._Sums(level, np.append(body, np.zeros((1, change.SETS)), axis=0), np.zeros((64, change.SETS)))
+    light = np.zeros((144, change.SETS))
+    change._look(eye, pose, changes._body.grid, field.cells.grid, sums, light)
+    np.testing.assert_allclose(
+        light, change._look_arrays(eye, pose, changes._body, field.cells, sums), rtol=1e-8, atol=1e-12
+    )
+
+
+def ball_of_triangles(radius, cuts, albedo):
+    """A ball of 8 * 4^cuts triangles, of the area of the sphere."""
+    axes = np.concatenate([np.eye(3), -np.eye(3)])
+    triangles = np.array([[axes[i], axes[1 + j], axes[2 + k]] for i in (0, 3) for j in (0, 3) for k in (0, 3)])
+    for _ in range(cuts):
+        a, b, c = triangles[:, 0], triangles[:, 1], triangles[:, 2]
+        ab, bc, ca = (a + b) / 2.0, (b + c) / 2.0, (c + a) / 2.0
+        parts = [np.stack(part, axis=1) for part in ((a, ab, ca), (ab, b, bc), (ca, bc, c), (ab, bc, ca))]
+        triangles = np.concatenate(parts)
+        triangles /= np.linalg.norm(triangles, axis=2, keepdims=True)
+    area = np.linalg.norm(
+        np.cross(triangles[:, 1] - triangles[:, 0], triangles[:, 2] - triangles[:, 0]), axis=1
+    ).sum()
+    triangles = triangles * radius * np.sqrt(8.0 * np.pi / area)
+    return Mesh(triangles, np.full((len(triangles), 3), albedo))
+
+
+def test_a_fine_mesh_is_followed_by_parts():
+    """A ball of 512 triangles changes what the sphere of its area does."""
+    bodies = Sphere(np.zeros(3), 0.3, np.full(3, 0.8)), ball_of_triangles(0.3, 3, 0.8)
+    engines = [Transport(room(order=5, target=body), accuracy=1e-2) for body in bodies]
+    assert engines[1]._change._count < engines[1]._change._body.count
+    round_one, flat = (engine.render((0.8, 1.1, 0.3), (0.0, 0.0, 0.0)).further for engine in engines)
+    assert worlds.error(flat, round_one) < 0.03

@@ -1,0 +1,160 @@
+"""The change of a picture by a target, after any number of reflections, by following paths at random.
+
+It has nothing in common with the engine but the description of a world: no cells, no polynomials, no quadrature.
+Paths leave a point of the wall; the room with the target and the room without it share each path until it meets the
+target.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from numpy.polynomial.legendre import leggauss
+
+from generator.model.arrays import rotation_matrix
+from generator.transport.compiled import jit, jit_in_place
+from generator.transport.lit import radiance
+from generator.transport.prepared import Setting
+from generator.transport.rays import Planes, Surfaces, nearest
+
+SIDE = 4
+"""Points of the picture along a side; paths of each are drawn anew."""
+
+
+@jit_in_place
+def _scatter(normal, way):
+    """Draw a direction of cosine density about a unit normal (Duff et al. 2017, listing 2)."""
+    u, angle = np.random.random(), 2.0 * math.pi * np.random.random()
+    c, s, t = math.sqrt(1.0 - u), math.sqrt(u) * math.cos(angle), math.sqrt(u) * math.sin(angle)
+    sign = 1.0 if normal[2] >= 0.0 else -1.0
+    a = -1.0 / (sign + normal[2])
+    b = normal[0] * normal[1] * a
+    way[0] = c * normal[0] + s * (1.0 + sign * normal[0] ** 2 * a) + t * b
+    way[1] = c * normal[1] + s * sign * b + t * (sign + normal[1] ** 2 * a)
+    way[2] = c * normal[2] - s * sign * normal[0] - t * normal[1]
+
+
+@jit_in_place
+def _light(place, normal, patch, to):
+    """Draw a point of the lit patch: write the way there, and return the irradiance from it."""
+    r, angle = math.sqrt(np.random.random()), 2.0 * math.pi * np.random.random()
+    s, t = r * math.cos(angle), r * math.sin(angle)
+    x = patch.x + s * patch.major_x + t * patch.minor_x
+    y = patch.y + s * patch.major_y + t * patch.minor_y
+    to[0], to[1], to[2] = x - place[0], y - place[1], -place[2]
+    facing = normal[0] * to[0] + normal[1] * to[1] + normal[2] * to[2]
+    if facing <= 0.0 or place[2] <= 1e-9:
+        return 0.0
+    area = math.pi * abs(patch.major_x * patch.minor_y - patch.major_y * patch.minor_x)
+    squared = to[0] ** 2 + to[1] ** 2 + to[2] ** 2
+    return facing * place[2] / squared**2 * area * radiance(x, y, patch)
+
+
+@jit_in_place
+def _arrive(place, normal, way, far, planes, which):
+    """Move to where a ray meets a surface, and turn the normal against it."""
+    cosine = 0.0
+    for r in range(3):
+        place[r] += far * way[r]
+        cosine += way[r] * planes.normal[which, r]
+    for r in range(3):
+        normal[r] = -planes.normal[which, r] if cosine > 0.0 else planes.normal[which, r]
+
+
+@jit
+def _walk(place, normal, weight, hits, planes, tint, patch, sky, sign, found):
+    """Follow a path in one room, from its vertex number ``hits`` on; add light by its number of reflections."""
+    way, to = np.empty(3), np.empty(3)
+    order = found.shape[1] - 1
+    while hits < order:
+        light = _light(place, normal, patch, to)
+        if light > 0.0 and hits + 2 <= order and nearest(place, to, planes, 1.0 - 1e-7)[0] < 0:
+            found[0, hits + 2] += sign * weight * light
+        _scatter(normal, way)
+        which, far = nearest(place, way, planes, np.inf)
+        if which < 0:
+            found[1, hits + 1] += sign * weight * sky
+            return
+        _arrive(place, normal, way, far, planes, which)
+        weight *= tint[which]
+        if weight == 0.0:
+            return
+        if weight < 0.1:
+            if np.random.random() < 0.5:
+                return
+            weight *= 2.0
+        hits += 1
+
+
+@jit
+def _paths(seed, count, start, room, both, target, tint, patch, sky, found):
+    """Follow paths from a point of the wall; add what the target changes by the number of reflections."""
+    np.random.seed(seed)
+    order = found.shape[1] - 1
+    place, normal, way, to = np.empty(3), np.empty(3), np.empty(3), np.empty(3)
+    there, facing = np.empty(3), np.empty(3)
+    for _ in range(count):
+        place[:] = start
+        normal[0], normal[1], normal[2] = 0.0, 0.0, 1.0
+        weight = 1.0
+        for hits in range(1, order + 1):
+            _scatter(normal, way)
+            wall, beyond = nearest(place, way, room, np.inf)
+            body, near = nearest(place, way, target, beyond)
+            if body >= 0:
+                there[:] = place
+                _arrive(there, facing, way, near, target, body)
+                reflected = weight * tint[room.normal.shape[0] + body]
+                if reflected > 0.0:
+                    _walk(there, facing, reflected, hits, both, tint, patch, sky, 1.0, found)
+                if wall < 0:
+                    found[1, hits] -= weight * sky
+                elif tint[wall] > 0.0:
+                    there[:] = place
+                    _arrive(there, facing, way, beyond, room, wall)
+                    _walk(there, facing, weight * tint[wall], hits, room, tint, patch, sky, -1.0, found)
+                break
+            if wall < 0:
+                break
+            _arrive(place, normal, way, beyond, room, wall)
+            weight *= tint[wall]
+            if weight == 0.0:
+                break
+            light = _light(place, normal, patch, to)
+            shadowed = nearest(place, to, target, 1.0 - 1e-7)[0] >= 0
+            if light > 0.0 and hits + 2 <= order and shadowed and nearest(place, to, room, 1.0 - 1e-7)[0] < 0:
+                found[0, hits + 2] -= weight * light
+    return found
+
+
+def change(world, position, rotation, count, *, repeats=8, seed=1):
+    """Return the mean change of the picture by number of reflections, and its standard error, (2, order + 1) each.
+
+    The first row is of the lamp's light, in units of the lit patch's radiance times pi times the wall's albedo; the
+    second of the sky's, in units of its radiance times the wall's albedo. Only flat, grey surfaces.
+    """
+    setting = Setting(world)
+    around, target = setting.around, setting.target
+    turn, place = setting.frame.axes @ rotation_matrix(rotation), setting.frame.points(np.asarray(position, float))
+    corners = [target.origin, target.origin + target.first, target.origin + target.second]
+    moved = np.stack([c @ turn.T + place for c in corners], axis=1)
+    far = np.stack([moved[:, 1] + moved[:, 2] - moved[:, 0], moved[:, 2], moved[:, 1]], axis=1)
+    every = np.concatenate([moved, far[~target.triangle]])
+    placed = Surfaces(every, np.zeros((len(every), 1)))
+    tint = np.append(around.tint[:, 0], np.full(len(placed), target.tint[0, 0]))
+    both = Planes(*(np.concatenate(pair) for pair in zip(around.planes, placed.planes, strict=True)))
+    nodes, weights = leggauss(SIDE)
+    u, v = (np.tile(nodes, SIDE) + 1.0) / 2.0, (np.repeat(nodes, SIDE) + 1.0) / 2.0
+    homogeneous = np.stack([u, v, np.ones(SIDE**2)], axis=1) @ setting.to_wall.T
+    share = np.outer(weights, weights).ravel() / 4.0
+    sky = 0.0 if world.ambient is None else 1.0
+    found = np.zeros((repeats, 2, world.order + 1))
+    for repeat in range(repeats):
+        for point in range(SIDE**2):
+            start = np.append(homogeneous[point, :2] / homogeneous[point, 2], 0.0)
+            one = np.zeros((2, world.order + 1))
+            number = (seed * repeats + repeat) * SIDE**2 + point
+            _paths(number, count, start, around.planes, both, placed.planes, tint, setting.patch, sky, one)
+            found[repeat] += share[point] * one / count
+    return found.mean(axis=0), found.std(axis=0, ddof=1) / math.sqrt(repeats)
