@@ -95,9 +95,9 @@ def drawn(monkeypatch):
 
     save, found = figures.save, []
 
-    def keep(path, figure):
+    def keep(path, figure, **further):
         found.append(figure)
-        return save(path, figure)
+        return save(path, figure, **further)
 
     monkeypatch.setattr(figures, "save", keep)
     return found

@@ -188,7 +188,7 @@ def rivals(points: Sequence[Point], best: Point) -> list[str]:
 @figures.styled
 def draw(path: Path, points: Sequence[Point], title: str) -> None:
     """Write a figure: accuracy against the number of pictures, and against the training time."""
-    figure, [axes] = figures.subplots(1, 2, size=(11.0, 4.4), sharey=True)
+    figure, [axes] = figures.subplots(1, 2, size=(figures.WIDTH, 3.8), sharey=True)
     names = list(dict.fromkeys(p.classifier for p in points))
     aside = np.geomspace(0.96, 1.04, len(names)) if len(names) > 1 else np.ones(1)  # or the intervals hide each other
     for name, marker, shift in zip(names, cycle(figures.MARKERS), aside):
@@ -203,6 +203,6 @@ def draw(path: Path, points: Sequence[Point], title: str) -> None:
         figures.plain_numbers(axis.xaxis)
         axis.set_xlabel(label)
     axes[0].set_ylabel("right voxel, %")
-    axes[1].legend(loc="center left", bbox_to_anchor=(1.0, 0.5))
+    figure.legend(*axes[0].get_legend_handles_labels(), loc="outside lower center", ncols=len(names))
     figure.suptitle(title)
     figures.save(path, figure)

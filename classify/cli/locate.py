@@ -369,6 +369,7 @@ def run_tradeoff(options: argparse.Namespace) -> Answer:
     from classify.classifiers import models
     from classify.inference import worth
     from classify.report import page
+    from generator.measure import figures
 
     models.check_seed(options.seed)
     if options.noises < 1:
@@ -388,11 +389,11 @@ def run_tradeoff(options: argparse.Namespace) -> Answer:
     table, lead = worth.rows(results), worth.enough(results)
     frames = atlas.sensor.frames
     title = f"{options.folder}: {results[0].count} answers each, {frames} frame{'s' if frames > 1 else ''}"
-    worth.draw(options.folder / "worth.png", results, title)
-    figures = {"worth.png": "Against the time that a picture takes to render, with 95 % intervals."}
+    figures.save(options.folder / "worth.png", worth.draw(results, title))
+    captions = {"worth.png": "Against the time that a picture takes to render, with 95 % intervals."}
     sources = {"pictures": options.folder, **page.of_atlas(atlas), "seed of the noise": options.seed}
     tables = [page.Table(title, worth.HEADINGS, table)]
-    report = page.write(options.folder, "What are better pictures worth?", lead, figures, tables, sources)
+    report = page.write(options.folder, "What are better pictures worth?", lead, captions, tables, sources)
     ways = [
         WayWorth(
             name=way.name,

@@ -295,7 +295,7 @@ def draw(path: Path, atlas: Atlas, found: Map) -> list[Path]:
 
     Lengths are capped at the volume's diagonal: an error as long as that says that the position is not known.
     """
-    figure, [axes] = figures.subplots(1, 3, size=(14.0, 4.3))
+    figure, [axes] = figures.subplots(1, 3, size=(figures.WIDTH, 4.0))
     lo, hi = np.asarray(atlas.grid.lo), np.asarray(atlas.grid.hi)
     most = 100.0 * float(np.linalg.norm(hi - lo))
     panels = (
@@ -310,9 +310,9 @@ def draw(path: Path, atlas: Atlas, found: Map) -> list[Path]:
             shown, origin="lower", extent=(lo[0], hi[0], lo[1], hi[1]), cmap=colours, norm=_log_norm(shown)
         )
         capped = bool((values > cap).any())
-        bar = figure.colorbar(image, ax=axis, shrink=0.85, extend="max" if capped else "neither")
+        bar = figure.colorbar(image, ax=axis, orientation="horizontal", extend="max" if capped else "neither")
         bar.set_label(f"{unit}; {cap:.3g} {unit} is the volume's diagonal" if capped else unit)
-        figures.plain_numbers(bar.ax.yaxis)
+        figures.plain_numbers(bar.ax.xaxis)
         axis.grid(visible=False)
         for voxel, label in enumerate(atlas.grid.labels):
             low, high = atlas.grid.bounds(voxel)

@@ -185,7 +185,7 @@ def rows(atlas: Atlas, made: Sequence[Detection]) -> list[tuple[str, ...]]:
 @figures.styled
 def draw(path: Path, atlas: Atlas, made: Sequence[Detection], false_alarm: float) -> None:
     """Write a figure: detections against exposure, and the ROC curves of the first exposure."""
-    figure, [[left, right]] = figures.subplots(1, 2, size=(11.5, 4.4))
+    figure, [[left, right]] = figures.subplots(1, 2, size=(figures.WIDTH, 4.2))
     labels = atlas.grid.labels
     colours = colormaps[figures.SEQUENTIAL](np.linspace(0.0, 0.9, len(labels)))  # the order of the voxels
     for voxel, label in enumerate(labels[:_MOST_LINES]):
@@ -201,7 +201,14 @@ def draw(path: Path, atlas: Atlas, made: Sequence[Detection], false_alarm: float
             color=colours[voxel],
             label=label,
         )
-        right.plot(*(100.0 * rate for rate in made[0].roc(voxel)), color=colours[voxel], lw=1.2)
+        right.plot(
+            *(100.0 * rate for rate in made[0].roc(voxel)),
+            marker=figures.MARKERS[voxel % len(figures.MARKERS)],
+            markevery=0.15,
+            ms=4,
+            lw=1.2,
+            color=colours[voxel],
+        )
     left.set_xscale("log")
     left.set_xlabel("frames averaged")
     left.set_ylabel(f"found at {100.0 * false_alarm:g} % false alarms, %")
@@ -217,7 +224,5 @@ def draw(path: Path, atlas: Atlas, made: Sequence[Detection], false_alarm: float
     right.set_title(f"against false alarms, {made[0].frames} frame{'s' if made[0].frames > 1 else ''}")
     figures.plain_numbers(left.xaxis, right.xaxis)
     handles, names = left.get_legend_handles_labels()
-    right.legend(
-        handles, names, title="voxel", ncols=-(-len(names) // 14), loc="center left", bbox_to_anchor=(1, 0.5)
-    )
+    figure.legend(handles, names, title="voxel", loc="outside lower center", ncols=min(9, len(names)))
     figures.save(path, figure)

@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
+from matplotlib.figure import Figure
 from numpy.typing import NDArray
 from scipy.stats import chi2
 
@@ -119,53 +120,26 @@ class Evaluation:
             for label, count, right, error, held, detected in self.by_voxel()
         ]
 
-    def calibration(self, levels: Array) -> Array:
-        """Return the share of true positions that lie in the regions of given stated probabilities."""
+    @property
+    def regions(self) -> Array:
+        """Stated probability of the smallest region that holds the true position, (n,)."""
         offsets = np.array(
             [np.subtract(r.position, p.position) for p, r in zip(self.places, self.records, strict=True)]
         )
         inverse = np.array([np.linalg.pinv(p.covariance, hermitian=True) for p in self.places])
-        distances = np.einsum("ni,nij,nj->n", offsets, inverse, offsets)
-        shares: Array = (distances[:, None] <= chi2.ppf(levels, 3)).mean(axis=0)
+        probabilities: Array = chi2.cdf(np.einsum("ni,nij,nj->n", offsets, inverse, offsets), 3)
+        return probabilities
+
+    def calibration(self, levels: Array) -> Array:
+        """Return the share of true positions that lie in the regions of given stated probabilities."""
+        shares: Array = (self.regions[:, None] <= levels).mean(axis=0)
         return shares
 
-    @figures.styled
     def draw(self, path: Path, title: str) -> None:
         """Write a figure: confusion matrix, errors by voxel, and calibration of the stated regions."""
-        figure, [[left, middle, right]] = figures.subplots(1, 3, size=(14.0, 4.4))
-        count = len(self.labels)
         truth = np.array([r.voxel for r in self.records])
         predicted = np.array([p.voxels.argmax() for p in self.places])
-        table = np.zeros((count, count))
-        np.add.at(table, (truth, predicted), 1.0)
-        share = 100.0 * table / np.maximum(table.sum(axis=1, keepdims=True), 1.0)
-        figures.heat_map(left, share, self.labels)
-        left.set_xlabel("found in")
-        left.set_ylabel("stands in")
-        left.set_title("voxels: the true one, and the one it is found in")
-        present = [v for v in range(count) if (truth == v).any()]
-        middle.boxplot(
-            [100.0 * self.errors[truth == v] for v in present],
-            showfliers=False,
-            patch_artist=True,
-            boxprops={"facecolor": figures.SKY, "alpha": 0.7},
-            medianprops={"color": figures.BLACK},
-        )
-        step = -(-len(present) // _MOST_TICKS)
-        middle.set_xticks(range(1, len(present) + 1, step), [self.labels[v] for v in present[::step]])
-        middle.set_xlabel("voxel")
-        middle.set_ylim(bottom=0.0)
-        middle.set_ylabel("distance from the true position, cm")
-        middle.set_title("errors: median, quartiles, 1.5 quartile ranges")
-        levels = np.linspace(0.02, 0.98, 49)
-        right.plot(100.0 * levels, 100.0 * levels, color=figures.GREY, lw=0.8, ls=":", label="as it should be")
-        right.plot(100.0 * levels, 100.0 * self.calibration(levels), color=figures.BLUE, lw=1.6, label="as it was")
-        right.set_xlabel("stated probability of a region, %")
-        right.set_ylabel("true positions that it holds, %")
-        right.set_title("stated uncertainty")
-        right.legend()
-        figure.suptitle(title)
-        figures.save(path, figure)
+        figures.save(path, draw(self.labels, truth, predicted, self.errors, self.regions, title))
 
     def csv(self) -> str:
         """Return every answer as a table, comma-separated."""
@@ -178,16 +152,77 @@ class Evaluation:
             *(f"{w}_{a}" for w in ("found", "sd") for a in _AXES),
         ]
         rows = []
-        for record, place, log_ratio in zip(self.records, self.places, self.evidence, strict=True):
+        answers = zip(self.records, self.places, self.regions, self.evidence, strict=True)
+        for record, place, region, log_ratio in answers:
             numbers = [*record.position, *place.position, *np.sqrt(np.diag(place.covariance))]
             label, prob = self.labels[place.voxels.argmax()], place.voxels.max()
-            verdict = [f"{log_ratio:.2f}", int(log_ratio > self.detector.threshold)]
+            verdict = [f"{region:.4f}", f"{log_ratio:.2f}", int(log_ratio > self.detector.threshold)]
             rows.append([record.file, record.label, label, f"{prob:.4f}", *(f"{x:.5f}" for x in numbers), *verdict])
-        return csv_text([*header, "evidence", "detected"], rows)
+        return csv_text([*header, "region", "evidence", "detected"], rows)
 
 
 _AXES = ("x", "y", "z")
 _MOST_TICKS = 14
+
+
+@figures.styled
+def draw(
+    labels: Sequence[str],
+    truth: NDArray[np.int64],
+    predicted: NDArray[np.int64],
+    errors: Array,
+    regions: Array,
+    title: str,
+) -> Figure:
+    """Return a figure: confusion matrix, errors by voxel, and calibration of the stated regions.
+
+    Boxes show median and quartiles, whiskers the farthest errors within 1.5 quartile distances.
+
+    Parameters
+    ----------
+    labels : sequence of str
+        Of all voxels.
+    truth, predicted : ndarray of shape (n,)
+        True voxels and most probable ones, as indices of `labels`.
+    errors : ndarray of shape (n,)
+        Distances from the true positions, metres.
+    regions : ndarray of shape (n,)
+        `Evaluation.regions`.
+    title : str
+    """
+    figure, [[left, middle, right]] = figures.subplots(1, 3, size=(figures.WIDTH, 3.2))
+    count = len(labels)
+    table = np.zeros((count, count))
+    np.add.at(table, (truth, predicted), 1.0)
+    share = 100.0 * table / np.maximum(table.sum(axis=1, keepdims=True), 1.0)
+    figures.heat_map(left, share, labels)
+    left.set_xlabel("found in")
+    left.set_ylabel("stands in")
+    left.set_title("voxels, % of each row")
+    present = [v for v in range(count) if (truth == v).any()]
+    middle.boxplot(
+        [100.0 * errors[truth == v] for v in present],
+        showfliers=False,
+        patch_artist=True,
+        boxprops={"facecolor": figures.SKY, "alpha": 0.7},
+        medianprops={"color": figures.BLACK},
+    )
+    step = -(-len(present) // _MOST_TICKS)
+    middle.set_xticks(range(1, len(present) + 1, step), [labels[v] for v in present[::step]])
+    middle.set_xlabel("voxel")
+    middle.set_ylim(bottom=0.0)
+    middle.set_ylabel("distance from the truth, cm")
+    middle.set_title("errors")
+    levels = np.linspace(0.02, 0.98, 49)
+    held = (regions[:, None] <= levels).mean(axis=0)
+    right.plot(100.0 * levels, 100.0 * levels, color=figures.GREY, lw=0.8, ls=":", label="as it should be")
+    right.plot(100.0 * levels, 100.0 * held, color=figures.BLUE, lw=1.6, label="as it was")
+    right.set_xlabel("stated probability of a region, %")
+    right.set_ylabel("true positions in it, %")
+    right.set_title("stated uncertainty")
+    right.legend()
+    figure.suptitle(title)
+    return figure
 
 
 def doubts(atlas: Atlas, dataset: PictureSet, camera: Camera) -> list[str]:

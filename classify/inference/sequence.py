@@ -150,8 +150,8 @@ class TrackedSequence:
     @figures.styled
     def draw(self, path: Path, title: str) -> None:
         """Write a figure: the path from above, with its uncertainty; error and presence over time."""
-        figure = Figure(figsize=(12.5, 5.0))
-        axes = figure.subplot_mosaic([["path", "error"], ["path", "presence"]], height_ratios=[3, 1])
+        figure = Figure(figsize=(figures.WIDTH, 4.3))
+        axes = figure.subplot_mosaic([["path", "error"], ["path", "presence"]], height_ratios=[2, 1])
         top_view, error_plot, presence_plot = axes["path"], axes["error"], axes["presence"]
         presence_plot.sharex(error_plot)
         truth, estimated = self.truth, self.path
@@ -173,7 +173,6 @@ class TrackedSequence:
         top_view.set_xlabel("x, along the wall (m)")
         top_view.set_ylabel("y, from the wall (m)")
         top_view.set_aspect("equal", adjustable="datalim")
-        top_view.legend()
         top_view.set_title("from above, with 95 % regions")
         frames = np.arange(len(truth))
         spread = np.array([np.sqrt(np.trace(s.covariance)) for s in self.steps])
@@ -192,7 +191,8 @@ class TrackedSequence:
         for plot in (error_plot, presence_plot):
             ends = plot.get_xaxis_transform()
             plot.fill_between(frames, 0, 1, where=~there, transform=ends, color=figures.PALE, lw=0, label="gone")
-        error_plot.legend()
+        handles = [*top_view.get_legend_handles_labels()[0], *error_plot.get_legend_handles_labels()[0]]
+        figure.legend(handles=handles, loc="outside lower center", ncols=len(handles))
         figure.suptitle(title)
         figures.save(path, figure)
 

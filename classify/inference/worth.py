@@ -8,6 +8,7 @@ from itertools import cycle
 from pathlib import Path
 
 import numpy as np
+from matplotlib.figure import Figure
 
 from classify.inference import evaluation
 from classify.inference.atlas import Atlas
@@ -138,9 +139,9 @@ def enough(found: Sequence[Worth]) -> list[str]:
 
 
 @figures.styled
-def draw(path: Path, found: Sequence[Worth], title: str) -> None:
-    """Write a figure: right voxels and median error against the rendering time; the reference as a line."""
-    figure, [axes] = figures.subplots(1, 2, size=(11.0, 4.4))
+def draw(found: Sequence[Worth], title: str) -> Figure:
+    """Return a figure: right voxels and median error against the rendering time; the reference as a line."""
+    figure, [axes] = figures.subplots(1, 2, size=(figures.WIDTH, 4.0))
     others = [w for w in found if w.name != REFERENCE]
     reference = next(w for w in found if w.name == REFERENCE)
     for axis, name, scale, label in zip(
@@ -161,9 +162,9 @@ def draw(path: Path, found: Sequence[Worth], title: str) -> None:
         axis.set_xlabel("core seconds a picture")
         axis.set_ylabel(label)
         axis.set_ylim(bottom=0.0)
-    axes[0].legend()
+    figure.legend(*axes[0].get_legend_handles_labels(), loc="outside lower center", ncols=3)
     figure.suptitle(title)
-    figures.save(path, figure)
+    return figure
 
 
 _ENDS = ("value", "low", "high")

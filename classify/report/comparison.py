@@ -107,7 +107,7 @@ def comparison_figure(results: Sequence[Result]) -> Figure:
     scenarios = list(dict.fromkeys(r.scenario for r in results))
     columns = min(2, len(scenarios))
     rows = -(-len(scenarios) // columns)
-    figure, axes = figures.subplots(rows, columns, size=(6.2 * columns, 3.2 * rows + 0.5), sharey=True)
+    figure, axes = figures.subplots(rows, columns, size=(max(5.0, 4.0 * columns), 2.7 * rows + 0.6), sharey=True)
     for axis in axes.flat[len(scenarios) :]:
         axis.set_visible(False)
     for axis, scenario in zip(axes.flat, scenarios, strict=False):
@@ -142,7 +142,7 @@ def comparison_figure(results: Sequence[Result]) -> Figure:
         Line2D([], [], color=figures.VERMILION, marker="D", ls="", label="the paper's figure"),
         Line2D([], [], color=figures.GREY, ls=":", label="chance"),
     ]
-    figure.legend(handles=handles, loc="outside lower center", ncols=4, frameon=False)
+    figure.legend(handles=handles, loc="outside lower center", ncols=2 * columns, frameon=False)
     return figure
 
 
@@ -164,14 +164,15 @@ def _draw_accuracy(axis: Any, x: float, width: float, r: Result) -> None:
 @figures.styled
 def confusion_figure(results: Sequence[Result]) -> Figure:
     """Confusion matrices side by side, each row in per cent of the pictures of that true voxel."""
-    figure, axes = figures.subplots(1, len(results), size=(4.8 * len(results), 4.4))
+    figure, axes = figures.subplots(1, len(results), size=(max(4.4, 2.8 * len(results)), 3.6))
     for axis, r in zip(axes[0], results, strict=True):
         share = 100.0 * r.confusion / np.maximum(r.confusion.sum(axis=1, keepdims=True), 1)
         figures.heat_map(axis, share, r.labels)
-        accuracy = f"accuracy {100.0 * r.accuracy.value:.1f} %"
-        axis.set_title(f"{_words(r.scenario)}: {r.classifier}, {r.settings}\n{accuracy}")
+        accuracy = f"{100.0 * r.accuracy.value:.1f} % right"
+        axis.set_title(f"{r.classifier}, {r.settings}: {accuracy}")
         axis.set_xlabel("predicted voxel")
-    axes[0][0].set_ylabel("true voxel")
+    axes[0][0].set_ylabel("true voxel (rows in %)")
+    figure.suptitle(_words(results[0].scenario))
     return figure
 
 

@@ -33,6 +33,8 @@ MARKERS = "osD^vPXh"
 """A marker for each colour, so that series are told apart without it."""
 SEQUENTIAL, SHARES, SIGNED = "viridis", "cividis", "RdBu_r"
 
+WIDTH = 8.0
+"""Of a figure of several panels, inches: a wider one has texts too small to read where a page shows it whole."""
 FORMATS = (".png", ".svg", ".pdf")
 _STYLE: dict[str, Any] = {
     "axes.axisbelow": True,
@@ -56,10 +58,13 @@ _STYLE: dict[str, Any] = {
     "svg.fonttype": "path",  # looks the same without our font
     "svg.hashsalt": "nlos",  # the same figure is the same file
     "xtick.labelsize": 8,
+    "xtick.minor.pad": 4.9,  # labels of short and long ticks stand in one line
     "ytick.labelsize": 8,
+    "ytick.minor.pad": 4.9,
 }
 _PASSES, _FEWEST_LETTERS = 3, 8
-_UNDATED = {".png": {}, ".svg": {"Date": None}, ".pdf": {"CreationDate": None}}
+_UNDATED: dict[str, dict[str, str | None]] = {".png": {}, ".svg": {"Date": None}, ".pdf": {"CreationDate": None}}
+_DESCRIPTION = {".png": "Description", ".svg": "Description", ".pdf": "Subject"}
 
 styled = mpl.rc_context(_STYLE)  # type: ignore[arg-type]
 """Decorator of functions that draw: the style holds while they run."""
@@ -87,10 +92,17 @@ def check_format(path: Path) -> None:
 
 
 @styled
-def save(path: Path, figure: Figure) -> list[Path]:
+def save(path: Path, figure: Figure, *, source: str = "") -> list[Path]:
     """Write a figure in the format that its name ends in, by temporary name and rename; return what was written.
 
     Beside a PNG, the same is written as SVG, for print. Titles and labels longer than their panel are wrapped.
+
+    Parameters
+    ----------
+    path : Path
+    figure : Figure
+    source : str
+        Where its data come from, to be kept in the file.
 
     Raises
     ------
@@ -103,7 +115,8 @@ def save(path: Path, figure: Figure) -> list[Path]:
     for file in written:
         suffix = file.suffix.lower()
         with atomic(file) as temporary:
-            figure.savefig(temporary, format=suffix[1:], metadata=_UNDATED[suffix])
+            about = {_DESCRIPTION[suffix]: source} if source else {}
+            figure.savefig(temporary, format=suffix[1:], metadata={**_UNDATED[suffix], **about})
     return written
 
 
@@ -157,6 +170,8 @@ def outlined(text: Text) -> Text:
 def heat_map(axis: Axes, share: Any, labels: Any, *, names: int = 30, numbers: int = 12) -> None:
     """Draw a confusion matrix in per cent of each row, with names of the classes and numbers while they can be read.
 
+    Without numbers there is a colour bar.
+
     Parameters
     ----------
     axis : Axes
@@ -178,5 +193,6 @@ def heat_map(axis: Axes, share: Any, labels: Any, *, names: int = 30, numbers: i
                 if share[row, column] >= 0.5:
                     colour = BLACK if share[row, column] > 55.0 else "white"
                     words = f"{share[row, column]:.0f}"
-                    axis.text(column, row, words, ha="center", va="center", fontsize=8, color=colour)
-    axis.figure.colorbar(image, ax=axis, shrink=0.8).set_label("% of the pictures of a row")
+                    axis.text(column, row, words, ha="center", va="center", fontsize=7, color=colour)
+    else:
+        axis.figure.colorbar(image, ax=axis, shrink=0.8).set_label("% of the pictures of a row")

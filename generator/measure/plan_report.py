@@ -7,6 +7,7 @@ from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
+from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
 
@@ -22,10 +23,10 @@ _TOLD = "told only"
 
 
 @figures.styled
-def draw(path: Path, plan: Plan, title: str) -> list[Path]:
-    """Write a figure: a bar for each effect, and the tolerance; return the files."""
+def draw(plan: Plan, title: str) -> Figure:
+    """Return a figure: a bar for each effect, and the tolerance."""
     effects = [effect for effect in plan.effects[::-1] if effect.share[2] > 0.0 and math.isfinite(effect.share[2])]
-    figure, [[axis]] = figures.subplots(size=(8.5, 1.5 + 0.32 * max(1, len(effects))))
+    figure, [[axis]] = figures.subplots(size=(figures.WIDTH, 1.5 + 0.32 * max(1, len(effects))))
     kinds = {NEEDED: figures.BLUE, KEPT: figures.SKY, LEFT_OUT: figures.PALE, _TOLD: figures.ORANGE}
     if effects:
         value, low, high = (np.array([100.0 * e.share[k] for e in effects]) for k in range(3))
@@ -36,6 +37,7 @@ def draw(path: Path, plan: Plan, title: str) -> list[Path]:
         reach = [shown - np.maximum(np.minimum(low, shown), floor), np.maximum(high - shown, 0.0)]
         axis.errorbar(shown, range(len(effects)), xerr=reach, fmt="none", ecolor=figures.BLACK, capsize=2)
         axis.set_xscale("log")
+        axis.set_xlim(left=floor)
         figures.plain_numbers(axis.xaxis)
     else:
         axis.text(0.5, 0.5, "nothing was measured", ha="center", transform=axis.transAxes)
@@ -47,7 +49,7 @@ def draw(path: Path, plan: Plan, title: str) -> list[Path]:
     handles.append(Line2D([], [], color=figures.VERMILION, ls="--", label="tolerance"))
     figure.legend(handles=handles, loc="outside lower center", ncols=len(handles))
     figure.suptitle(title)
-    return figures.save(path, figure)
+    return figure
 
 
 def write(folder: Path, scene: Path, plan: Plan, title: str) -> list[Path]:
@@ -66,7 +68,7 @@ def write(folder: Path, scene: Path, plan: Plan, title: str) -> list[Path]:
     }
     write_text(folder / FILE, dump_toml(document))
     write_text(folder / "plan.csv", csv_text(HEADINGS, rows(plan)))
-    pictures = draw(folder / "plan.png", plan, title)
+    pictures = figures.save(folder / "plan.png", draw(plan, title))
     return [folder / FILE, folder / "plan.csv", *pictures]
 
 

@@ -11,6 +11,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from matplotlib.figure import Figure
 
 from generator.files.writing import csv_text, write_text
 from generator.jobs import budget, local
@@ -382,11 +383,24 @@ def advice(found: Sequence[Cost], budgets: Sequence[float] = (60.0, 600.0, 3600.
     return lines
 
 
-@figures.styled
 def write(folder: Path, found: Sequence[Cost], title: str) -> list[Path]:
     """Write the table and the figure into the folder; return their paths."""
     table, picture = folder / "costs.csv", folder / "costs.png"
     write_text(table, csv_text(HEADINGS, rows(found)))
+    return [table, *figures.save(picture, draw(found, front(found), title))]
+
+
+@figures.styled
+def draw(found: Sequence[Cost], best: Sequence[int], title: str) -> Figure:
+    """Return a figure of the errors against the time of a picture.
+
+    Parameters
+    ----------
+    found : sequence of Cost
+    best : sequence of int
+        Indices of those that are worth their price, the quickest first.
+    title : str
+    """
     figure, [[axis]] = figures.subplots(size=(7.5, 5.0))
     seconds, errors = [c.seconds for c in found], [100.0 * c.error[0] for c in found]
     for kind, marker in zip(sorted({family(c.name) for c in found}), cycle(figures.MARKERS)):
@@ -396,7 +410,6 @@ def write(folder: Path, found: Sequence[Cost], title: str) -> list[Path]:
         axis.errorbar(
             [c.seconds for c in group], value, yerr=spread, marker=marker, ms=5, lw=1.0, capsize=2, label=kind
         )
-    best = front(found)
     axis.plot(
         [seconds[k] for k in best],
         [errors[k] for k in best],
@@ -413,7 +426,7 @@ def write(folder: Path, found: Sequence[Cost], title: str) -> list[Path]:
     axis.set_ylabel("error of a difference picture, % of it (median pose)")
     axis.set_title(title)
     axis.legend()
-    return [table, *figures.save(picture, figure)]
+    return figure
 
 
 def family(name: str) -> str:

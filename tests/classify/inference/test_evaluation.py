@@ -109,6 +109,7 @@ def test_a_data_set_is_answered(simulated, seen):
     written = list(csv.DictReader(answers.csv().splitlines()))
     assert len(written) == len(seen.records)
     assert {row["voxel"] for row in written} <= set(seen.grid.labels)
+    assert [float(row["region"]) for row in written] == pytest.approx(answers.regions, abs=1e-4)
     again = evaluation.run(atlas_build.build(simulated, DIM), seen, seed=1)
     assert again.csv() == answers.csv()
 
