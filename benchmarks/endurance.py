@@ -1,7 +1,7 @@
 """Memory and rate of a sweep over ten thousand renders: do they stay constant?
 
-Run: ``python benchmarks/endurance.py -o DIR [--pictures 10000]``. Draws ``endurance.png``: memory of each worker and
-of the coordinator, and pictures per second, against pictures done.
+Run: ``python benchmarks/endurance.py -o DIR [--pictures 10000]``. Writes ``endurance.csv`` and draws it: memory of
+each worker and of the coordinator, and pictures per second, against pictures done.
 """
 
 from __future__ import annotations
@@ -14,15 +14,16 @@ import time
 from pathlib import Path
 
 import numpy as np
+import pictures
+import results
 
-from generator.files.writing import csv_text, write_text
 from generator.jobs import local
 from generator.jobs.journal import memory
 from generator.jobs.request import SweepRequest
-from generator.measure import figures
+
+RESULTS = {"endurance": ("pictures", "seconds", "coordinator, MiB", "one worker, MiB", "the other, MiB")}
 
 
-@figures.styled
 def main() -> None:
     """Render, record memory and rate, and plot them."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
@@ -54,25 +55,11 @@ def main() -> None:
         SweepRequest(scene=scene, path=options.output / "set", chosen=chosen, workers=2), progress=record
     )
     table = np.array(rows)
-    write_text(
-        options.output / "endurance.csv",
-        csv_text(("pictures", "seconds", "coordinator MiB", "worker MiB", "worker MiB"), np.round(table, 2).tolist()),
-    )
+    file = results.write(options.output, "endurance", RESULTS["endurance"], np.round(table, 2).tolist())
+    pictures.save("endurance", file, options.output)
     later = table[table[:, 0] > 0.1 * table[-1, 0]]
     rate = np.diff(later[:, 0]) / np.diff(later[:, 1])
     slope = [np.polyfit(later[:, 0], later[:, k], 1)[0] * 1e4 for k in (2, 3, 4)]
-    figure, [[left, right]] = figures.subplots(1, 2, size=(10.0, 3.6))
-    for k, label in ((3, "one worker"), (4, "the other"), (2, "coordinator")):
-        left.plot(table[1:, 0], table[1:, k], label=label)
-    left.set_ylim(bottom=0.0)
-    left.set_xlabel("pictures done")
-    left.set_ylabel("memory, MiB")
-    left.legend()
-    right.plot(later[1:, 0], rate, color=figures.BLUE)
-    right.set_ylim(bottom=0.0)
-    right.set_xlabel("pictures done")
-    right.set_ylabel("pictures a second")
-    figures.save(options.output / "endurance.png", figure)
     print(f"{outcome.rendered} pictures, {2 * outcome.rendered} renders, {len(outcome.failed)} failed")
     print("memory grows by {:.1f}, {:.1f} and {:.1f} MiB in 10,000 pictures (coordinator, workers)".format(*slope))
     halves = [float(np.median(part)) for part in np.array_split(rate, 2)]

@@ -30,11 +30,11 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import pictures
 import results
 import scenes
 from scipy.stats import t as student
 
-from generator.measure import figures
 from generator.model.arrays import Vector, rotation_matrix
 from generator.model.errors import NlosError
 from generator.model.presets import preset
@@ -47,6 +47,7 @@ ROTATION = (15.0, -10.0, -35.0)
 RESULTS = {
     "agreement": ("scene", "surfel, W/m²/sr", "hidden", "patch / surfel - 1", "Mitsuba / surfel - 1"),
     "speed": ("method", "sphere, 1 m, bare wall", "sheet, 1 m, bare wall", "sphere, 1 m, room"),
+    "error-by-time": ("scene", "method", "setting", "seconds", "least", "most", "error"),
     "surfel-time": ("scene", "one pose at a time, ms", "in batches, ms"),
 }
 GOAL = 0.01
@@ -488,29 +489,18 @@ def _rounds(found: dict[str, list[Rung]]) -> range:
     return range(len(found[SURFEL][0].seconds))
 
 
-@figures.styled
-def plot(found: dict[Case, dict[str, list[Rung]]], file: Path) -> None:
-    """Draw error against time, one panel per scene, on logarithmic axes."""
-    names = [SURFEL, PATCH, MITSUBA_PATCH, DENOISED, MITSUBA_SPOT, BATCH, PATH]
-    colours = dict(zip(names, figures.COLOURS, strict=False))
-    figure, axes = figures.subplots(1, len(found), size=(5.0 * len(found), 4.6), sharey=True)
-    for ax, (case, methods) in zip(axes[0], found.items(), strict=True):
-        for name in (n for n in names if n in methods):
-            rungs = methods[name]
-            seconds = np.array([np.median(r.seconds) for r in rungs])
-            spread = [[s - min(r.seconds), max(r.seconds) - s] for s, r in zip(seconds, rungs, strict=True)]
-            errors = np.array([r.error for r in rungs])
-            ax.errorbar(
-                seconds, errors, xerr=np.transpose(spread), color=colours[name], marker="o", markersize=4, label=name
-            )
-            goal, how = time_to(rungs, GOAL)
+def rung_rows(found: dict[Case, dict[str, list[Rung]]]) -> list[tuple[str, ...]]:
+    """Return a row for each rung, and one for the time to `GOAL` where that is extrapolated."""
+    table = []
+    for case, methods in found.items():
+        for name, rungs in methods.items():
+            for r in rungs:
+                seconds = (float(np.median(r.seconds)), min(r.seconds), max(r.seconds))
+                table.append((case.name, name, f"{r.setting:g}", *(f"{s:.3g}" for s in seconds), f"{r.error:.3g}"))
+            seconds_to, how = time_to(rungs, GOAL)
             if how == "extrapolated":
-                ax.plot([seconds[-1], goal], [errors[-1], GOAL], ":", color=colours[name])
-        ax.axhline(GOAL, color="0.6", linewidth=0.8)
-        ax.set(xscale="log", yscale="log", xlabel="seconds a new pose", title=case.name)
-    axes[0, 0].set_ylabel("error of the target's light, relative RMS")
-    axes[0, -1].legend(title="dotted: extrapolated", title_fontsize=8)
-    figures.save(file, figure)
+                table.append((case.name, name, how, *[f"{seconds_to:.3g}"] * 3, f"{GOAL:g}"))
+    return table
 
 
 def own_times(processes: Processes, folder: Path, rounds: int = 5) -> dict[str, dict[str, float]]:
@@ -536,7 +526,8 @@ def times(processes: Processes, folder: Path, *, quick: bool) -> dict[str, Any]:
         case = Case(target, 1.0, room)
         measured[case] = measure(processes, case, budget=1.5 if quick else 12.0, rounds=2 if quick else 5)
         print_times(case, measured[case])
-    plot(measured, folder / "error-by-time.png")
+    file = results.write(folder, "error-by-time", RESULTS["error-by-time"], rung_rows(measured))
+    pictures.save("error-by-time", file, folder)
     results.write(folder, "speed", RESULTS["speed"], speed_rows(measured))
     print(f"\nplot: {folder / 'error-by-time.png'}")
     return {case.name: methods for case, methods in measured.items()}

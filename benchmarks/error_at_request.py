@@ -1,8 +1,9 @@
 """Error at request: errors that the surfel engine achieves at requested accuracies, against our own quadrature.
 
 Run: ``python benchmarks/error_at_request.py -o DIR [--poses 1000] [--room 100]`` (some 25 minutes
-on one core). Prints a table, writes ``error-at-request.csv``, ``.png`` and ``.json``, and exits with 1 if a single
-pose errs by more than requested, or if the reference could not be shown to be five times better than that.
+on one core). Prints a table, writes ``error-at-request.csv``, ``.png`` and ``.json`` and ``errors-by-pose.csv``, and
+exits with 1 if a single pose errs by more than requested, or if the reference could not be shown to be five times
+better than that.
 
 Poses before the bare wall are hard ones: near the wall, touching it, edge-on to the lit or the watched patch, and
 edge-on *and* near. In the room, where the light that a target hides counts too, they are inside the preset's grid.
@@ -25,13 +26,13 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import pictures
 import quadrature
 import results
 import scenes
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
-from generator.measure import figures
 from generator.model.arrays import rotation_matrix
 from generator.model.errors import NlosError
 from generator.model.presets import preset
@@ -51,7 +52,10 @@ KINDS = {
     "edge-on and near": 0.15,
 }
 """Share of each kind of pose before the bare wall."""
-RESULTS = {"error-at-request": ("kind", "requested", "poses", "median", "99 %", "worst")}
+RESULTS = {
+    "error-at-request": ("kind", "requested", "poses", "median", "99 %", "worst"),
+    "errors-by-pose": ("kind", "requested", "error"),
+}
 FAINT = 1e-12
 """Pictures below this, relative to the target's brightest, are rounding, as for a sheet whose lit side is unseen."""
 TRUST = 5.0
@@ -341,27 +345,10 @@ def checks(cases: list[Case]) -> str:
     return "\n".join(lines)
 
 
-@figures.styled
-def plot(cases: list[Case], path: Path) -> None:
-    """Draw achieved error against requested accuracy, one point per pose."""
-    kinds = list(dict.fromkeys(case.kind for case in cases))
-    figure, [[axes]] = figures.subplots(size=(9.5, 5.0))
-    for i, kind in enumerate(kinds):
-        points = [
-            (a, e) for c in cases if c.kind == kind for a, e in c.errors.items() if a not in untrusted(c) and e < 1e9
-        ]
-        asked, achieved = np.array(points).T
-        shift = 10.0 ** ((i - (len(kinds) - 1) / 2.0) * 0.09)
-        spread = 10.0 ** np.random.default_rng(0).uniform(-0.03, 0.03, len(asked))
-        places = asked * shift * spread, np.maximum(achieved, 1e-9)
-        axes.scatter(*places, s=7, alpha=0.6, linewidths=0, rasterized=True, label=kind)
-    ends = np.array([min(ACCURACIES) / 3.0, max(ACCURACIES) * 3.0])
-    asked = np.array(ACCURACIES)
-    axes.hlines(asked, asked / 2.0, asked * 2.0, color="black", linewidth=1.0, label="as asked")
-    axes.set(xscale="log", yscale="log", xlabel="accuracy asked for", ylabel="error achieved", xlim=ends)
-    axes.set_title("Error of the surfel engine against independent quadrature, a point a pose")
-    axes.legend(loc="center left", bbox_to_anchor=(1.0, 0.5), markerscale=2.0, frameon=False)
-    figures.save(path, figure)
+def points(cases: list[Case]) -> list[tuple[str, str, str]]:
+    """Return a row for each error that can be judged."""
+    judged = ((c.kind, a, e) for c in cases for a, e in c.errors.items() if a not in untrusted(c) and e < 1e9)
+    return [(kind, f"{asked:g}", f"{error:.3g}") for kind, asked, error in judged]
 
 
 def main(argv: list[str] | None = None) -> int:
@@ -394,7 +381,8 @@ def main(argv: list[str] | None = None) -> int:
     for kind, *cells in (RESULTS["error-at-request"], *rows):
         print(f"{kind:<26}" + "".join(f"{cell:>10}" for cell in cells))
     print(f"\n{checks(cases)}\n")
-    plot(cases, options.out / "error-at-request.png")
+    file = results.write(options.out, "errors-by-pose", RESULTS["errors-by-pose"], points(cases))
+    pictures.save("error-at-request", file, options.out)
     cases.sort(key=lambda case: -case.worst)
     (options.out / "error-at-request.json").write_text(json.dumps([asdict(c) for c in cases], indent=1))
     failed = [c for c in cases if any(e > a and a not in untrusted(c) for a, e in c.errors.items())]

@@ -27,7 +27,8 @@ RESULTS = {
         "paper's settings, F1",
         "tuned, accuracy",
         "tuned, F1",
-    )
+    ),
+    "confusion": ("features", "trained on", "tested on", "classifier", "settings", "truth", "predicted", "count"),
 }
 
 
@@ -59,6 +60,12 @@ def compared(report: Path, kind: str) -> list[tuple[str, ...]]:
     return table
 
 
+def confused(report: Path, kind: str) -> list[tuple[str, ...]]:
+    """Return the counts of all confusion matrices from the report of a set of features."""
+    with (report / "confusion.csv").open(newline="", encoding="utf-8") as file:
+        return [(kind, *row) for row in list(csv.reader(file))[1:]]
+
+
 def main() -> None:
     """Render, describe and compare both targets."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
@@ -85,12 +92,14 @@ def main() -> None:
         run("generator.cli", "verify", data)
         for kind in options.sets:
             run("classify.cli", "features", data, "-o", folder / f"{target}-{kind}.h5", "--features", kind)
-    table = []
+    table, counts = [], []
     for kind in options.sets:
         features = [folder / f"{target}-{kind}.h5" for target in TARGETS]
         run("classify.cli", "compare", *features, "-o", folder / f"report-{kind}")
         table += compared(folder / f"report-{kind}", kind)
+        counts += confused(folder / f"report-{kind}", kind)
     results.write(folder, "reproduction", RESULTS["reproduction"], table)
+    results.write(folder, "confusion", RESULTS["confusion"], counts)
 
 
 if __name__ == "__main__":

@@ -22,11 +22,11 @@ from pathlib import Path
 
 import numba
 import numpy as np
+import pictures
 import results
 
 from generator.blender.engines import survey
 from generator.blender.scene import blend_file, build
-from generator.measure import figures
 from generator.model.presets import preset
 from generator.transport import Mesh, Transport, World, kernel
 
@@ -103,7 +103,6 @@ def _memory() -> float:
     return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024.0
 
 
-@figures.styled
 def main() -> None:
     """Measure, print, plot."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
@@ -145,26 +144,15 @@ def main() -> None:
         transport = Transport(replace(world, target=(mesh,)), accuracy=options.accuracy)
         record("triangles", len(mesh.triangles), best(lambda t=transport: t.render(*POSE)))
 
-    figure, [axes] = figures.subplots(1, 3, size=(13.0, 3.6))
-    for axis, (name, rows) in zip(axes, series.items(), strict=True):
+    for name, rows in series.items():
         print(f"\n{name:>10s} {'seconds':>10s} {'us each':>10s} {'MiB so far':>11s}")
         for n, t, memory in rows:
             print(f"{n:10.0f} {t:10.5f} {1e6 * t / n:10.3f} {memory:11.0f}")
-        work, seconds, peak = np.array(rows).T
-        axis.loglog(work, seconds, "o-")
-        axis.loglog(work, seconds[-1] * work / work[-1], "k:", label="linear")
-        axis.set(xlabel=name, ylabel="seconds")
-        axis.legend(loc="upper left")
-        memory_axis = axis.twinx()
-        memory_axis.plot(work, peak, "s-", color="0.6", markersize=3)
-        memory_axis.set_ylim(0.0, 1.1 * max(row[2] for points in series.values() for row in points))
-        memory_axis.set_ylabel("MiB at most so far", color="0.4")
-        memory_axis.grid(visible=False)
     table = [
         (name, f"{n:.0f}", f"{t:.2g}", f"{memory:.0f}") for name, rows in series.items() for n, t, memory in rows
     ]
-    results.write(options.output, "scaling", RESULTS["scaling"], table)
-    for path in figures.save(options.output / "scaling.png", figure):
+    file = results.write(options.output, "scaling", RESULTS["scaling"], table)
+    for path in pictures.save("scaling", file, options.output):
         print(path)
 
 
