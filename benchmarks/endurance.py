@@ -14,7 +14,6 @@ import time
 from pathlib import Path
 
 import numpy as np
-import pictures
 import results
 
 from generator.jobs import local
@@ -55,6 +54,8 @@ def main() -> None:
         SweepRequest(scene=scene, path=options.output / "set", chosen=chosen, workers=2), progress=record
     )
     table = np.array(rows)
+    import pictures  # not before: what draws would count as the coordinator's memory
+
     file = results.write(options.output, "endurance", RESULTS["endurance"], np.round(table, 2).tolist())
     pictures.save("endurance", file, options.output)
     later = table[table[:, 0] > 0.1 * table[-1, 0]]

@@ -2,7 +2,7 @@
 
 Run: ``python benchmarks/pictures.py [NAME ...] -o DIR``. Each is written as PNG, which goes to ``docs/pictures``, and
 as SVG. A picture keeps the name and the hash of its file, and ``tests/test_pictures.py`` holds them against
-``docs/data``, so that no file changes without its picture. Benchmarks that make such a file draw it by `save`.
+``docs/data``, so that no file changes without its picture. Benchmarks that draw what they measure do it by `save`.
 """
 
 from __future__ import annotations
@@ -198,13 +198,13 @@ def worths(table: list[Row]) -> Figure:
     """What `nlos-classify tradeoff` draws."""
     found = []
     for row in table:
-        name = row["way"] if "surfel" in row["way"] or "pat" in row["way"] else tradeoff.REFERENCE
+        name = tradeoff.REFERENCE if row["way"] == "no noise of rendering" else _way(row["way"])
         right, error, detected = (
             Interval(*(number / 100.0 for number in interval(row[column])))
             for column in ("right voxel (%)", "median error", "detected (%)")
         )
         seconds = float(row["core seconds a picture"])
-        found.append(worth.Worth(_way(name), seconds, right, error, detected, 0, np.array([])))
+        found.append(worth.Worth(name, seconds, right, error, detected, 0, np.array([])))
     found.sort(key=lambda way: way.seconds)
     return worth.draw(found, "270 answers, one frame, with 95 % intervals")
 
@@ -254,14 +254,13 @@ def error_at_request(table: list[Row]) -> Figure:
     asked_for = sorted({float(row["requested"]) for row in table})
     figure, [axes] = figures.subplots(1, len(asked_for), size=(figures.WIDTH, 4.2), sharey=True)
     for axis, asked in zip(axes, asked_for, strict=True):
-        for place, (kind, colour) in enumerate(zip(kinds, cycle(figures.COLOURS))):
+        for place, kind in enumerate(kinds):
             errors = np.array(
                 [float(row["error"]) for row in table if row["kind"] == kind and float(row["requested"]) == asked]
             )
             spread = np.random.default_rng(0).uniform(-0.3, 0.3, len(errors))
-            axis.scatter(
-                np.maximum(errors, _LEAST), place + spread, s=6, color=colour, lw=0, alpha=0.6, rasterized=True
-            )
+            shown = np.maximum(errors, _LEAST)
+            axis.scatter(shown, place + spread, s=6, color=figures.BLUE, lw=0, alpha=0.5, rasterized=True)
         axis.axvline(asked, color=figures.BLACK, lw=1.2)
         axis.set(xscale="log", xlabel="error achieved", title=f"asked for: {asked:g}")
         axis.grid(axis="y", visible=False)

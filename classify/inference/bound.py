@@ -301,7 +301,7 @@ def draw(path: Path, atlas: Atlas, found: Map) -> list[Path]:
     panels = (
         ("distance from the empty scene", "standard deviations", found.presence, math.inf, figures.SEQUENTIAL),
         ("least error of the position", "cm", 100.0 * found.position, most, f"{figures.SEQUENTIAL}_r"),
-        ("least movement noticed, worst direction", "cm", 100.0 * found.movement, most, f"{figures.SEQUENTIAL}_r"),
+        ("least movement noticed", "cm, worst direction", 100.0 * found.movement, most, f"{figures.SEQUENTIAL}_r"),
     )
     height = 0.5 * (lo[2] + hi[2])
     for axis, (title, unit, values, cap, colours) in zip(axes, panels, strict=True):
@@ -311,7 +311,7 @@ def draw(path: Path, atlas: Atlas, found: Map) -> list[Path]:
         )
         capped = bool((values > cap).any())
         bar = figure.colorbar(image, ax=axis, orientation="horizontal", extend="max" if capped else "neither")
-        bar.set_label(f"{unit}; {cap:.3g} {unit} is the volume's diagonal" if capped else unit)
+        bar.set_label(f"{unit}; capped at the volume's diagonal, {cap:.3g}" if capped else unit)
         figures.plain_numbers(bar.ax.xaxis)
         axis.grid(visible=False)
         for voxel, label in enumerate(atlas.grid.labels):
