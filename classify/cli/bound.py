@@ -51,7 +51,7 @@ class VoxelBound:
     accuracy: Interval = described("share of pictures that the best method puts into the right voxel")
     presence: float | None = described(
         "distance of the object's picture from the empty scene's, in standard deviations of the noise; null, as all "
-        "that follow, where the object is not known, under ambient light, or where none can be",
+        "that follow, where the object is not known, or where none can be",
         None,
     )
     position: list[float] | None = described("least standard deviation of x, y and z, metres", None)
@@ -89,11 +89,9 @@ def run_bound(options: argparse.Namespace) -> Answer:
     if atlas.about.get("fingerprints") != [simulated.meta["fingerprint"]]:
         raise NlosError(f"{options.atlas}: is not an atlas of {options.simulated}; make it anew")
     # The bound of Cramer and Rao needs a known object and the derivatives of its pictures.
-    ambient = simulated.world().ambient is not None
-    single = not simulated.plan.unknown and not ambient
+    single = not simulated.plan.unknown
     if options.map and not single:
-        reason = "is under ambient light, where the engine knows no derivatives" if ambient else "is of many"
-        raise NlosError(f"--map: draws what can be known of one object, and {options.simulated} {reason}")
+        raise NlosError(f"--map: draws what can be known of one object, and {options.simulated} is of many")
     with progress_bar("asking", "pictures") as progress:
         best = bound.reachable(
             atlas,
