@@ -68,8 +68,13 @@ def sensor_of(options: argparse.Namespace) -> Sensor:
     from classify.pictures.sensor import Sensor
     from generator.files.toml import from_dict, read_toml
 
-    named = options.sensor not in (None, "default")
-    sensor: Sensor = from_dict(Sensor, read_toml(Path(options.sensor)), "sensor.") if named else Sensor()
+    sensor = Sensor()
+    if options.sensor not in (None, "default"):
+        given = read_toml(Path(options.sensor))
+        try:
+            sensor = from_dict(Sensor, given)
+        except NlosError as error:
+            raise NlosError(f"{options.sensor}: {error}") from None
     return sensor if options.frames is None else replace(sensor, frames=options.frames)
 
 

@@ -200,5 +200,23 @@ def test_features_of_what_a_sensor_saw(tmp_path, command):
     assert "sensor.frames: 0 must be 1 or more" in done.stderr
 
 
+@pytest.mark.parametrize(
+    ("text", "words"),
+    [
+        ("frame = 9", "frame: no such field; "),
+        ("[sensor]\nframes = 9", "sensor: no such field; "),
+        ("bits = 12.5", "bits: 12.5 must be a whole number"),
+        ("bits = 99", "sensor.bits: 99 must be from 1 to 32"),
+    ],
+)
+def test_a_file_of_a_sensor_is_named_where_it_is_wrong(tmp_path, command, text, words):
+    file = tmp_path / "long.toml"
+    file.write_text(text)
+    make_dataset(tmp_path / "d", n=1)
+    done = command("classify", "features", tmp_path / "d", "-o", tmp_path / "f.h5", "--sensor", file)
+    assert (done.returncode, (tmp_path / "f.h5").exists()) == (2, False)
+    assert done.stderr.startswith(f"error: {file}: {words}")
+
+
 def test_every_set_that_can_be_chosen_is_there():
     assert set(FEATURE_SETS) == set(choices_of(FeatureSettings, "set"))
