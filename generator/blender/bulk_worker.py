@@ -93,7 +93,7 @@ def plan(
     doubts = misgivings.look(scene)
     if not force:
         misgivings.refuse(doubts)
-    for words in doubts.notes:
+    for words in doubts.lines:
         tell(words)
     draw, draw_others = _poses(scene, settings), _others(scene, settings)
     for voxel in range(min(described.grid.n_voxels, settings.pictures)):

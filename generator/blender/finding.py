@@ -28,6 +28,11 @@ class Finding:
     object: str = ""
     fix: str = ""
 
+    @property
+    def line(self) -> str:
+        """The finding as commands print it."""
+        return f"{self.level}: {self.text}"
+
 
 FIXES = {
     "metres": "Convert to Metres",

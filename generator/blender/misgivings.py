@@ -7,7 +7,7 @@ from dataclasses import dataclass, field
 import bpy
 
 from generator.blender import check
-from generator.blender.finding import ERROR, WARNING
+from generator.blender.finding import ERROR, WARNING, Finding
 from generator.model.engines import AUTO
 from generator.model.errors import NlosError
 
@@ -31,9 +31,10 @@ class Misgivings:
         return "".join(self.errors[:1]) + (f" (and {more} more, see nlos-generate check)" if more > 0 else "")
 
     @property
-    def notes(self) -> list[str]:
-        """Errors and warnings as notes, to be shown if the set is begun in spite of them."""
-        return [f"note: {text}" for text in [*self.errors, *self.warnings]]
+    def lines(self) -> list[str]:
+        """Errors and warnings as ``check`` prints them, to be shown if the set is begun in spite of them."""
+        levels = ((ERROR, self.errors), (WARNING, self.warnings))
+        return [Finding(level, text).line for level, texts in levels for text in texts]
 
 
 def look(scene: bpy.types.Scene) -> Misgivings:

@@ -96,7 +96,7 @@ def plan(
             if name in chosen:
                 raise NlosError(f"{name}: means nothing to the engine {sweep.engine!r}; leave it out")
     doubts = doubted(scene, sweep, force=force)
-    for words in doubts.notes:
+    for words in doubts.lines:
         tell(words)
     Varying(scene, sweep.variations)  # raises now, and not later, if a value cannot vary
     records = placed(scene, described, sweep)

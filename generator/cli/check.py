@@ -76,5 +76,5 @@ def run_check(options: argparse.Namespace) -> Answer:
         findings=[Found(level=f.level, text=f.text, object=f.object or None) for f in findings],
         errors=sum(f.level == ERROR for f in findings),
     )
-    lines = [f"{finding.level}: {finding.text}" for finding in findings]
+    lines = [finding.line for finding in findings]
     return Answer(values, lines, code=1 if check.hopeless(findings) else 0)

@@ -53,7 +53,7 @@ class Built:
     path: Path | None = described("the .blend file; null if only shown")
     figures: dict[str, Any] = described("every figure of the scene, by the names that --set takes")
     voxels: list[str] = described("labels of the voxels")
-    notes: list[str] = described("what the check without rendering has to say")
+    notes: list[str] = described("errors and warnings of the check without rendering, as check prints them")
 
 
 def run_scene(options: argparse.Namespace) -> Answer:
@@ -76,7 +76,7 @@ def run_scene(options: argparse.Namespace) -> Answer:
     if deviation := unlike(scene, read_scene(blender_scene)):  # a sweep reads the scene from the file
         raise NlosError(f"{deviation}; take a figure that it can hold")
     blend_file.save_file(options.output)
-    notes = misgivings.look(blender_scene).notes
+    notes = misgivings.look(blender_scene).lines
     last = (
         f"{options.output}: {options.preset} with a {scene.target.kind}, voxels {voxels[0]} to {voxels[-1]}, "
         f"{scene.resolution[0]} x {scene.resolution[1]} pixels"

@@ -39,7 +39,7 @@ def test_it_is_refused_then_forced_then_resumed(tmp_path, doubtful, command):
     assert not (tmp_path / "set").exists()
     done = command("generator", *sweep, "--force", "--shard", "0/2")
     assert done.returncode == 0, done.stderr
-    assert f"note: {ORDER}" in done.stdout
+    assert f"error: {ORDER}" in done.stdout
     [kept] = Dataset.open(tmp_path / "set").meta["forced"]
     assert kept.startswith(ORDER)
     done = command("generator", *sweep)  # it goes on unasked, and says nothing again
@@ -100,7 +100,7 @@ def test_batch_inside_blender_asks_too(tmp_path, doubtful, force):
     )
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False)
     assert done.returncode == (0 if force else 2), done.stderr
-    assert (f"note: {ORDER}" in done.stdout) if force else (ORDER in done.stderr)
+    assert (f"error: {ORDER}" in done.stdout) if force else (ORDER in done.stderr)
 
 
 def test_a_good_scene_is_not_asked_about(tiny_dataset):

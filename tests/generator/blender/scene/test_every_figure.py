@@ -104,10 +104,12 @@ def test_the_command_refuses_and_leaves_no_file(tmp_path, command):
 def test_the_command_says_what_check_would(tmp_path, command):
     done = command("generator", "scene", "room", "--set", "reflection_order=2", "-o", tmp_path / "a.blend")
     assert done.returncode == 0, done.stderr
-    assert done.stdout.startswith("note: Light makes 2 reflections at most")
+    assert done.stdout.startswith("error: Light makes 2 reflections at most")
+    checked = command("generator", "check", tmp_path / "a.blend", "--resolution", "8")
+    assert done.stdout.splitlines()[0] in checked.stdout.splitlines()
     for name in ("room", "corridor"):
         done = command("generator", "scene", name, "-o", tmp_path / "b.blend")
-        assert "note" not in done.stdout, name
+        assert done.stdout.startswith(f"{tmp_path / 'b.blend'}: "), name
 
 
 def test_many_voxels_have_their_names_at_once():
