@@ -143,8 +143,10 @@ def _engine(scene: bpy.types.Scene, engine: str) -> list[Finding]:
     surveyed = survey.survey(scene)
     if surveyed.never:
         return [Finding(ERROR, f"It cannot be swept: {why}", _named(scene, why)) for why in surveyed.never]
+    if engine == AUTO:
+        return []
     chosen, _ = renderers.choose(scene, surveyed)
-    if engine in (AUTO, chosen):
+    if engine == chosen:
         return []
     reasons = surveyed.reasons(engine)
     if reasons:

@@ -18,14 +18,12 @@ from generator.blender.engines import survey
 from generator.blender.engines.cycles import CyclesRenderer, linear_output, plain_cycles, use_gpu
 from generator.blender.engines.patch_lamp import patch_lamp
 from generator.blender.engines.renderer import Renderer
-from generator.blender.engines.surfel import SurfelRenderer
 from generator.blender.scene import geometry, roles
 from generator.blender.scene.quiet import Overrides
 from generator.model.engines import ENGINES
 from generator.model.errors import NlosError
 from generator.model.settings import Sweep
-from generator.transport import Transport, left_out
-from generator.transport.compiled import COMPILED
+from generator.transport import left_out
 
 
 @contextlib.contextmanager
@@ -85,6 +83,10 @@ def opened(
         surveyed.check(engine)
         order = roles.reflection_order(scene)  # after a render has started, which applies animation
         if surveyed.world is not None and engine == "surfel":
+            # Imported here, since it loads numba, for which Cycles need not wait (a fifth of a second).
+            from generator.blender.engines.surfel import SurfelRenderer
+            from generator.transport import Transport
+
             world, shadows = left_out.without(surveyed.world, leave_out)
             yield SurfelRenderer(scene, Transport(world, accuracy=accuracy, threads=threads), shadows=shadows)
             return
@@ -134,6 +136,10 @@ def _by_cost(found: survey.Survey) -> Iterator[tuple[str, list[str]]]:
 
 def _uncompiled(found: survey.Survey) -> list[str]:
     """Why `surfel` is not the cheapest engine although it can render a scene: Blender's own Python lacks numba."""
-    if COMPILED or found.world is None or not found.world.room:
+    if found.world is None or not found.world.room:
+        return []
+    from generator.transport.compiled import COMPILED  # here, as in `opened`
+
+    if COMPILED:
         return []
     return ["surfel takes minutes for a room's own light where numba is missing"]
