@@ -213,7 +213,7 @@ def render(
     """
     sweep = dataset.sweep
     opened = functools.partial(renderers.opened, scene, sweep.engine, threads=threads, **renderers.settings(sweep))
-    if sweep.variations or sweep.targets > 1:
+    if sweep.varied:
         with opened() as renderer:
             background = _background(renderer, dataset, sweep)
         _render_varying(scene, dataset, opened, background, batches, report)

@@ -106,6 +106,11 @@ class Sweep:
         """Whether each pose has a background picture of its own, since more than the target varies."""
         return moves_background(self.variations)
 
+    @property
+    def varied(self) -> bool:
+        """Whether poses differ in more than where the target is, so that an engine is opened for each."""
+        return bool(self.vary) or self.targets > 1
+
     def __post_init__(self) -> None:
         check_ranges(self)
         require(not self.frames or self.targets == 1, "targets: one object walks along a trajectory; leave it out")
