@@ -106,6 +106,7 @@ def survey(scene: bpy.types.Scene, *, resolution: tuple[int, int] | None = None)
         size = geometry.shape_pictures(scene, resolution, overrides)
         with posing.put_back(scene):
             reading, never = refuse_moving(scene, target)
+        never += _foreign_colours()
         patch, patch_reasons = read_lit_patch(scene, reading)
         watched, view_reasons = read_watched(scene, reading, size)
     reasons = [*patch_reasons, *view_reasons, *reading.reasons]
@@ -155,6 +156,17 @@ def _too_many(meshes: Sequence[Mesh]) -> list[str]:
     if count <= MOST_SURFACES:
         return []
     return [f"the room has {count} triangles, over which neither a sky nor a fourth reflection is followed"]
+
+
+def _foreign_colours() -> list[str]:
+    """Return why a scene in a project of Blender 5.3 cannot be swept: its copy in a set would have other colours."""
+    if getattr(getattr(bpy.data, "colorspace", None), "ocio_config_source", "") != "PROJECT":
+        return []
+    project: Any = bpy.data.project  # type: ignore[attr-defined]
+    return [
+        f"its colours follow the OpenColorIO configuration of the project {project.root_path}, which a data set does "
+        "not keep; give the project Blender's own configuration, or take the scene out of it"
+    ]
 
 
 def _coincident(reading: Reading, patch: LitPatch | None) -> list[str]:

@@ -20,6 +20,7 @@ import bpy
 
 from generator.blender.scene import roles
 from generator.blender.scene.quiet import quiet
+from generator.files.toml import read_toml
 from generator.model.errors import NlosError
 from generator.sets.links import real, trusted
 
@@ -27,6 +28,8 @@ _WITH_FILES = ("libraries", "images", "movieclips", "sounds", "volumes", "cache_
 """Collections of `bpy.data` whose items have one file each."""
 _BUILT_IN = "<builtin>"
 """File name of data that are built into Blender."""
+_PROJECT = Path(".blender_project", "project.toml")
+"""Settings of a project, which Blender 5.3 looks for in a scene's folder and those above, and reads with it."""
 
 
 def refuse(scene: Path, known: Collection[Path] = ()) -> list[Path]:
@@ -46,6 +49,8 @@ def refuse(scene: Path, known: Collection[Path] = ()) -> list[Path]:
         known, or writes files as soon as it is opened; or it cannot be read.
     """
     files, doubts = _look(scene)
+    if hasattr(bpy.data, "project"):
+        files += project_colours(scene)
     if not trusted():
         folder = real(scene.parent)
         allowed = {real(path) for path in known}
@@ -59,6 +64,15 @@ def refuse(scene: Path, known: Collection[Path] = ()) -> list[Path]:
         if doubts:
             raise NlosError(f"{scene}: {doubts[0]}; or allow it with --trust-links")
     return files
+
+
+def project_colours(scene: Path) -> list[Path]:
+    """Return the file of the OpenColorIO configuration that a scene's project sets, if it is no built-in one."""
+    for folder in scene.absolute().parents:
+        if (folder / _PROJECT).is_file():  # the nearest is the scene's
+            name = str(read_toml(folder / _PROJECT).get("ocio_config", ""))
+            return [folder / name.replace("{project_root}", str(folder))] if name and "://" not in name else []
+    return []
 
 
 def _look(scene: Path) -> tuple[list[Path], list[str]]:

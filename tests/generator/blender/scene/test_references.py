@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import shutil
+
 import bpy
 import pytest
 from conftest import TINY
@@ -252,3 +254,41 @@ def test_every_way_to_render_says_so(tmp_path, saved, command):
     done = command("generator", "sweep", path, "-o", tmp_path / "set", *TINY)
     assert done.returncode == 2
     assert "library.blend" in done.stderr
+
+
+BUILT_IN = "ocio://studio-config-v4.0.0_aces-v2.0_ocio-v2.5"
+
+
+def a_project(folder, configuration):
+    settings = folder / ".blender_project" / "project.toml"
+    settings.parent.mkdir(exist_ok=True)
+    settings.write_text(f'schema_version = 1\nname = "lab"\nocio_config = "{configuration}"\n')
+
+
+def test_the_colours_of_a_project_are_a_file_that_a_scene_refers_to(tmp_path):
+    scene = tmp_path / "in" / "a.blend"
+    scene.parent.mkdir()
+    assert references.project_colours(scene) == []
+    a_project(tmp_path, "{project_root}/ocio/config.ocio")
+    assert references.project_colours(scene) == [tmp_path / "ocio" / "config.ocio"]
+    a_project(tmp_path, BUILT_IN)
+    assert references.project_colours(scene) == []
+    a_project(scene.parent, "/elsewhere/config.ocio")
+    assert [str(path) for path in references.project_colours(scene)] == ["/elsewhere/config.ocio"]
+
+
+@pytest.mark.skipif(not hasattr(bpy.data, "project"), reason="Blender has projects since 5.3")
+def test_a_project_with_colours_of_its_own_is_refused(tmp_path, scene_file, command):
+    """A set's copy of the scene lies elsewhere, where its textures would have other colours."""
+    scene = tmp_path / "room.blend"
+    shutil.copy(scene_file, scene)
+    for configuration, words in (
+        ("/elsewhere/config.ocio", "refers to /elsewhere/config.ocio, outside its own folder"),
+        (BUILT_IN, f"cannot be swept: its colours follow the OpenColorIO configuration of the project {tmp_path}"),
+    ):
+        a_project(tmp_path, configuration)
+        done = command("generator", "sweep", scene, "-o", tmp_path / "set", *TINY)
+        assert (done.returncode, (tmp_path / "set").exists()) == (2, False)
+        assert words in done.stderr
+    a_project(tmp_path, "")
+    assert command("generator", "sweep", scene, "-o", tmp_path / "set", *TINY).returncode == 0
