@@ -24,8 +24,8 @@ VERBS = [(module, verb) for module in MODULES.values() for verb in verb_parsers(
 
 
 def parsed(line):
-    """The options of a command line as a dict."""
-    program, *arguments = shlex.split(line)
+    """The options of a command line as a dict; where it is piped or redirected, those of its first command."""
+    program, *arguments = shlex.split(re.split(r" [|>] ", line)[0], comments=True)
     return vars(MODULES[program].parser().parse_args(arguments))
 
 
@@ -54,6 +54,15 @@ def test_the_examples_of_the_whole_are_right():
     for module in MODULES.values():
         _, *lines = module.parser().epilog.splitlines()
         assert len([parsed(line.strip()) for line in lines]) == 4
+
+
+def test_the_commands_on_the_pages_are_right():
+    pages = [ROOT / "README.md", *(ROOT / "docs").rglob("*.md")]
+    lines = [line.strip() for page in pages for line in page.read_text("utf-8").replace("\\\n", " ").splitlines()]
+    commands = [line for line in lines if line.startswith(tuple(f"{program} " for program in MODULES))]
+    assert len(commands) > 50
+    for line in commands:
+        assert parsed(line)
 
 
 @pytest.mark.parametrize(
