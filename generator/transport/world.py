@@ -13,6 +13,9 @@ import numpy as np
 from generator.model.arrays import Array
 from generator.model.errors import NlosError
 
+MOST_SURFACES = 2000
+"""Most surfaces of room and wall over which light is followed that is reflected more often, or comes from the sky."""
+
 
 @dataclass(frozen=True)
 class LitPatch:

@@ -19,8 +19,7 @@ from generator.blender.scene import geometry, nodes, posing, roles
 from generator.blender.scene.quiet import Overrides
 from generator.model.arrays import Array
 from generator.model.errors import NlosError
-from generator.transport.light.field import MOST_SURFACES
-from generator.transport.world import AmbientLight, LitPatch, Mesh, Sphere, World
+from generator.transport.world import MOST_SURFACES, AmbientLight, LitPatch, Mesh, Sphere, World
 
 _SPHERE_FACES = 80
 _SPHERE_ROUND = 1e-3

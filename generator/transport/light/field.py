@@ -30,6 +30,7 @@ from generator.transport.light.picture_points import PicturePoints
 from generator.transport.light.spread import hemisphere, shifted
 from generator.transport.prepared import Setting
 from generator.transport.rays import Surfaces
+from generator.transport.world import MOST_SURFACES
 
 Floats = NDArray[Any]
 Numbers = NDArray[np.int64]
@@ -43,8 +44,6 @@ _POINTS = 12
 _PATCH = 8
 """Points along a diameter of the lit patch, as seen from the room's cells; and those within a cell, along a side."""
 _WITHIN = 4
-MOST_SURFACES = 2000
-"""Most surfaces of room and wall that light is followed over."""
 _CHUNK = 1 << 18
 _NEAR, _CLOSE = 0.15, 2.0
 """Size of a part of a cell, in units of its distance, that a sum over a cell's parts allows; and of a whole cell,

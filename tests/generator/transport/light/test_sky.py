@@ -19,7 +19,7 @@ from generator.sets import bulk_set
 from generator.sets import simulated as simulations
 from generator.sets.dataset import Dataset
 from generator.transport import AmbientLight, Mesh, Sphere, Transport
-from generator.transport.light import field
+from generator.transport.world import MOST_SURFACES
 from generator.transport.world_file import load_world, save_world, world_hash
 
 
@@ -202,7 +202,7 @@ def test_a_world_keeps_its_sky_in_a_file(tmp_path):
 
 def test_too_many_surfaces_are_refused():
     floor = worlds.quad((-2.0, 0.0, -1.0), (4.0, 0.0, 0.0), (0.0, 3.0, 0.0), 0.7)
-    moved = np.arange(field.MOST_SURFACES + 1)[:, None, None, None] * np.array([0.0, 1e-3, 1e-3])
+    moved = np.arange(MOST_SURFACES + 1)[:, None, None, None] * np.array([0.0, 1e-3, 1e-3])
     many = Mesh((floor.triangles + moved).reshape(-1, 3, 3), np.tile(floor.albedo, (len(moved), 1)))
     with pytest.raises(NlosError, match=r"of the sky: .* surfaces are more than"):
         Transport(under_sky(ball(), room=(many,)), accuracy=1e-2)
