@@ -26,13 +26,22 @@ _NEAR_EMBREE = 1e-4
 
 
 class Planes(NamedTuple):
-    """Flat surfaces as compiled functions take them; see `Surfaces`."""
+    """Flat surfaces as compiled functions take them; see `Surfaces`.
+
+    Attributes
+    ----------
+    normal, level, origin, dual, triangle : ndarray
+    rows : ndarray of shape (m, 13)
+        Normal (3) and level; for each of the two dual vectors, it (3) and its product with the origin; and 1 for a
+        triangle, 0 else. A row is read from one place in memory.
+    """
 
     normal: Floats
     level: Floats
     origin: Floats
     dual: Floats
     triangle: Flags
+    rows: Floats
 
 
 class Surfaces:
@@ -77,7 +86,10 @@ class Surfaces:
     @property
     def planes(self) -> Planes:
         """The flat surfaces as a record."""
-        return Planes(self.normal, self.level, self.origin, self.dual, self.triangle)
+        offsets = (self.dual * self.origin[:, None]).sum(axis=2)
+        parts = (self.normal, self.level, self.dual[:, 0], offsets[:, 0], self.dual[:, 1], offsets[:, 1], self.triangle)
+        rows = np.column_stack([part.astype(np.float64) for part in parts])
+        return Planes(self.normal, self.level, self.origin, self.dual, self.triangle, rows)
 
     @property
     def few(self) -> bool:
@@ -229,21 +241,23 @@ def _embree_scene(origin: Floats, first: Floats, second: Floats, triangle: Flags
 @jit_inlined
 def nearest(start: Floats, way: Floats, planes: Planes, most: float) -> tuple[int, float]:
     """Return the first surface that a ray, start (3,) and way (3,), meets before ``most``, -1 for none, and where."""
-    which, far = -1, most
-    for k in range(planes.normal.shape[0]):
-        n, o, d = planes.normal[k], planes.origin[k], planes.dual[k]
-        steep = way[0] * n[0] + way[1] * n[1] + way[2] * n[2]
-        height = planes.level[k] - (start[0] * n[0] + start[1] * n[1] + start[2] * n[2])
+    which, far, rows = -1, most, planes.rows
+    s0, s1, s2, w0, w1, w2 = start[0], start[1], start[2], way[0], way[1], way[2]
+    for k in range(rows.shape[0]):
+        steep = w0 * rows[k, 0] + w1 * rows[k, 1] + w2 * rows[k, 2]
+        height = rows[k, 3] - (s0 * rows[k, 0] + s1 * rows[k, 1] + s2 * rows[k, 2])
         # Compared before the division, which most surfaces then need not: they lie behind, or farther away.
         if steep < 0.0:
             steep, height = -steep, -height
         if height <= _NEAR * steep or height >= far * steep:
             continue
         t = height / steep
-        p0, p1, p2 = start[0] + t * way[0] - o[0], start[1] + t * way[1] - o[1], start[2] + t * way[2] - o[2]
-        u = p0 * d[0, 0] + p1 * d[0, 1] + p2 * d[0, 2]
-        v = p0 * d[1, 0] + p1 * d[1, 1] + p2 * d[1, 2]
-        if u < 0.0 or v < 0.0 or (u + v if planes.triangle[k] else max(u, v)) > 1.0:
+        p0, p1, p2 = s0 + t * w0, s1 + t * w1, s2 + t * w2
+        u = p0 * rows[k, 4] + p1 * rows[k, 5] + p2 * rows[k, 6] - rows[k, 7]
+        if u < 0.0 or u > 1.0:
+            continue
+        v = p0 * rows[k, 8] + p1 * rows[k, 9] + p2 * rows[k, 10] - rows[k, 11]
+        if v < 0.0 or v + rows[k, 12] * u > 1.0:
             continue
         which, far = k, t
     return which, far

@@ -41,11 +41,13 @@ Floats = NDArray[Any]
 Numbers = NDArray[np.int64]
 
 FINEST = 1e-2
-"""Least error that is asked for, relative to the whole change: cells are no finer."""
+"""Least error that is asked for: cells are no finer."""
 _BODY_CELL = 0.25
 """Size of a target's cell, of the target's radius."""
 _LINES, _MOST_LINES = 1 << 13, 1 << 17
 """Number of lines through the target, at first and at most."""
+_RATE = 4.0 / 3.0
+"""How many times lines are doubled to halve the error, as measured."""
 _LIT = 1 << 11
 """How many of the target's places the lamp's light is computed for."""
 _SEEN = 128
@@ -154,7 +156,8 @@ class LightChange:
     field : LightField
         Of the same room.
     accuracy : float
-        Root mean square error of the change that lines cause, relative to the whole change; at least `FINEST`.
+        Root mean square error that lines cause, relative to the root of the sum of squares of this change and of
+        what is known besides; at least `FINEST`.
     """
 
     def __init__(self, setting: Setting, field: LightField, accuracy: float) -> None:
@@ -187,7 +190,7 @@ class LightChange:
         turn, place : ndarray of shape (3, 3) and (3,)
             Rotation and position in the wall's frame.
         exact : ndarray of shape (groups, height, width), optional
-            What is known of the lamp's change, in the same unit: errors are relative to all of it.
+            What is known of the lamp's change, in the same unit: errors are relative to it too.
         shadows : bool
             Whether to include the light that it hides from the wall; without, only the light that it sends there.
 
@@ -237,14 +240,15 @@ class LightChange:
         found: dict[str, tuple[Floats, _Choice]] = {}
         count = _LINES
         while known:
-            lines = self._through(self._sampled(count), pose)
+            lines, excess = self._through(self._sampled(count), pose), 0.0
             for name in list(known):
                 several, level, side = self._several(name, lines, pose, known[name], shadows, _Choice(count, 0))
                 error = float(np.sqrt(several.var(axis=0, ddof=1).mean() / SETS))
-                if error <= self._accuracy * level or 2 * count > _MOST_LINES:
+                if error <= self._accuracy * level or count == _MOST_LINES:
                     found[name] = several.mean(axis=0), _Choice(count, side)
                     del known[name]
-            count *= 2
+                excess = max(excess, error / max(self._accuracy * level, 1e-300))
+            count = min(_MOST_LINES, count << max(1, round(_RATE * math.log2(max(1.0, min(excess, 1e3))))))
         return {name: found[name] for name in self._field.sources}
 
     def _several(
@@ -451,9 +455,12 @@ def _turned(axis: Floats, angle: float) -> Floats:
 
 
 def _level(pictures: Floats, exact: Floats | None) -> float:
-    """Return the root mean square of the mean of pictures (sets, ...) and what is known besides."""
-    whole = pictures.mean(axis=0) if exact is None else pictures.mean(axis=0) + exact
-    return float(np.sqrt((whole**2).mean()))
+    """Return what errors are relative to: the root mean square of pictures (sets, ...) and of what is known besides.
+
+    The two are joined as squares, since they may cancel: what the target adds and what it hides are much of either.
+    """
+    parts = [pictures.mean(axis=0), *([] if exact is None else [exact])]
+    return math.sqrt(sum(float((part**2).mean()) for part in parts))
 
 
 def _fair(number: Numbers | Floats) -> Floats:
@@ -522,15 +529,15 @@ def _exchanged_loops(lines: _Lines, level: Floats, body: Floats, groups: int) ->
             for g in range(first, first + groups):
                 arriving[owner, g] += flux * body[own, g]
             continue
-        place = front.cell[k]
         for g in range(first, first + groups):
             near, far = 0.0, 0.0
             for c in range(4):
                 near += front.shares[k, c] * level[front.corners[k, c], g]
                 far += behind.shares[k, c] * level[behind.corners[k, c], g]
             arriving[owner, g] += flux * near
-            if place < cells:
-                added[place, g] += flux * (body[owner, g] - far)
+            for c in range(4):
+                if front.corners[k, c] < cells:
+                    added[front.corners[k, c], g] += front.shares[k, c] * flux * (body[owner, g] - far)
     return added, arriving
 
 
@@ -544,7 +551,9 @@ def _exchanged_arrays(lines: _Lines, level: Floats, body: Floats, groups: int) -
     near = np.where(is_own, padded[lines.own], lines.front.of(level))
     sent = np.where(is_own, 0.0, body[lines.owner] - lines.behind.of(level))
     arriving = summed(lines.owner, flux * near, len(body))
-    return summed(lines.front.cell, flux * sent, len(level) - 1), arriving
+    front = lines.front
+    corners = (summed(front.corners[:, c], front.shares[:, c, None] * flux * sent, len(level) - 1) for c in range(4))
+    return sum(corners, start=np.zeros((len(level) - 1, level.shape[1]))), arriving
 
 
 _exchanged = jit_released(_exchanged_loops) if COMPILED else _exchanged_arrays

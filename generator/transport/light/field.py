@@ -35,7 +35,7 @@ from generator.transport.world import MOST_SURFACES
 Floats = NDArray[Any]
 Numbers = NDArray[np.int64]
 
-_CELL = 0.15
+_CELL = 0.12
 """Size of a cell in units of its distance from the watched patch."""
 _ROWS, _WALL = 1024, 4096
 """Number of rays into the room from each cell, and from each point of the picture."""
