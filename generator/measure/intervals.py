@@ -11,6 +11,9 @@ from scipy.stats import t as student
 
 from generator.model.arrays import Array
 
+_SYMMETRIC = 1e-6
+"""Skewness below which it is not removed, as rounding would be divided by it."""
+
 
 def median(values: Array, *, trials: float = 0.0, z: float = 1.959964) -> tuple[float, float, float]:
     """Return the median of values (n,), and the ends of its interval.
@@ -64,9 +67,9 @@ def relative(error: Array, signal: Array) -> tuple[float, float, float]:
     Returns
     -------
     (float, float, float)
-        Value, low and high end, by Student's t over the rounds' residuals, since the signal is sampled too (ratio
-        estimate: Cochran 1977); with a single round the ends are 0 and infinity, and
-        the value is NaN where noise hides the signal.
+        Value, low and high end, from the rounds' residuals, since the signal is sampled too (ratio estimate: Cochran
+        1977), by Student's t with its skewness removed: few poses may have most of an error. With a single round the
+        ends are 0 and infinity, and the value is NaN where noise hides the signal.
     """
     level = signal.mean(axis=0)
     if (level <= 0.0).any():
@@ -75,7 +78,31 @@ def relative(error: Array, signal: Array) -> tuple[float, float, float]:
     square, rounds = float(shares.mean()), len(error)
     if rounds < 2:
         return math.sqrt(max(0.0, square)), 0.0, math.inf
-    residuals = ((error - shares * signal) / level).mean(axis=1)
-    half = float(student.ppf(0.975, rounds - 1) * residuals.std(ddof=1) / math.sqrt(rounds))
-    low, value, high = (math.sqrt(max(0.0, square + x)) for x in (-half, 0.0, half))
+    below, above = _skewed((error - shares * signal) / level)
+    low, value, high = (math.sqrt(max(0.0, square + x)) for x in (-below, 0.0, above))
     return value, low, high
+
+
+def _skewed(residuals: Array) -> tuple[float, float]:
+    """Return how far the 95 % interval of a mean over rounds and places (rounds, places) reaches below and above it.
+
+    Student's t is made symmetric by a monotone cubic transformation (Hall 1992, On the removal of skewness by
+    transformation). Places are drawn independently, so the third moment of a round's mean follows from that of all
+    residuals, which are many where the rounds are few.
+    """
+    rounds, places = residuals.shape
+    means = residuals.mean(axis=1)
+    error = float(means.std(ddof=1)) / math.sqrt(rounds)
+    quantile = float(student.ppf(0.975, rounds - 1))
+    centred = residuals - residuals.mean(axis=0)
+    variance = float((centred**2).sum()) / ((rounds - 1) * places**2)
+    if rounds < 3 or variance == 0.0:  # two values are never skewed
+        return quantile * error, quantile * error
+    third = float((centred**3).sum()) * rounds / ((rounds - 1) * (rounds - 2) * places**3)
+    skewness = third / (variance**1.5 * math.sqrt(rounds))
+    if abs(skewness) < _SYMMETRIC:
+        return quantile * error, quantile * error
+    low, high = (
+        3.0 / skewness * (math.cbrt(1.0 + skewness * (t - skewness / 6.0)) - 1.0) for t in (quantile, -quantile)
+    )
+    return low * error, -high * error
