@@ -24,9 +24,11 @@ from generator.measure import intervals
 from generator.model.arrays import Array
 
 _Z = float(stats.norm.ppf(0.975))
-_DOUBT = 0.75
-"""Number of wrong answers, half correlated with their group, that a design effect is estimated with as well: with few
-wrong answers it would be too small too often. By simulation (benchmarks/interval_coverage.py), as the next."""
+_DOUBT = 0.5
+"""Number of wrong answers, not independent of others, that a design effect is estimated with as well: with few wrong
+answers it would be too small too often. By simulation (benchmarks/interval_coverage.py), as the next three."""
+_ALIKE, _IN_A_ROW = 5.0, 2.0
+"""The design effect of these: so many of a group, or all of it, are wrong at once; so many frames of a walk."""
 _COSINES = 0.3
 """Number of slow cosines over the root of the number of frames."""
 
@@ -100,8 +102,7 @@ def grouped(values: NDArray[Any], groups: NDArray[Any]) -> Effective:
     excess = float((sums**2).sum()) * len(names) / (len(names) - 1)
     rarer = count * min(mean, 1.0 - mean)
     binomial = count * mean * (1.0 - mean)
-    doubt = _DOUBT * 0.5 * (1.0 + count / len(names))
-    effect = (rarer * (excess / binomial if binomial else 1.0) + doubt) / (rarer + _DOUBT)
+    effect = _doubted(excess / binomial if binomial else 1.0, rarer, min(count / len(names), _ALIKE))
     return Effective(count / effect, float(stats.t.ppf(0.975, len(names) - 1)))
 
 
@@ -116,11 +117,14 @@ def serial(values: NDArray[Any]) -> Effective:
     if count <= cosines:
         return Effective(float(count))
     variance = float((fft.dct(values - mean, norm="ortho")[1 : cosines + 1] ** 2).mean())
-    binomial = mean * (1.0 - mean)
-    # One more frame, independent of the others: a share of 0 or 1 has no variance to estimate a design effect from.
-    added = (binomial + 0.25 / count) / count
-    effect = (variance + added) / (binomial + added)
+    binomial, rarer = mean * (1.0 - mean), count * min(mean, 1.0 - mean)
+    effect = _doubted(variance / binomial if binomial else 1.0, rarer, _IN_A_ROW)
     return Effective(count / effect, float(stats.t.ppf(0.975, cosines)))
+
+
+def _doubted(effect: float, wrong: float, prior: float) -> float:
+    """Return a design effect estimated from a number of wrong answers, averaged with the prior of `_DOUBT` more."""
+    return (wrong * effect + _DOUBT * prior) / (wrong + _DOUBT)
 
 
 def share(right: NDArray[np.bool_], groups: NDArray[Any] | None = None) -> Interval:

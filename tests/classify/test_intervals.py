@@ -62,6 +62,18 @@ def test_false_alarms_that_share_a_background():
     assert 0.003 < none.high < 0.01
 
 
+def test_few_pictures_whose_answers_nearly_agree():
+    groups = np.tile(np.arange(27), 5)
+    assert within(held(lambda rng: intervals.share(shared(rng, groups, 0.9) < stats.norm.ppf(0.9), groups), 0.9))
+
+
+@pytest.mark.parametrize(("count", "right"), [(100, 0.9), (400, 0.98)])
+def test_a_walk_with_one_error_that_lasts(count, right):
+    """Every walk in fifteen has none, and must not be taken for a proof that there is none."""
+    found = held(lambda rng: intervals.share_of_walk(walk(rng, count) < stats.norm.ppf(right)), right)
+    assert within(found, 0.95, 0.985)
+
+
 @pytest.mark.parametrize("count", [40, 200])
 def test_frames_of_a_walk(count):
     assert within(held(lambda rng: intervals.share_of_walk(walk(rng, count) < 0.0), 0.5), 0.92, 0.98)
