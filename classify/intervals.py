@@ -75,10 +75,21 @@ def score_interval(value: float, trials: float, z: float = _Z) -> Interval:
     return Interval(value, max(0.0, min(value, middle - half)), min(1.0, max(value, middle + half)))
 
 
-def wilson(successes: int, trials: int) -> Interval:
-    """Return a proportion of independent trials with its 95 % score interval (Wilson 1927)."""
-    interval = stats.binomtest(successes, trials).proportion_ci(method="wilson")
-    return Interval(successes / trials, float(interval.low), float(interval.high))
+def wilson(successes: int, trials: int, *, of: float = 1.0) -> Interval:
+    """Return a proportion of independent trials with its score interval (Wilson 1927).
+
+    Parameters
+    ----------
+    successes, trials : int
+    of : float
+        Number of such intervals that hold together in 95 % (Bonferroni; Dunn 1961), as where the best is chosen.
+    """
+    return score_interval(successes / trials, trials, _quantile(of))
+
+
+def _quantile(of: float) -> float:
+    """Return the half width, in standard errors, of each of several intervals that hold together in 95 %."""
+    return float(stats.norm.isf(0.025 / of))
 
 
 def grouped(values: NDArray[Any], groups: NDArray[Any]) -> Effective:
@@ -187,14 +198,20 @@ def exceedance(values: Array, threshold: float, groups: NDArray[Any]) -> Interva
     return score_interval(above, count / effect, float(stats.t.ppf(0.975, len(names) - 1)))
 
 
-def paired_difference(one: NDArray[np.bool_], other: NDArray[np.bool_]) -> Interval:
-    """Return the difference of two shares over the same pictures (n,), with its 95 % interval.
+def paired_difference(one: NDArray[np.bool_], other: NDArray[np.bool_], *, of: float = 1.0) -> Interval:
+    """Return the difference of two shares over the same pictures, with its interval.
 
     Wald's with one more picture for either way to differ (Bonett and Price 2012).
+
+    Parameters
+    ----------
+    one, other : ndarray of shape (n,)
+    of : float
+        Number of differences whose intervals hold together in 95 %, as for `wilson`.
     """
     count = len(one)
     gained, lost = (float((a & ~b).sum() + 1.0) / (count + 2.0) for a, b in ((one, other), (other, one)))
-    half = _Z * math.sqrt((gained + lost - (gained - lost) ** 2) / (count + 2.0))
+    half = _quantile(of) * math.sqrt((gained + lost - (gained - lost) ** 2) / (count + 2.0))
     middle = gained - lost
     value = float(np.mean(one)) - float(np.mean(other))
     return Interval(value, max(-1.0, middle - half), min(1.0, middle + half))

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from sklearn.model_selection import train_test_split
 
 from classify.classifiers import models
-from classify.classifiers.evaluate import fit_and_test
+from classify.classifiers.evaluate import fit_and_test, told_apart
 from classify.classifiers.models import Settings
 from classify.classifiers.names import ALL, NAMES
 from classify.intervals import Interval, wilson
@@ -45,6 +45,8 @@ class Point:
         Bytes of the trained model.
     unconverged : bool
         Whether the fit ended before it converged.
+    right : ndarray of shape (n,)
+        Whether each tested picture was put into its voxel; all points of a curve have the same order.
     """
 
     classifier: str
@@ -54,6 +56,7 @@ class Point:
     predict_seconds: float
     size: int
     unconverged: bool
+    right: NDArray[np.bool_]
 
 
 def curves(
@@ -125,16 +128,17 @@ def curves(
         )
         for done, ((name, count), fit) in enumerate(zip(jobs, fits, strict=True)):
             progress(done + 1, len(jobs), f"{name}, {count} pictures")
-            correct = int((fit["truth"] == fit["predicted"]).sum())
+            right = fit["truth"] == fit["predicted"]
             points.append(
                 Point(
                     classifier=name,
                     count=count,
-                    accuracy=wilson(correct, len(test_rows)),
+                    accuracy=wilson(int(right.sum()), len(right)),
                     train_seconds=fit["train_seconds"],
                     predict_seconds=fit["predict_seconds"] / len(test_rows),
                     size=fit["bytes"],
                     unconverged=bool(fit["unconverged"]),
+                    right=right,
                 )
             )
     return points
@@ -177,10 +181,10 @@ HEADINGS = ("classifier", "trained on", "right voxel", "training", "answer, each
 
 
 def rivals(points: Sequence[Point], best: Point) -> list[str]:
-    """Return the other classifiers whose interval reaches that of the best, with their accuracy."""
+    """Return the other classifiers that the tested pictures do not tell apart from the best, with their accuracy."""
     named: dict[str, Point] = {}
     for point in sorted(points, key=lambda p: -p.accuracy.value):
-        if point.classifier != best.classifier and point.accuracy.high >= best.accuracy.low:
+        if point.classifier != best.classifier and not told_apart(best.right, point.right, among=len(points)):
             named.setdefault(point.classifier, point)
     return [f"{p.classifier} on {p.count} ({100.0 * p.accuracy.value:.1f} %)" for p in named.values()]
 

@@ -12,6 +12,7 @@ from typing import Any
 import joblib
 import numpy as np
 from numpy.typing import NDArray
+from scipy.stats import t as student
 from sklearn.exceptions import ConvergenceWarning
 from sklearn.metrics import confusion_matrix
 from sklearn.model_selection import StratifiedKFold
@@ -84,10 +85,24 @@ class Result:
 def rivals(results: Sequence[Result], best: Result) -> list[Result]:
     """Return the results of the same scenario that the tested pictures do not tell apart from the best.
 
-    The difference is taken picture by picture (`classify.intervals.paired_difference`); its 95 % interval holds 0.
+    The difference is taken picture by picture (`classify.intervals.paired_difference`); its interval holds 0. Any of
+    them could have been the best, so the intervals of all pairs hold together in 95 % (Hochberg and Tamhane 1987).
     """
-    others = [r for r in results if r.scenario == best.scenario and r is not best]
-    return [r for r in others if paired_difference(best.right, r.right).low <= 0.0]
+    peers = [r for r in results if r.scenario == best.scenario]
+    return [r for r in peers if r is not best and not told_apart(best.right, r.right, among=len(peers))]
+
+
+def told_apart(best: NDArray[np.bool_], other: NDArray[np.bool_], *, among: int) -> bool:
+    """Return whether the best of a number of classifiers is certainly better than another, on the same pictures."""
+    return paired_difference(best, other, of=among * (among - 1) // 2).low > 0.0
+
+
+def as_best(right: NDArray[np.bool_], *, among: int) -> Interval:
+    """Return the accuracy of the best of a number of classifiers, with an interval that allows for this choice.
+
+    Since it is the best, its interval lies too high, if anything: only the lower ends of all have to hold together.
+    """
+    return wilson(int(right.sum()), len(right), of=max(1.0, among / 2.0))
 
 
 def macro_scores(confusion: Array) -> Array:
@@ -119,6 +134,7 @@ def intervals(confusion: NDArray[np.int64], seed: int = 0) -> list[Interval]:
     the variance that the score has (Korn and Graubard 1998). Percentiles of a bootstrap cover the truth too rarely
     where few pictures are wrong, and never where none is; so the variance is that of resampling rows which are mixed
     with one picture's worth of the average row (right as often as all pictures are, wrong ones spread evenly).
+    Student's t takes the place of the normal distribution, since this variance is an estimate.
     """
     rng = np.random.default_rng(seed)
     counts = confusion.sum(axis=1)
@@ -132,12 +148,14 @@ def intervals(confusion: NDArray[np.int64], seed: int = 0) -> list[Interval]:
         drawn[:, i] = rng.multinomial(counts[i], row / row.sum(), size=_RESAMPLES)
     resampled = macro_scores(drawn.astype(np.float64))
     # Resampling rows that are estimated themselves makes the variance too small by this factor.
-    variance = resampled.var(axis=1) * total / max(total - present, 1)
+    freedom = max(total - present, 1)
+    variance = resampled.var(axis=1) * total / freedom
     mean = resampled.mean(axis=1)
     effective = np.where(variance > 0.0, mean * (1.0 - mean) / np.maximum(variance, 1e-12), total)
     effective = np.maximum(effective, 1.0)
     values = macro_scores(confusion.astype(np.float64))
-    return [score_interval(float(v), float(n)) for v, n in zip(values, effective, strict=True)]
+    z = float(student.ppf(0.975, freedom))
+    return [score_interval(float(v), float(n), z) for v, n in zip(values, effective, strict=True)]
 
 
 def compare(

@@ -268,7 +268,7 @@ def _compared(result: Result) -> Compared:
 
 def run_learning_curve(options: argparse.Namespace) -> Answer:
     """Draw learning curves."""
-    from classify.classifiers import curves
+    from classify.classifiers import curves, evaluate
     from classify.pictures import feature_table
     from classify.report import page
     from generator.files.writing import csv_text, write_text
@@ -291,7 +291,8 @@ def run_learning_curve(options: argparse.Namespace) -> Answer:
     tested_on = options.test or f"{100 * curves.HELD_OUT:.0f} % of it, held out"
     title = f"{options.features}, tested on {tested_on}"
     best = max(points, key=lambda point: point.accuracy.value)
-    lead = [f"{best.classifier} on {best.count} pictures is right most often: {best.accuracy.percent()}."]
+    accuracy = f"{evaluate.as_best(best.right, among=len(points)).percent()}, as best of {len(points)}"
+    lead = [f"{best.classifier} on {best.count} pictures is right most often: {accuracy}."]
     if rivals := curves.rivals(points, best):
         lead.append(f"Not told apart from it by these pictures: {', '.join(rivals)}.")
     write_text(options.output / "learn.csv", csv_text(curves.HEADINGS, table))

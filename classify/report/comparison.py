@@ -12,7 +12,7 @@ import numpy as np
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 
-from classify.classifiers.evaluate import Result, rivals
+from classify.classifiers.evaluate import Result, as_best, rivals
 from classify.classifiers.names import NAMES
 from classify.intervals import Interval
 from classify.pictures.feature_table import Features
@@ -291,6 +291,7 @@ def _page(
         {
             "title": _words(scenario),
             "best": winner,
+            "accuracy": as_best(winner.right, among=sum(r.scenario == scenario for r in results)),
             "rivals": ", ".join(f"{r.classifier} {r.settings}" for r in rivals(results, winner)),
             "rows": [(r, paper_row(r)) for r in results if r.scenario == scenario],
             "crossed": winner.train != winner.test,

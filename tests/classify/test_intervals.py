@@ -10,7 +10,7 @@ import pytest
 from scipy import signal, stats
 
 from classify import intervals
-from classify.classifiers.evaluate import rivals
+from classify.classifiers.evaluate import as_best, rivals
 
 DRAWS = 300
 MEDIAN = stats.norm.ppf(0.75)
@@ -117,3 +117,21 @@ def test_two_classifiers_differ_where_the_same_pictures_say_so():
     assert rivals(results, results[0])[0] is results[3]
     assert len(rivals(results, results[0])) == 1, "neither is worse, nor of another scenario"
     assert rivals(results[1:3], results[2])[0] is results[1]
+
+
+def test_the_best_of_many_is_chosen_by_the_same_pictures():
+    """Fourteen that are equally good: none is told apart, and the best's interval holds what all of them reach."""
+    told, covered, plain = 0, 0, 0
+    for draw in range(DRAWS):
+        rng = np.random.default_rng([13, draw])
+        common = np.sqrt(0.7) * rng.normal(size=200)
+        right = common + np.sqrt(0.3) * rng.normal(size=(14, 200)) < stats.norm.ppf(0.7)
+        results = [SimpleNamespace(scenario="sheet", right=r) for r in right]
+        best = results[right.mean(axis=1).argmax()]
+        told += len(rivals(results, best)) < 13
+        covered += (found := as_best(best.right, among=14)).low <= 0.7 <= found.high
+        alone = intervals.share(best.right)
+        plain += alone.low <= 0.7 <= alone.high
+    assert within(DRAWS - told, 0.95, 0.99)
+    assert within(covered, 0.95, 0.985)
+    assert plain < 0.9 * DRAWS, "as if it had not been chosen"
