@@ -5,6 +5,7 @@ from __future__ import annotations
 import itertools
 import math
 import time
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import bpy
@@ -76,10 +77,8 @@ class Probe:
         missed = f"none of {self.missed:,} samples of {self.engine!r} met it"
         if self.missed and not self.exact:
             # Rule of three: a share met in none of n tries is, with 95 % confidence, at most 3 / n.
-            text = (
-                f"What the object adds to the picture is not known: {missed}, nor do more than {3 / self.missed:.1g}"
-            )
-            return Finding(WARNING, f"{text} of all (95 %); take more")
+            text = f"What the object adds to the picture is not known: {missed}, nor do more than "
+            return Finding(WARNING, f"{text}{_rounded_up(3.0 / self.missed)} of all (95 %); take more")
         if self.error:
             low, high = self.share - self.error, self.share + self.error
             text = f"The object adds {_share(low)} to {_share(high)} to the picture (95 %)"
@@ -129,11 +128,10 @@ def probe(scene: bpy.types.Scene, sweep: Sweep) -> Probe:
             differences.append((picture - renderer.render(samples=samples, seed=seed, target=False)).mean(axis=2))
             radiance += float(picture.mean())
             seconds = ((picture_end if exact else time.perf_counter()) - start) / seed
-            signal, noise, significant = _signal(np.array(differences))
+            signal, noise, significant = common_signal(np.array(differences))
             if exact or significant or (other and seed >= _PROBES) or time.perf_counter() - start > _PATIENCE:
                 break
-    shares = np.array([d.mean() for d in differences]) / (radiance / len(differences) or 1.0)
-    share, error, missed = float(shares.mean()), 0.0, 0
+    (share, half), error, missed = added(differences, radiance / len(differences)), 0.0, 0
     if not exact:
         noise *= samples / sweep.samples
         seconds *= sweep.samples / samples * (1.0 if sweep.paired else 0.5)
@@ -141,8 +139,7 @@ def probe(scene: bpy.types.Scene, sweep: Sweep) -> Probe:
     if not exact and not significant and other:
         share, signal = _exactly(scene, sweep.resolution)
     elif not exact and not significant:
-        spread = float(shares.std(ddof=1) / np.sqrt(len(shares))) if len(shares) > 1 else abs(share)
-        error = student.quantile(max(1, len(shares) - 1)) * spread
+        error = half
     known_exactly = exact or (other and not significant)
     if exact:
         ratio = 1.0 / sweep.accuracy if signal else 0.0
@@ -174,7 +171,19 @@ def _exactly(scene: bpy.types.Scene, resolution: tuple[int, int]) -> tuple[float
     return (float(difference.mean()) / mean if mean else 0.0), float((difference**2).mean())
 
 
-def _signal(pictures: Array) -> tuple[float, float, bool]:
+def added(differences: Sequence[Array], radiance: float) -> tuple[float, float]:
+    """Return the mean of n difference pictures relative to a picture's, and half its 95 % interval by Student's t.
+
+    A single value x has an interval too: it holds the mean of a normal distribution in 95 % or more if it reaches
+    from x by 9.68 times its distance from 0 to both sides (Blachman and Machol 1987); here by 12.7 times.
+    """
+    shares = np.array([difference.mean() for difference in differences]) / (radiance or 1.0)
+    n, share = len(shares), float(shares.mean())
+    spread = float(shares.std(ddof=1)) / math.sqrt(n) if n > 1 else abs(share)
+    return share, student.quantile(max(1, n - 1)) * spread
+
+
+def common_signal(pictures: Array) -> tuple[float, float, bool]:
     """Return mean squares of pictures' (n, height, width) common signal and noise, and if the signal is significant.
 
     The square of the mean of n pictures is too large by an n-th of one picture's noise, which is subtracted.
@@ -186,6 +195,12 @@ def _signal(pictures: Array) -> tuple[float, float, bool]:
     residual = noise / n
     signal = float((pictures.mean(axis=0) ** 2).mean()) - residual
     return max(signal, 0.0), noise, signal > 6.0 * residual * np.sqrt(2.0 / pictures[0].size)
+
+
+def _rounded_up(share: float) -> str:
+    """Return a bound with two significant digits, not below it."""
+    step = 10.0 ** (math.floor(math.log10(share)) - 1)
+    return f"{math.ceil(share / step - 1e-9) * step:.2g}"
 
 
 def _share(share: float) -> str:
