@@ -24,11 +24,10 @@ from generator.measure import intervals
 from generator.model.arrays import Array
 
 _Z = float(stats.norm.ppf(0.975))
-_DOUBT = 0.5
-"""Number of wrong answers, not independent of others, that a design effect is estimated with as well: with few wrong
-answers it would be too small too often. By simulation (benchmarks/interval_coverage.py), as the next three."""
-_ALIKE, _IN_A_ROW = 5.0, 2.0
-"""The design effect of these: so many of a group, or all of it, are wrong at once; so many frames of a walk."""
+_DOUBT, _ALIKE = 0.5, 5.0
+"""Number of wrong answers that a design effect is estimated with as well, and the design effect of these: so many are
+wrong at once. With few wrong answers the estimate alone would be too small too often. By simulation
+(benchmarks/interval_coverage.py), as the next."""
 _COSINES = 0.3
 """Number of slow cosines over the root of the number of frames."""
 
@@ -111,10 +110,9 @@ def grouped(values: NDArray[Any], groups: NDArray[Any]) -> Effective:
     mean = float(np.mean(values))
     sums = np.bincount(index, values - mean)
     excess = float((sums**2).sum()) * len(names) / (len(names) - 1)
-    rarer = count * min(mean, 1.0 - mean)
     binomial = count * mean * (1.0 - mean)
-    effect = _doubted(excess / binomial if binomial else 1.0, rarer, min(count / len(names), _ALIKE))
-    return Effective(count / effect, float(stats.t.ppf(0.975, len(names) - 1)))
+    effect = excess / binomial if binomial else 1.0
+    return _doubted(count, mean, effect, min(count / len(names), _ALIKE), len(names) - 1)
 
 
 def serial(values: NDArray[Any]) -> Effective:
@@ -128,14 +126,20 @@ def serial(values: NDArray[Any]) -> Effective:
     if count <= cosines:
         return Effective(float(count))
     variance = float((fft.dct(values - mean, norm="ortho")[1 : cosines + 1] ** 2).mean())
-    binomial, rarer = mean * (1.0 - mean), count * min(mean, 1.0 - mean)
-    effect = _doubted(variance / binomial if binomial else 1.0, rarer, _IN_A_ROW)
-    return Effective(count / effect, float(stats.t.ppf(0.975, cosines)))
+    binomial = mean * (1.0 - mean)
+    return _doubted(count, mean, variance / binomial if binomial else 1.0, min(count, _ALIKE), cosines)
 
 
-def _doubted(effect: float, wrong: float, prior: float) -> float:
-    """Return a design effect estimated from a number of wrong answers, averaged with the prior of `_DOUBT` more."""
-    return (wrong * effect + _DOUBT * prior) / (wrong + _DOUBT)
+def _doubted(count: int, mean: float, effect: float, prior: float, freedom: int) -> Effective:
+    """Return what values are worth, by the mean of a design effect that is estimated and one that allows for doubt.
+
+    The estimate has the weight of the wrong answers, or right ones, if fewer; the other that of `_DOUBT`. Only the
+    estimate varies, so the mean has more degrees of freedom (Satterthwaite 1946).
+    """
+    wrong = count * min(mean, 1.0 - mean)
+    weight = wrong / (wrong + _DOUBT)
+    effect = weight * effect + (1.0 - weight) * prior
+    return Effective(count / effect, float(stats.t.ppf(0.975, freedom / max(weight, 1e-6) ** 2)))
 
 
 def share(right: NDArray[np.bool_], groups: NDArray[Any] | None = None) -> Interval:
@@ -153,15 +157,16 @@ def share_of_walk(right: NDArray[np.bool_]) -> Interval:
 def median(values: Array, groups: NDArray[Any] | None = None) -> Interval:
     """Return the median of lengths (n,) with its 95 % interval; see `grouped`."""
     worth = Effective(float(len(values))) if groups is None else grouped(values <= np.median(values), groups)
-    return _median(values, worth)
+    return median_of(values, worth)
 
 
 def median_of_walk(values: Array) -> Interval:
     """Return the median of a walk's lengths (n,), frame by frame, with its 95 % interval; see `serial`."""
-    return _median(values, serial(values <= np.median(values)))
+    return median_of(values, serial(values <= np.median(values)))
 
 
-def _median(values: Array, worth: Effective) -> Interval:
+def median_of(values: Array, worth: Effective) -> Interval:
+    """Return the median of lengths (n,) that are worth a number of independent ones, with its 95 % interval."""
     value, low, high = intervals.median(values, trials=worth.trials, z=worth.z)
     return Interval(value, max(low, 0.0), high)
 

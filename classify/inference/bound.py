@@ -15,11 +15,12 @@ from pathlib import Path
 import numpy as np
 from matplotlib.colors import LogNorm
 from matplotlib.patches import Rectangle
+from numpy.typing import NDArray
 from scipy.stats import norm
 
 from classify.inference.atlas import Atlas
 from classify.inference.posterior import Synthesis, locate
-from classify.intervals import Interval, median, paired_difference, wilson
+from classify.intervals import Effective, Interval, median_of, paired_difference, score_interval
 from generator.measure import figures
 from generator.model.arrays import Array
 from generator.model.errors import NlosError
@@ -76,6 +77,10 @@ def reachable(
     The same pictures are also judged by half of the poses: where that makes a difference, the poses are too few for a
     bound.
 
+    A pose that is asked about also answers for the others. With every pose asked about, the variance of a share is 1.1
+    to 1.4 times that of independent answers where pictures are sharp, and 2.1 times where noise hides them, by
+    simulation; the intervals assume twice, and less in proportion if fewer are asked about.
+
     Parameters
     ----------
     atlas : Atlas
@@ -104,11 +109,17 @@ def reachable(
         errors[done] = np.linalg.norm(place.position - atlas.positions[pose])
         progress(done + 1, len(chosen))
     voxels = atlas.voxels[chosen]
-    by_voxel = [correct[voxels == v] for v in range(atlas.grid.n_voxels)]
+    effect = 1.0 + len(chosen) / poses
+
+    def share(right: NDArray[np.bool_]) -> Interval:
+        return (
+            score_interval(float(right.mean()), len(right) / effect) if len(right) else Interval(math.nan, 0.0, 1.0)
+        )
+
     return Reachable(
-        accuracy=wilson(int(correct.sum()), len(correct)),
-        by_voxel=[wilson(int(r.sum()), len(r)) if len(r) else Interval(math.nan, 0.0, 1.0) for r in by_voxel],
-        error=median(errors),
+        accuracy=share(correct),
+        by_voxel=[share(correct[voxels == v]) for v in range(atlas.grid.n_voxels)],
+        error=median_of(errors, Effective(len(chosen) / effect)),
         count=len(chosen),
         gain=paired_difference(correct, correct_by_half),
     )
