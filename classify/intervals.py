@@ -67,15 +67,26 @@ class Effective:
 
 
 def score_interval(value: float, trials: float, z: float = _Z) -> Interval:
-    """Return a proportion of a number of trials, which need not be whole, with its 95 % interval (Wilson 1927)."""
+    """Return a proportion of a number of trials, which need not be whole, with its 95 % interval (Wilson 1927).
+
+    Of one to three successes, or two in 50 trials or fewer, the lower end would be too high too often. It then is
+    that of a Poisson distribution, with both tails in one (Brown, Cai and DasGupta 2001, section 4.1.1); and so is
+    the upper end for as few failures.
+    """
     middle = (value + z * z / (2.0 * trials)) / (1.0 + z * z / trials)
     half = z / (1.0 + z * z / trials) * math.sqrt(value * (1.0 - value) / trials + (z / (2.0 * trials)) ** 2)
+    low, high = middle - half, middle + half
+    few, tails = 3.0 if trials > 50.0 else 2.0, 2.0 * float(special.ndtr(-z))
+    if 0.0 < value * trials <= few:
+        low = min(low, float(special.gammaincinv(value * trials, tails)) / trials)
+    if 0.0 < (1.0 - value) * trials <= few:
+        high = max(high, 1.0 - float(special.gammaincinv((1.0 - value) * trials, tails)) / trials)
     # Rounding must not put the value itself outside.
-    return Interval(value, max(0.0, min(value, middle - half)), min(1.0, max(value, middle + half)))
+    return Interval(value, max(0.0, min(value, low)), min(1.0, max(value, high)))
 
 
 def wilson(successes: int, trials: int, *, of: float = 1.0) -> Interval:
-    """Return a proportion of independent trials with its score interval (Wilson 1927).
+    """Return a proportion of independent trials with its interval; see `score_interval`.
 
     Parameters
     ----------

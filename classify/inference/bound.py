@@ -77,9 +77,9 @@ def reachable(
     The same pictures are also judged by half of the poses: where that makes a difference, the poses are too few for a
     bound.
 
-    A pose that is asked about also answers for the others. With every pose asked about, the variance of a share is 1.1
-    to 1.4 times that of independent answers where pictures are sharp, and 2.1 times where noise hides them, by
-    simulation; the intervals assume twice, and less in proportion if fewer are asked about.
+    A pose that is asked about also answers for the others. With every pose asked about, the variance of a share is by
+    simulation 1.1 to 1.4 times that of independent answers where pictures are sharp, and 2.1 times where noise hides
+    them; the intervals assume twice, and less in proportion if fewer are asked about.
 
     Parameters
     ----------
