@@ -80,13 +80,13 @@ def walk(rng, count, correlation):
 
 def shares() -> Iterator[Case]:
     """Shares of independent pictures."""
-    for count in (9, 90, 900):
+    for count in (9, 27, 90, 900):
         for share in SHARES:
 
             def draw(rng, n=count, p=share):
                 return holds(intervals.wilson(int(rng.binomial(n, p)), n), p), None
 
-            printed = "compare, learn: accuracy; bound; detect"
+            printed = "compare, learning-curve: accuracy; detect"
             yield Case("share", printed, count, f"{100 * share:g} % are true", draw)
 
 

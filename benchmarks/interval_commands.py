@@ -21,7 +21,7 @@ from generator.model.deadline import Deadline
 from generator.model.grid import VoxelGrid
 
 TOLERANCE = 0.01
-FOLDS = 10
+FOLDS = 5
 FRESH = 4500
 """Pictures that tell how often a classifier is right."""
 CLASSIFIERS = ("LDA", "CART")
@@ -87,15 +87,22 @@ def settled() -> Iterator[Case]:
 
 
 def detected() -> Iterator[Case]:
-    """How often an object is found: other poses, atlases and thresholds in each draw."""
-    for poses in (30, 300):
+    """How often an atlas' own objects are found: another threshold, other pictures and noise in each draw."""
+    atlas, rng, code_length = atlas_of(np.random.default_rng(20), 200, shape=(1, 2, 1)), np.random.default_rng(21), 8
+    threshold = np.mean([detect.Detector.at(atlas, seed=seed).threshold for seed in range(1000, 1100)])
+    truths = []
+    for voxel in range(2):
+        codes = np.repeat(atlas.codes[atlas.voxels == voxel], 100, axis=0)
+        noisy = (codes + rng.normal(size=(len(codes), code_length))).astype(np.float32)
+        truths.append(float((detect.evidence(atlas, noisy) > threshold).mean()))
+    for count in (20, 70):
 
-        def draw(rng, n=poses):
-            atlas = atlas_of(rng, 2 * n, shape=(1, 2, 1))
-            return detect.detections(atlas, [1], count=n, seed=int(rng.integers(2**31)))[0].found, None
+        def draw(rng, n=count):
+            found = detect.detections(atlas, [1], count=n, seed=int(rng.integers(2**31)))[0].found
+            return [holds(*pair) for pair in zip(found, truths, strict=True)], None
 
-        printed = ["detect: near voxel", "detect: far voxel"]
-        yield Case("found, by a drawn threshold", printed, poses, "half and 2 % are found", draw, slow=True)
+        printed = [f"detect: {100 * truth:.0f} % are found" for truth in truths]
+        yield Case("found, by a drawn threshold", printed, count, "of about 100 poses in a voxel", draw, slow=True)
 
 
 def told_rightly(atlas, further):
@@ -114,7 +121,7 @@ def bounded() -> Iterator[Case]:
     """The best that any method can do, from an atlas' own poses: another atlas in each draw."""
     strength, shape = 6.0, (3, 3, 1)
     further = atlas_of(np.random.default_rng(18), 1500, strength=strength, shape=shape)
-    for poses, pictures in ((90, 90), (900, 90)):
+    for poses, pictures in ((60, 60), (300, 30)):
 
         def draw(rng, n=poses, count=pictures):
             atlas = atlas_of(rng, n, strength=strength, shape=shape)
@@ -133,7 +140,7 @@ def bounded() -> Iterator[Case]:
 
 def regions() -> Iterator[Case]:
     """How often a tracker's regions hold an atlas' own poses: another atlas in each draw."""
-    for poses in (200, 400):
+    for poses in (100, 200):
 
         def draw(rng, n=poses):
             atlas = atlas_of(rng, n, strength=60.0, shape=(3, 3, 1))
