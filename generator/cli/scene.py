@@ -14,6 +14,7 @@ from generator.files.toml import dump_toml, from_dict, merge, read_toml, set_fie
 from generator.model.described import described
 from generator.model.errors import NlosError
 from generator.model.presets import PRESETS, preset
+from generator.model.quantities import ALL_ORDERS
 from generator.model.scene import Scene, unlike
 
 
@@ -108,6 +109,8 @@ def _chosen(options: argparse.Namespace) -> Scene:
     before = copy.deepcopy(fields)
     for assignment in options.set:
         set_field(fields, assignment)
+    if fields["reflection_order"] == "all":
+        fields["reflection_order"] = ALL_ORDERS
     try:
         scene: Scene = from_dict(Scene, fields)
     except NlosError as error:

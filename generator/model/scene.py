@@ -17,6 +17,7 @@ from generator.model.arrays import Range, Vector
 from generator.model.described import check_ranges, described, documented
 from generator.model.errors import NlosError, instead, require
 from generator.model.grid import VoxelGrid
+from generator.model.quantities import ALL_ORDERS
 
 ROOM_SURFACES = ("floor", "ceiling", "back", "left", "right")
 FACES = {"floor": ("z", 0), "ceiling": ("z", 1), "back": ("y", 1), "left": ("x", 0), "right": ("x", 1)}
@@ -161,10 +162,11 @@ class Scene:
         0.0,
     )
     reflection_order: int = described(
-        "how many diffuse reflections light may make on its way; three are: wall, hidden object, wall again",
+        "how many diffuse reflections light may make on its way; three are: wall, hidden object, wall again; 1024, "
+        "or 'all' where it is typed, stands for all",
         3,
         lo=1,
-        hi=1024,
+        hi=ALL_ORDERS,
     )
     resolution: tuple[int, int] = described(
         "width and height of a picture, pixels, which must be square on the wall", (64, 64), lo=1, hi=65536

@@ -87,7 +87,15 @@ class Surfaces:
     def planes(self) -> Planes:
         """The flat surfaces as a record."""
         offsets = (self.dual * self.origin[:, None]).sum(axis=2)
-        parts = (self.normal, self.level, self.dual[:, 0], offsets[:, 0], self.dual[:, 1], offsets[:, 1], self.triangle)
+        parts = (
+            self.normal,
+            self.level,
+            self.dual[:, 0],
+            offsets[:, 0],
+            self.dual[:, 1],
+            offsets[:, 1],
+            self.triangle,
+        )
         rows = np.column_stack([part.astype(np.float64) for part in parts])
         return Planes(self.normal, self.level, self.origin, self.dual, self.triangle, rows)
 
@@ -133,7 +141,7 @@ class Surfaces:
         return [np.delete(a, 2, axis=0) if t else a for a, t in zip(around, self.triangle, strict=True)]
 
     def at(self, which: NDArray[np.int64], uv: Floats) -> Floats:
-        """Return places (n, 3) on flat surfaces (n,), at points (n, 2) of the unit square that are spread by area."""
+        """Return places (n, 3) on flat surfaces (n,), at points (n, 2) of the unit square, spread by area."""
         u, v = uv.T
         rest = np.sqrt(np.maximum(0.0, 1.0 - u))
         triangle = self.triangle[which]

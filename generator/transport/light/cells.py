@@ -166,7 +166,7 @@ class Cells:
         return low, np.stack([grid.along.high[i], grid.across.high[j]], axis=1)
 
     def blocks(self) -> Numbers:
-        """Return for each cell (cells,) the number of a coarse cell, of three by three cells of one surface and side."""
+        """Return for each cell (cells,) the number of the coarse cell that it is in, of two by two of one side."""
         grid = self.grid
         inner = np.arange(self._half)
         which = self._owner

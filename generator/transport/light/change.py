@@ -29,13 +29,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from generator.model.quantities import ALL_ORDERS
-from generator.transport.compiled import COMPILED, jit_released
-from generator.transport.light.cells import Cells, Grid, Hits, locate, meet_sphere, summed
+from generator.transport.compiled import COMPILED
+from generator.transport.light.cells import Cells, summed
 from generator.transport.light.field import LightField, Source, patch_light
+from generator.transport.light.lines import SETS, Lines, completed, exchanged, fair
 from generator.transport.light.picture_points import PicturePoints, drawn
-from generator.transport.light.spread import around, hemisphere, shifted, sobol
+from generator.transport.light.spread import hemisphere, shifted, sobol
+from generator.transport.light.view import Eye, Pose, Sums, look, look_arrays
 from generator.transport.prepared import Setting
-from generator.transport.rays import nearest
 
 Floats = NDArray[Any]
 Numbers = NDArray[np.int64]
@@ -62,32 +63,6 @@ _STEP = 0.25
 """Step of central differences, radians, and in units of the target's radius."""
 _MOST_PARTS, _PARTS = 512, 4
 """Largest number of cells that are parts of their own, and of parts of a fine mesh along each axis."""
-SETS = 4
-"""Number of sets of lines. Each is a net of Sobol's sequence, as all of them are."""
-
-
-class _Lines(NamedTuple):
-    """Lines through the target at a pose, set after set.
-
-    Attributes
-    ----------
-    owner : ndarray of shape (n,), int
-        Cell of the target that each leaves.
-    flux : ndarray of shape (n,)
-        Area that it stands for, in its set.
-    own : ndarray of shape (n,), int
-        Cell of the target that it meets before any of the room, or the number of the target's cells.
-    front : Hits
-        What it meets of the room.
-    behind : Hits
-        What it meets of the room in the opposite direction, as if the target were not there.
-    """
-
-    owner: Numbers
-    flux: Floats
-    own: Numbers
-    front: Hits
-    behind: Hits
 
 
 class _Samples(NamedTuple):
@@ -106,45 +81,11 @@ class _Samples(NamedTuple):
     received: Floats
 
 
-class _Pose(NamedTuple):
-    """Pose of the target, and the ball around it: centre (3,) and radius."""
-
-    turn: Floats
-    place: Floats
-    centre: Floats
-    radius: float
-
-
 class _Choice(NamedTuple):
     """How many lines a picture took, and points along a side of it; 0 if that is to be found."""
 
     lines: int
     side: int
-
-
-class _Eye(NamedTuple):
-    """Points of the picture (n, 3), and points of the unit square (n, k, 2) for lines from each to the target."""
-
-    places: Floats
-    spread: Floats
-
-
-class _Sums(NamedTuple):
-    """Light that the wall sees, summed over reflections; columns are sets times groups.
-
-    Attributes
-    ----------
-    room : ndarray of shape (cells + 1, columns)
-        Radiosity of the room's cells and the sky.
-    body : ndarray of shape (target's cells, columns)
-        Radiosity of the target's.
-    coefficients : ndarray of shape (coefficients, columns)
-        Picture of what the changed room sends.
-    """
-
-    room: Floats
-    body: Floats
-    coefficients: Floats
 
 
 class LightChange:
@@ -178,7 +119,7 @@ class LightChange:
         sided = target.area.sum() * (2.0 if setting.outward is None else 1.0)
         self._sampled_area = float(sided + 4.0 * math.pi * (target.spheres[:, 3] ** 2).sum())
         self._samples: dict[int, _Samples] = {}
-        self._eyes: dict[int, tuple[PicturePoints, _Eye]] = {}
+        self._eyes: dict[int, tuple[PicturePoints, Eye]] = {}
 
     def pictures(
         self, turn: Floats, place: Floats, exact: Floats | None = None, *, shadows: bool = True
@@ -231,10 +172,10 @@ class LightChange:
             found[name] = np.stack([(after - before) / (2.0 * width) for (after, before), width in pairs])
         return found
 
-    def _pose(self, turn: Floats, place: Floats) -> _Pose:
-        return _Pose(turn, place, place + turn @ self._centre, self._radius)
+    def _pose(self, turn: Floats, place: Floats) -> Pose:
+        return Pose(turn, place, place + turn @ self._centre, self._radius)
 
-    def _settled(self, pose: _Pose, exact: Floats | None, shadows: bool) -> dict[str, tuple[Floats, _Choice]]:
+    def _settled(self, pose: Pose, exact: Floats | None, shadows: bool) -> dict[str, tuple[Floats, _Choice]]:
         """Return the pictures (groups, height, width), and how many lines and points they needed."""
         known = {name: exact if name == "lamp" else None for name in self._field.sources}
         found: dict[str, tuple[Floats, _Choice]] = {}
@@ -254,8 +195,8 @@ class LightChange:
     def _several(
         self,
         name: str,
-        lines: _Lines,
-        pose: _Pose,
+        lines: Lines,
+        pose: Pose,
         exact: Floats | None,
         shadows: bool,
         choice: _Choice,
@@ -302,7 +243,7 @@ class LightChange:
             cell, places, normals = body.scattered(points[:, :2], self._setting.outward)
             owner, ways = self._part[cell], hemisphere(normals, points[:, 2:])
             number = np.stack([np.bincount(part, minlength=self._count) for part in owner.reshape(SETS, -1)], axis=1)
-            received = self._seen_area(owner)[:, None] * _fair(number)
+            received = self._seen_area(owner)[:, None] * fair(number)
             flux = (received / np.maximum(number, 1))[owner, np.arange(count) // size]
             met = body.meet(places, ways)
             self._samples[count] = _Samples(
@@ -310,13 +251,13 @@ class LightChange:
             )
         return self._samples[count]
 
-    def _through(self, samples: _Samples, pose: _Pose) -> _Lines:
+    def _through(self, samples: _Samples, pose: Pose) -> Lines:
         places, ways = samples.places @ pose.turn.T + pose.place, samples.ways @ pose.turn.T
         front, behind = self._field.cells.meet(places, ways), self._field.cells.meet(places, -ways)
         own = np.where(samples.own_far < front.far, samples.own, self._count)
-        return _Lines(samples.owner, samples.flux, own, front, behind)
+        return Lines(samples.owner, samples.flux, own, front, behind)
 
-    def _shade(self, samples: _Samples, pose: _Pose) -> tuple[Floats, Floats]:
+    def _shade(self, samples: _Samples, pose: Pose) -> tuple[Floats, Floats]:
         """Return the lamp's irradiance of the target's cells (cells, sets), and of the room's, what it takes."""
         setting, cells = self._setting, self._field.cells
         size, first = len(samples.owner) // SETS, min(len(samples.owner), _LIT) // SETS
@@ -336,8 +277,8 @@ class LightChange:
         number, arriving = np.zeros((2, self._count, SETS))
         np.add.at(number, (owner, part), 1.0)
         np.add.at(arriving, (owner, part), light.sum(axis=1))
-        arriving = _completed(arriving / np.maximum(number, 1.0), number == 0.0, 1)
-        area = (self._seen_area(owner)[:, None] * _fair(number) / np.maximum(number, 1.0))[owner, part]
+        arriving = completed(arriving / np.maximum(number, 1.0), number == 0.0, 1)
+        area = (self._seen_area(owner)[:, None] * fair(number) / np.maximum(number, 1.0))[owner, part]
         way = places[row] - nodes[node]
         way /= np.linalg.norm(way, axis=1, keepdims=True)
         met = cells.meet(places[row], way).cell
@@ -345,7 +286,7 @@ class LightChange:
         taken[np.arange(len(row)), part[row]] = light[row, node] * area[row]
         return arriving, -summed(met, taken, cells.count) / cells.area[:, None]
 
-    def _patch_points(self, pose: _Pose) -> int:
+    def _patch_points(self, pose: Pose) -> int:
         """Return how many points along its diameter represent the lit patch, as the target sees it."""
         patch = self._setting.patch
         far = float(np.linalg.norm(pose.centre - [patch.x, patch.y, 0.0])) - pose.radius
@@ -356,11 +297,11 @@ class LightChange:
     def _followed(
         self,
         source: Source,
-        lines: _Lines,
+        lines: Lines,
         samples: _Samples,
         tint: Floats,
         shade: tuple[Floats, Floats] | None,
-    ) -> _Sums:
+    ) -> Sums:
         """Follow a source's light, reflection by reflection, between the target and the room."""
         field, order, groups = self._field, self._field.order, tint.shape[1]
         area = field.cells.area[:, None]
@@ -385,7 +326,7 @@ class LightChange:
                 body_sum += body
             if reflections == order - 1:
                 break
-            added, arriving = _exchanged(lines, level, body, groups)
+            added, arriving = exchanged(lines, level, body, groups)
             added /= area
             more = field.shown(added, order - 2 - reflections)
             coefficients += more
@@ -402,10 +343,10 @@ class LightChange:
             arriving /= np.maximum(received, 1e-300)
             # What a cell receives along one set's lines it sends along another's: bright places would else light
             # themselves, by the few lines that lead there.
-            body = tint * np.roll(_completed(arriving, missing, groups), groups, axis=1)
-        return _Sums(room_sum, body_sum, coefficients)
+            body = tint * np.roll(completed(arriving, missing, groups), groups, axis=1)
+        return Sums(room_sum, body_sum, coefficients)
 
-    def _drawn(self, sums: _Sums, pose: _Pose, exact: Floats | None, side: int) -> tuple[Floats, int]:
+    def _drawn(self, sums: Sums, pose: Pose, exact: Floats | None, side: int) -> tuple[Floats, int]:
         """Return the pictures (sets, groups, height, width) of sums, with the target seen directly from as many
         points along a side of the picture as given, or, for 0, as needed; and that number."""
         room = drawn(sums.coefficients, self._resolution)
@@ -430,21 +371,21 @@ class LightChange:
         area: Floats = np.where(there, self._area * (self._sampled_area / self._area[there].sum()), 0.0)
         return area
 
-    def _eye(self, side: int) -> tuple[PicturePoints, _Eye]:
+    def _eye(self, side: int) -> tuple[PicturePoints, Eye]:
         if side not in self._eyes:
             points = PicturePoints(self._setting.to_wall, side)
             spread = shifted(_SEEN, 2, np.arange(side * side))
-            self._eyes[side] = points, _Eye(points.places, spread)
+            self._eyes[side] = points, Eye(points.places, spread)
         return self._eyes[side]
 
-    def _looked(self, eye: _Eye, pose: _Pose, sums: _Sums) -> Floats:
+    def _looked(self, eye: Eye, pose: Pose, sums: Sums) -> Floats:
         """Return the light (points, columns) that the target sends to the picture's points, less what it hides."""
         body, cells = self._body, self._field.cells
         if COMPILED and body.few and cells.few:
             light = np.zeros((len(eye.places), sums.body.shape[1]))
-            _look(eye, pose, body.grid, cells.grid, sums, light)
+            look(eye, pose, body.grid, cells.grid, sums, light)
             return light
-        return _look_arrays(eye, pose, body, cells, sums)
+        return look_arrays(eye, pose, body, cells, sums)
 
 
 def _turned(axis: Floats, angle: float) -> Floats:
@@ -461,22 +402,6 @@ def _level(pictures: Floats, exact: Floats | None) -> float:
     """
     parts = [pictures.mean(axis=0), *([] if exact is None else [exact])]
     return math.sqrt(sum(float((part**2).mean()) for part in parts))
-
-
-def _fair(number: Numbers | Floats) -> Floats:
-    """Return factors (cells, sets) for the sets that have lines of a cell, which stand for those that have none."""
-    there = number > 0
-    factor: Floats = np.where(there, SETS / np.maximum(1, there.sum(axis=1, keepdims=True)), 0.0)
-    return factor
-
-
-def _completed(values: Floats, missing: NDArray[np.bool_], groups: int) -> Floats:
-    """Return values (cells, sets * groups) with the mean of the other sets where one has none."""
-    if not missing.any():
-        return values
-    by_set, there = values.reshape(len(values), SETS, groups), ~missing.reshape(len(values), SETS, groups)
-    mean = (by_set * there).sum(axis=1, keepdims=True) / np.maximum(1, there.sum(axis=1, keepdims=True))
-    return np.where(there, by_set, mean).reshape(values.shape)
 
 
 def _rest(before: Floats, energy: Floats) -> Floats:
@@ -498,142 +423,3 @@ def _smooth(field: LightField, change: Floats) -> Floats:
     received = np.append(field.coarse @ sent, np.zeros((1, change.shape[1])), axis=0)
     smooth: Floats = received[field.block]
     return smooth
-
-
-def _exchanged_loops(lines: _Lines, level: Floats, body: Floats, groups: int) -> tuple[Floats, Floats]:
-    """Exchange light along the lines between room and target.
-
-    Parameters
-    ----------
-    lines : _Lines
-    level : ndarray of shape (cells + 1, sets * groups)
-        Radiosity of the room's cells, and of the sky.
-    body : ndarray of shape (target's cells, sets * groups)
-        Radiosity of the target's cells.
-    groups : int
-
-    Returns
-    -------
-    added : ndarray of shape (cells, sets * groups)
-        Light that the room's cells gain, times their area.
-    arriving : ndarray of shape (target's cells, sets * groups)
-        Light on the target's cells, times their area.
-    """
-    cells, n = level.shape[0] - 1, len(lines.owner)
-    added, arriving = np.zeros((cells, level.shape[1])), np.zeros(body.shape)
-    front, behind = lines.front, lines.behind
-    for k in range(n):
-        owner, flux, own = lines.owner[k], lines.flux[k], lines.own[k]
-        first = groups * (SETS * k // n)
-        if own < body.shape[0]:
-            for g in range(first, first + groups):
-                arriving[owner, g] += flux * body[own, g]
-            continue
-        for g in range(first, first + groups):
-            near, far = 0.0, 0.0
-            for c in range(4):
-                near += front.shares[k, c] * level[front.corners[k, c], g]
-                far += behind.shares[k, c] * level[behind.corners[k, c], g]
-            arriving[owner, g] += flux * near
-            for c in range(4):
-                if front.corners[k, c] < cells:
-                    added[front.corners[k, c], g] += front.shares[k, c] * flux * (body[owner, g] - far)
-    return added, arriving
-
-
-def _exchanged_arrays(lines: _Lines, level: Floats, body: Floats, groups: int) -> tuple[Floats, Floats]:
-    """NumPy form of `_exchanged_loops`."""
-    n = len(lines.owner)
-    mine = np.arange(SETS * groups) // groups == (np.arange(n)[:, None] * SETS // n)
-    flux = np.where(mine, lines.flux[:, None], 0.0)
-    padded = np.append(body, np.zeros((1, body.shape[1])), axis=0)
-    is_own = (lines.own < len(body))[:, None]
-    near = np.where(is_own, padded[lines.own], lines.front.of(level))
-    sent = np.where(is_own, 0.0, body[lines.owner] - lines.behind.of(level))
-    arriving = summed(lines.owner, flux * near, len(body))
-    front = lines.front
-    corners = (summed(front.corners[:, c], front.shares[:, c, None] * flux * sent, len(level) - 1) for c in range(4))
-    return sum(corners, start=np.zeros((len(level) - 1, level.shape[1]))), arriving
-
-
-_exchanged = jit_released(_exchanged_loops) if COMPILED else _exchanged_arrays
-
-
-@jit_released
-def _look(eye: _Eye, pose: _Pose, body: Grid, room: Grid, sums: _Sums, light: Floats) -> None:
-    """Add to ``light`` (points, columns) what lines into the cone around the target meet, less what is behind it."""
-    rays, columns = eye.spread.shape[1], light.shape[1]
-    axis, way, start, turned, moved = np.empty(3), np.empty(3), np.empty(3), np.empty(3), np.empty(3)
-    corners, shares = np.zeros(4, dtype=np.int64), np.zeros(4)
-    unused, none = np.zeros(4, dtype=np.int64), np.zeros(4)
-    for p in range(eye.places.shape[0]):
-        far = 0.0
-        for r in range(3):
-            start[r] = eye.places[p, r]
-            axis[r] = pose.centre[r] - start[r]
-            far += axis[r] * axis[r]
-        far = math.sqrt(far)
-        cone = -1.0
-        if far > pose.radius:
-            cone = math.sqrt(1.0 - (pose.radius / far) ** 2)
-        x, y, z = axis[0] / far, axis[1] / far, axis[2] / far
-        sign = 1.0 if z >= 0.0 else -1.0
-        a = -1.0 / (sign + z)
-        b = x * y * a
-        for k in range(rays):
-            cosine = 1.0 - (1.0 - cone) * eye.spread[p, k, 0]
-            angle = 2.0 * math.pi * eye.spread[p, k, 1]
-            sine = math.sqrt(max(0.0, 1.0 - cosine * cosine))
-            u, v = sine * math.cos(angle), sine * math.sin(angle)
-            way[0] = cosine * x + u * (1.0 + sign * x * x * a) + v * b
-            way[1] = cosine * y + u * sign * b + v * (sign + y * y * a)
-            way[2] = cosine * z - u * sign * x - v * y
-            if way[2] <= 0.0:
-                continue
-            for r in range(3):
-                turned[r], moved[r] = 0.0, 0.0
-                for t in range(3):
-                    turned[r] += pose.turn[t, r] * way[t]
-                    moved[r] += pose.turn[t, r] * (start[t] - pose.place[t])
-            which, near = nearest(moved, turned, body.planes, np.inf)
-            ball, near = meet_sphere(moved, turned, body, near)
-            if which < 0 and ball < 0:
-                continue
-            wall, beyond = nearest(start, way, room.planes, np.inf)
-            if beyond <= near:
-                continue
-            cell = ball if ball >= 0 else locate(moved, turned, which, near, body, unused, none)
-            weight = way[2] * 2.0 * (1.0 - cone) / rays
-            if wall >= 0:
-                locate(start, way, wall, beyond, room, corners, shares)
-                for g in range(columns):
-                    hidden = 0.0
-                    for c in range(4):
-                        hidden += shares[c] * sums.room[corners[c], g]
-                    light[p, g] += weight * (sums.body[cell, g] - hidden)
-            else:
-                for g in range(columns):
-                    light[p, g] += weight * (sums.body[cell, g] - sums.room[sums.room.shape[0] - 1, g])
-
-
-def _look_arrays(eye: _Eye, pose: _Pose, body: Cells, room: Cells, sums: _Sums) -> Floats:
-    """NumPy form of `_look`, and for surfaces that are too many to be tested one by one; returns the light."""
-    points, rays = eye.spread.shape[:2]
-    offset = pose.centre - eye.places
-    far = np.sqrt(np.einsum("ni,ni->n", offset, offset))
-    sine = pose.radius / np.maximum(far, pose.radius)
-    cone = np.repeat(np.where(far > pose.radius, np.sqrt(1.0 - sine**2), -1.0), rays)
-    axis = np.repeat(offset / np.maximum(far, 1e-300)[:, None], rays, axis=0)
-    spread = eye.spread.reshape(-1, 2)
-    way = around(axis, 1.0 - (1.0 - cone) * spread[:, 0], 2.0 * math.pi * spread[:, 1])
-    rows = np.flatnonzero(way[:, 2] > 0.0)
-    way, owner = way[rows], rows // rays
-    start = eye.places[owner]
-    front = body.meet((start - pose.place) @ pose.turn, way @ pose.turn)
-    met = np.flatnonzero(front.cell < body.count)
-    behind = room.meet(start[met], way[met])
-    free = behind.far > front.far[met]
-    met = met[free]
-    hidden = Hits(*(part[free] for part in behind)).of(sums.room)
-    weight = way[met, 2] * 2.0 * (1.0 - cone[rows[met]]) / rays
-    return summed(owner[met], weight[:, None] * (sums.body[front.cell[met]] - hidden), points)

@@ -65,6 +65,17 @@ def test_a_scene_that_contradicts_itself_is_refused(capsys, config, arguments, w
     assert words in refused(generate_cli, capsys, "scene", *arguments, "--show")
 
 
+@pytest.mark.parametrize("way", ["set", "file"])
+def test_all_reflections_have_a_word(capsys, config, way):
+    config.write_text('reflection_order = "all"\n')
+    arguments = ("--set", "reflection_order=all") if way == "set" else ("--config", str(config))
+    assert generate_cli.main(["scene", "room", *arguments, "--show"]) == 0
+    assert "reflection_order = 1024" in capsys.readouterr().out
+    assert "reflection_order" in refused(
+        generate_cli, capsys, "scene", "room", "--set", "reflection_order=most", "--show"
+    )
+
+
 def test_a_fault_of_the_file_names_the_file(capsys, config):
     config.write_text("[lamp]\npower = 3\n")
     arguments = ("scene", "room", "--config", config, "--show")

@@ -9,7 +9,8 @@ import worlds
 
 from generator.model.quantities import ALL_ORDERS
 from generator.transport import AmbientLight, Mesh, Sphere, Transport
-from generator.transport.light import cells, change, spread
+from generator.transport.light import cells, change, spread, view
+from generator.transport.light import lines as light_lines
 from generator.transport.light.field import LightField
 from generator.transport.prepared import Setting
 
@@ -108,8 +109,8 @@ def test_a_target_like_the_room_keeps_its_light_too():
     np.testing.assert_allclose(
         (taken * field.cells.area[:, None]).sum(), -(arriving.T @ changes._area).sum(), rtol=1e-6
     )
-    level = np.tile(np.append(np.full((field.cells.count, 1), 0.3), [[0.3]], axis=0), change.SETS)
-    added, received = change._exchanged(lines, level, np.full((changes._count, change.SETS), 0.3), 1)
+    level = np.tile(np.append(np.full((field.cells.count, 1), 0.3), [[0.3]], axis=0), light_lines.SETS)
+    added, received = light_lines.exchanged(lines, level, np.full((changes._count, light_lines.SETS), 0.3), 1)
     assert abs(added).max() < 1e-12  # as bright as each other: nothing changes
     np.testing.assert_allclose(received, 0.3 * samples.received, rtol=1e-12)
 
@@ -191,9 +192,9 @@ def test_compiled_and_array_forms_agree():
     changes = change.LightChange(setting, field, 1e-2)
     pose = changes._pose(setting.frame.axes, setting.frame.points(np.array(POSES[1][0])))
     lines = changes._through(changes._sampled(1 << 10), pose)
-    level = rng.random((field.cells.count + 1, change.SETS))
-    body = rng.random((changes._count, change.SETS))
-    forms = change._exchanged, change._exchanged_arrays
+    level = rng.random((field.cells.count + 1, light_lines.SETS))
+    body = rng.random((changes._count, light_lines.SETS))
+    forms = light_lines.exchanged, light_lines.exchanged_arrays
     for one, other in zip(*(form(lines, level, body, 1) for form in forms), strict=True):
         np.testing.assert_allclose(one, other, rtol=1e-9, atol=1e-12)
     start, way = rng.uniform(-0.5, 0.5, (500, 3)) + np.array([0.0, 0.0, 1.0]), rng.normal(size=(500, 3))
@@ -206,11 +207,13 @@ def test_compiled_and_array_forms_agree():
     np.testing.assert_array_equal(met.cell, cell)
     np.testing.assert_allclose(met.of(level), cells._interpolated_arrays(level, corners, shares), rtol=1e-9)
     _, eye = changes._eye(12)
-    sums = change._Sums(level, np.append(body, np.zeros((1, change.SETS)), axis=0), np.zeros((64, change.SETS)))
-    light = np.zeros((144, change.SETS))
-    change._look(eye, pose, changes._body.grid, field.cells.grid, sums, light)
+    sums = view.Sums(
+        level, np.append(body, np.zeros((1, light_lines.SETS)), axis=0), np.zeros((64, light_lines.SETS))
+    )
+    light = np.zeros((144, light_lines.SETS))
+    view.look(eye, pose, changes._body.grid, field.cells.grid, sums, light)
     np.testing.assert_allclose(
-        light, change._look_arrays(eye, pose, changes._body, field.cells, sums), rtol=1e-8, atol=1e-12
+        light, view.look_arrays(eye, pose, changes._body, field.cells, sums), rtol=1e-8, atol=1e-12
     )
 
 

@@ -1,0 +1,119 @@
+"""Lines through a target, and the light that they exchange between it and the room.
+
+Each sum has two forms, loops for numba and arrays for NumPy; tests check that they agree to rounding.
+"""
+
+from __future__ import annotations
+
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from generator.transport.compiled import COMPILED, jit_released
+from generator.transport.light.cells import Hits, summed
+
+Floats = NDArray[Any]
+Numbers = NDArray[np.int64]
+
+SETS = 4
+"""Number of sets of lines. Each is a net of Sobol's sequence, as all of them are."""
+
+
+class Lines(NamedTuple):
+    """Lines through the target at a pose, set after set.
+
+    Attributes
+    ----------
+    owner : ndarray of shape (n,), int
+        Cell of the target that each leaves.
+    flux : ndarray of shape (n,)
+        Area that it stands for, in its set.
+    own : ndarray of shape (n,), int
+        Cell of the target that it meets before any of the room, or the number of the target's cells.
+    front : Hits
+        What it meets of the room.
+    behind : Hits
+        What it meets of the room in the opposite direction, as if the target were not there.
+    """
+
+    owner: Numbers
+    flux: Floats
+    own: Numbers
+    front: Hits
+    behind: Hits
+
+
+def fair(number: Numbers | Floats) -> Floats:
+    """Return factors (cells, sets) for the sets that have lines of a cell, which stand for those that have none."""
+    there = number > 0
+    factor: Floats = np.where(there, SETS / np.maximum(1, there.sum(axis=1, keepdims=True)), 0.0)
+    return factor
+
+
+def completed(values: Floats, missing: NDArray[np.bool_], groups: int) -> Floats:
+    """Return values (cells, sets * groups) with the mean of the other sets where one has none."""
+    if not missing.any():
+        return values
+    by_set, there = values.reshape(len(values), SETS, groups), ~missing.reshape(len(values), SETS, groups)
+    mean = (by_set * there).sum(axis=1, keepdims=True) / np.maximum(1, there.sum(axis=1, keepdims=True))
+    return np.where(there, by_set, mean).reshape(values.shape)
+
+
+def _exchanged_loops(lines: Lines, level: Floats, body: Floats, groups: int) -> tuple[Floats, Floats]:
+    """Exchange light along the lines between room and target.
+
+    Parameters
+    ----------
+    lines : Lines
+    level : ndarray of shape (cells + 1, sets * groups)
+        Radiosity of the room's cells, and of the sky.
+    body : ndarray of shape (target's cells, sets * groups)
+        Radiosity of the target's cells.
+    groups : int
+
+    Returns
+    -------
+    added : ndarray of shape (cells, sets * groups)
+        Light that the room's cells gain, times their area.
+    arriving : ndarray of shape (target's cells, sets * groups)
+        Light on the target's cells, times their area.
+    """
+    cells, n = level.shape[0] - 1, len(lines.owner)
+    added, arriving = np.zeros((cells, level.shape[1])), np.zeros(body.shape)
+    front, behind = lines.front, lines.behind
+    for k in range(n):
+        owner, flux, own = lines.owner[k], lines.flux[k], lines.own[k]
+        first = groups * (SETS * k // n)
+        if own < body.shape[0]:
+            for g in range(first, first + groups):
+                arriving[owner, g] += flux * body[own, g]
+            continue
+        for g in range(first, first + groups):
+            near, far = 0.0, 0.0
+            for c in range(4):
+                near += front.shares[k, c] * level[front.corners[k, c], g]
+                far += behind.shares[k, c] * level[behind.corners[k, c], g]
+            arriving[owner, g] += flux * near
+            for c in range(4):
+                if front.corners[k, c] < cells:
+                    added[front.corners[k, c], g] += front.shares[k, c] * flux * (body[owner, g] - far)
+    return added, arriving
+
+
+def exchanged_arrays(lines: Lines, level: Floats, body: Floats, groups: int) -> tuple[Floats, Floats]:
+    """NumPy form of `_exchanged_loops`."""
+    n = len(lines.owner)
+    mine = np.arange(SETS * groups) // groups == (np.arange(n)[:, None] * SETS // n)
+    flux = np.where(mine, lines.flux[:, None], 0.0)
+    padded = np.append(body, np.zeros((1, body.shape[1])), axis=0)
+    is_own = (lines.own < len(body))[:, None]
+    near = np.where(is_own, padded[lines.own], lines.front.of(level))
+    sent = np.where(is_own, 0.0, body[lines.owner] - lines.behind.of(level))
+    arriving = summed(lines.owner, flux * near, len(body))
+    front = lines.front
+    corners = (summed(front.corners[:, c], front.shares[:, c, None] * flux * sent, len(level) - 1) for c in range(4))
+    return sum(corners, start=np.zeros((len(level) - 1, level.shape[1]))), arriving
+
+
+exchanged = jit_released(_exchanged_loops) if COMPILED else exchanged_arrays

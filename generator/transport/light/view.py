@@ -1,0 +1,133 @@
+"""A target as the picture's points see it: its light in place of what is behind it.
+
+The sum has two forms, loops for numba and arrays for NumPy; tests check that they agree to rounding.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from generator.transport.compiled import jit_released
+from generator.transport.light.cells import Cells, Grid, Hits, locate, meet_sphere, summed
+from generator.transport.light.spread import around
+from generator.transport.rays import nearest
+
+Floats = NDArray[Any]
+
+
+class Pose(NamedTuple):
+    """Pose of the target, and the ball around it: centre (3,) and radius."""
+
+    turn: Floats
+    place: Floats
+    centre: Floats
+    radius: float
+
+
+class Eye(NamedTuple):
+    """Points of the picture (n, 3), and points of the unit square (n, k, 2) for lines from each to the target."""
+
+    places: Floats
+    spread: Floats
+
+
+class Sums(NamedTuple):
+    """Light that the wall sees, summed over reflections; columns are sets times groups.
+
+    Attributes
+    ----------
+    room : ndarray of shape (cells + 1, columns)
+        Radiosity of the room's cells and the sky.
+    body : ndarray of shape (target's cells, columns)
+        Radiosity of the target's.
+    coefficients : ndarray of shape (coefficients, columns)
+        Picture of what the changed room sends.
+    """
+
+    room: Floats
+    body: Floats
+    coefficients: Floats
+
+
+@jit_released
+def look(eye: Eye, pose: Pose, body: Grid, room: Grid, sums: Sums, light: Floats) -> None:
+    """Add to ``light`` (points, columns) what lines into the cone around the target meet, less what is behind it."""
+    rays, columns = eye.spread.shape[1], light.shape[1]
+    axis, way, start, turned, moved = np.empty(3), np.empty(3), np.empty(3), np.empty(3), np.empty(3)
+    corners, shares = np.zeros(4, dtype=np.int64), np.zeros(4)
+    unused, none = np.zeros(4, dtype=np.int64), np.zeros(4)
+    for p in range(eye.places.shape[0]):
+        far = 0.0
+        for r in range(3):
+            start[r] = eye.places[p, r]
+            axis[r] = pose.centre[r] - start[r]
+            far += axis[r] * axis[r]
+        far = math.sqrt(far)
+        cone = -1.0
+        if far > pose.radius:
+            cone = math.sqrt(1.0 - (pose.radius / far) ** 2)
+        x, y, z = axis[0] / far, axis[1] / far, axis[2] / far
+        sign = 1.0 if z >= 0.0 else -1.0
+        a = -1.0 / (sign + z)
+        b = x * y * a
+        for k in range(rays):
+            cosine = 1.0 - (1.0 - cone) * eye.spread[p, k, 0]
+            angle = 2.0 * math.pi * eye.spread[p, k, 1]
+            sine = math.sqrt(max(0.0, 1.0 - cosine * cosine))
+            u, v = sine * math.cos(angle), sine * math.sin(angle)
+            way[0] = cosine * x + u * (1.0 + sign * x * x * a) + v * b
+            way[1] = cosine * y + u * sign * b + v * (sign + y * y * a)
+            way[2] = cosine * z - u * sign * x - v * y
+            if way[2] <= 0.0:
+                continue
+            for r in range(3):
+                turned[r], moved[r] = 0.0, 0.0
+                for t in range(3):
+                    turned[r] += pose.turn[t, r] * way[t]
+                    moved[r] += pose.turn[t, r] * (start[t] - pose.place[t])
+            which, near = nearest(moved, turned, body.planes, np.inf)
+            ball, near = meet_sphere(moved, turned, body, near)
+            if which < 0 and ball < 0:
+                continue
+            wall, beyond = nearest(start, way, room.planes, np.inf)
+            if beyond <= near:
+                continue
+            cell = ball if ball >= 0 else locate(moved, turned, which, near, body, unused, none)
+            weight = way[2] * 2.0 * (1.0 - cone) / rays
+            if wall >= 0:
+                locate(start, way, wall, beyond, room, corners, shares)
+                for g in range(columns):
+                    hidden = 0.0
+                    for c in range(4):
+                        hidden += shares[c] * sums.room[corners[c], g]
+                    light[p, g] += weight * (sums.body[cell, g] - hidden)
+            else:
+                for g in range(columns):
+                    light[p, g] += weight * (sums.body[cell, g] - sums.room[sums.room.shape[0] - 1, g])
+
+
+def look_arrays(eye: Eye, pose: Pose, body: Cells, room: Cells, sums: Sums) -> Floats:
+    """NumPy form of `look`, and for surfaces that are too many to be tested one by one; returns the light."""
+    points, rays = eye.spread.shape[:2]
+    offset = pose.centre - eye.places
+    far = np.sqrt(np.einsum("ni,ni->n", offset, offset))
+    sine = pose.radius / np.maximum(far, pose.radius)
+    cone = np.repeat(np.where(far > pose.radius, np.sqrt(1.0 - sine**2), -1.0), rays)
+    axis = np.repeat(offset / np.maximum(far, 1e-300)[:, None], rays, axis=0)
+    spread = eye.spread.reshape(-1, 2)
+    way = around(axis, 1.0 - (1.0 - cone) * spread[:, 0], 2.0 * math.pi * spread[:, 1])
+    rows = np.flatnonzero(way[:, 2] > 0.0)
+    way, owner = way[rows], rows // rays
+    start = eye.places[owner]
+    front = body.meet((start - pose.place) @ pose.turn, way @ pose.turn)
+    met = np.flatnonzero(front.cell < body.count)
+    behind = room.meet(start[met], way[met])
+    free = behind.far > front.far[met]
+    met = met[free]
+    hidden = Hits(*(part[free] for part in behind)).of(sums.room)
+    weight = way[met, 2] * 2.0 * (1.0 - cone[rows[met]]) / rays
+    return summed(owner[met], weight[:, None] * (sums.body[front.cell[met]] - hidden), points)
