@@ -275,7 +275,10 @@ def chosen() -> Iterator[Case]:
                 def draw(rng, n=count, m=several, p=share):
                     shared = math.sqrt(0.7) * rng.normal(size=n)
                     right = [below(shared + math.sqrt(0.3) * rng.normal(size=n), p) for _ in range(m)]
-                    results = [SimpleNamespace(scenario="", classifier=str(i), right=r) for i, r in enumerate(right)]
+                    results = [
+                        SimpleNamespace(effect=1.0, scenario="", classifier=str(i), right=r)
+                        for i, r in enumerate(right)
+                    ]
                     best = max(results, key=lambda result: result.right.mean())
                     every = m - 1 == len(evaluate.rivals(results, best))
                     plain = intervals.wilson(int(best.right.sum()), n)

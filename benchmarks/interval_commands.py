@@ -22,7 +22,7 @@ from generator.model.grid import VoxelGrid
 
 TOLERANCE = 0.01
 FOLDS = 5
-FRESH = 4500
+FRESH = 45_000
 """Pictures that tell how often a classifier is right."""
 CLASSIFIERS = ("LDA", "CART")
 
@@ -202,7 +202,7 @@ def folds() -> Iterator[Case]:
             one, other = (
                 float(np.mean([accuracy(name, train, rows, d, seed) for rows, _ in splits])) for name in CLASSIFIERS
             )
-            difference = paired_difference(results[0].right, results[1].right)
+            difference = paired_difference(results[0].right, results[1].right, effect=results[0].effect)
             these = [holds(results[0].accuracy, one), holds(results[1].accuracy, other)]
             scores = [score for r in results for score in (r.accuracy, r.precision, r.recall, r.f1)]
             return [*these, holds(difference, one - other), *scores], None

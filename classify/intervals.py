@@ -85,16 +85,18 @@ def score_interval(value: float, trials: float, z: float = _Z) -> Interval:
     return Interval(value, max(0.0, min(value, low)), min(1.0, max(value, high)))
 
 
-def wilson(successes: int, trials: int, *, of: float = 1.0) -> Interval:
-    """Return a proportion of independent trials with its interval; see `score_interval`.
+def wilson(successes: int, trials: int, *, of: float = 1.0, effect: float = 1.0) -> Interval:
+    """Return a proportion of trials with its interval; see `score_interval`.
 
     Parameters
     ----------
     successes, trials : int
     of : float
         Number of such intervals that hold together in 95 % (Bonferroni; Dunn 1961), as where the best is chosen.
+    effect : float
+        Variance over that of independent trials (design effect).
     """
-    return score_interval(successes / trials, trials, _quantile(of))
+    return score_interval(successes / trials, trials / effect, _quantile(of))
 
 
 def _quantile(of: float) -> float:
@@ -214,7 +216,9 @@ def exceedance(values: Array, threshold: float, groups: NDArray[Any]) -> Interva
     return score_interval(above, count / effect, float(stats.t.ppf(0.975, len(names) - 1)))
 
 
-def paired_difference(one: NDArray[np.bool_], other: NDArray[np.bool_], *, of: float = 1.0) -> Interval:
+def paired_difference(
+    one: NDArray[np.bool_], other: NDArray[np.bool_], *, of: float = 1.0, effect: float = 1.0
+) -> Interval:
     """Return the difference of two shares over the same pictures, with its interval.
 
     Wald's with one more picture for either way to differ (Bonett and Price 2012).
@@ -224,10 +228,12 @@ def paired_difference(one: NDArray[np.bool_], other: NDArray[np.bool_], *, of: f
     one, other : ndarray of shape (n,)
     of : float
         Number of differences whose intervals hold together in 95 %, as for `wilson`.
+    effect : float
+        Variance over that of independent pictures (design effect).
     """
     count = len(one)
     gained, lost = (float((a & ~b).sum() + 1.0) / (count + 2.0) for a, b in ((one, other), (other, one)))
-    half = _quantile(of) * math.sqrt((gained + lost - (gained - lost) ** 2) / (count + 2.0))
+    half = _quantile(of) * math.sqrt(effect * (gained + lost - (gained - lost) ** 2) / (count + 2.0))
     middle = gained - lost
     value = float(np.mean(one)) - float(np.mean(other))
     return Interval(value, max(-1.0, middle - half), min(1.0, middle + half))

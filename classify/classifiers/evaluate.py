@@ -81,6 +81,11 @@ class Result:
         """The scenario in words."""
         return self.train if self.train == self.test else f"{self.train} -> {self.test}"
 
+    @property
+    def effect(self) -> float:
+        """See `design_effect`."""
+        return design_effect(len(self.folds))
+
 
 def rivals(results: Sequence[Result], best: Result) -> list[Result]:
     """Return the results of the same scenario that the tested pictures do not tell apart from the best.
@@ -89,20 +94,32 @@ def rivals(results: Sequence[Result], best: Result) -> list[Result]:
     them could have been the best, so the intervals of all pairs hold together in 95 % (Hochberg and Tamhane 1987).
     """
     peers = [r for r in results if r.scenario == best.scenario]
-    return [r for r in peers if r is not best and not told_apart(best.right, r.right, among=len(peers))]
+    among, effect = len(peers), best.effect
+    return [r for r in peers if r is not best and not told_apart(best.right, r.right, among=among, effect=effect)]
 
 
-def told_apart(best: NDArray[np.bool_], other: NDArray[np.bool_], *, among: int) -> bool:
+def told_apart(best: NDArray[np.bool_], other: NDArray[np.bool_], *, among: int, effect: float = 1.0) -> bool:
     """Return whether the best of a number of classifiers is certainly better than another, on the same pictures."""
-    return paired_difference(best, other, of=among * (among - 1) // 2).low > 0.0
+    return paired_difference(best, other, of=among * (among - 1) // 2, effect=effect).low > 0.0
 
 
-def as_best(right: NDArray[np.bool_], *, among: int) -> Interval:
+def as_best(right: NDArray[np.bool_], *, among: int, effect: float = 1.0) -> Interval:
     """Return the accuracy of the best of a number of classifiers, with an interval that allows for this choice.
 
     Since it is the best, its interval lies too high, if anything: only the lower ends of all have to hold together.
     """
-    return wilson(int(right.sum()), len(right), of=max(1.0, among / 2.0))
+    return wilson(int(right.sum()), len(right), of=max(1.0, among / 2.0), effect=effect)
+
+
+def design_effect(folds: int) -> float:
+    """Return the variance of an accuracy over that of independent answers; 1 where another set is tested.
+
+    In k folds a picture is tested by classifiers that learnt from the others. So the variance of a mean over folds is
+    not 1/k of a fold's but 1/k + 1/(k - 1), where the share that is tested over that which is learnt from is added
+    (Nadeau and Bengio 2003). It holds for a method that learns from further pictures too. Some methods vary less, but
+    nothing in one set tells which (Bengio and Grandvalet 2004).
+    """
+    return 1.0 + folds / (folds - 1.0) if folds > 1 else 1.0
 
 
 def macro_scores(confusion: Array) -> Array:
@@ -127,8 +144,8 @@ def macro_scores(confusion: Array) -> Array:
     return scores
 
 
-def intervals(confusion: NDArray[np.int64], seed: int = 0) -> list[Interval]:
-    """Return macro precision, recall and F1 with 95 % intervals.
+def intervals(confusion: NDArray[np.int64], seed: int = 0, effect: float = 1.0) -> list[Interval]:
+    """Return macro precision, recall and F1 with 95 % intervals, given the design effect of the answers.
 
     Score intervals (Wilson 1927) for an effective number of pictures: the number for which a proportion would have
     the variance that the score has (Korn and Graubard 1998). Percentiles of a bootstrap cover the truth too rarely
@@ -152,7 +169,7 @@ def intervals(confusion: NDArray[np.int64], seed: int = 0) -> list[Interval]:
     variance = resampled.var(axis=1) * total / freedom
     mean = resampled.mean(axis=1)
     effective = np.where(variance > 0.0, mean * (1.0 - mean) / np.maximum(variance, 1e-12), total)
-    effective = np.maximum(effective, 1.0)
+    effective = np.maximum(effective / effect, 1.0)
     values = macro_scores(confusion.astype(np.float64))
     z = float(student.ppf(0.975, freedom))
     return [score_interval(float(v), float(n), z) for v, n in zip(values, effective, strict=True)]
@@ -274,7 +291,8 @@ def _summarise(
     truth = np.concatenate([f["truth"] for f in fits])
     predicted = np.concatenate([f["predicted"] for f in fits])
     confusion = confusion_matrix(truth, predicted, labels=labels)
-    precision, recall, f1 = intervals(confusion, seed)
+    effect = design_effect(len(fits))
+    precision, recall, f1 = intervals(confusion, seed, effect)
     return Result(
         train=train,
         test=test,
@@ -284,7 +302,7 @@ def _summarise(
         confusion=confusion,
         right=truth == predicted,
         folds=[float(np.mean(f["truth"] == f["predicted"])) for f in fits],
-        accuracy=wilson(int(np.trace(confusion)), int(confusion.sum())),
+        accuracy=wilson(int(np.trace(confusion)), int(confusion.sum()), effect=effect),
         precision=precision,
         recall=recall,
         f1=f1,

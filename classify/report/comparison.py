@@ -291,7 +291,9 @@ def _page(
         {
             "title": _words(scenario),
             "best": winner,
-            "accuracy": as_best(winner.right, among=sum(r.scenario == scenario for r in results)),
+            "accuracy": as_best(
+                winner.right, among=sum(r.scenario == scenario for r in results), effect=winner.effect
+            ),
             "rivals": ", ".join(f"{r.classifier} {r.settings}" for r in rivals(results, winner)),
             "rows": [(r, paper_row(r)) for r in results if r.scenario == scenario],
             "crossed": winner.train != winner.test,

@@ -112,8 +112,10 @@ def test_two_classifiers_differ_where_the_same_pictures_say_so():
     right = np.arange(900) % 10 < 8
     better = right | (np.arange(900) % 50 == 9)  # 2 % more, and never less
     slightly = right | (np.arange(900) == 9)
-    results = [SimpleNamespace(scenario="sheet", right=r) for r in (better, right, slightly, better.copy())]
-    results.append(SimpleNamespace(scenario="sphere", right=better))
+    results = [
+        SimpleNamespace(effect=1.0, scenario="sheet", right=r) for r in (better, right, slightly, better.copy())
+    ]
+    results.append(SimpleNamespace(effect=1.0, scenario="sphere", right=better))
     assert rivals(results, results[0])[0] is results[3]
     assert len(rivals(results, results[0])) == 1, "neither is worse, nor of another scenario"
     assert rivals(results[1:3], results[2])[0] is results[1]
@@ -126,7 +128,7 @@ def test_the_best_of_many_is_chosen_by_the_same_pictures():
         rng = np.random.default_rng([13, draw])
         common = np.sqrt(0.7) * rng.normal(size=200)
         right = common + np.sqrt(0.3) * rng.normal(size=(14, 200)) < stats.norm.ppf(0.7)
-        results = [SimpleNamespace(scenario="sheet", right=r) for r in right]
+        results = [SimpleNamespace(effect=1.0, scenario="sheet", right=r) for r in right]
         best = results[right.mean(axis=1).argmax()]
         told += len(rivals(results, best)) < 13
         covered += (found := as_best(best.right, among=14)).low <= 0.7 <= found.high

