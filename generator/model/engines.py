@@ -50,7 +50,7 @@ ENGINES = {
         Traits(
             "surfel", "Integral",
             "the integral itself, plain diffuse scenes, no noise, far faster; the sky's light, and that of more than "
-            "three reflections, to 1 % of the change",
+            "three reflections, to a hundredth of the change",
             noisy=False, from_patch=True, settings=("accuracy",), largest_batch=32,
         ),
     )

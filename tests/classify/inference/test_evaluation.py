@@ -151,7 +151,7 @@ def atlas(simulated, tmp_path_factory):
     [
         (("atlas", "{missing}", "-o", "{out}"), "is not a bulk set"),
         (("atlas", "{set}", "-o", "{out}", "--frames", "0"), "sensor.frames: 0 must be 1 or more"),
-        (("atlas", "{set}", "-o", "{out}", "--sensor", "{bad}"), "sensor.colour"),
+        (("atlas", "{set}", "-o", "{out}", "--sensor", "{bad}"), "bad.toml: colour: no such field"),
         (("locate", "{missing}", "{seen}"), "no such atlas file"),
         (("locate", "{atlas}", "{missing}"), "is not a data set"),
         (("locate", "{atlas}", "{other}"), "has another voxel grid than the atlas"),
