@@ -17,6 +17,7 @@ from generator.measure.scene_plan import Effect, Plan
 from generator.model.deadline import Deadline
 from generator.model.errors import NlosError
 from generator.model.presets import preset
+from generator.model.quantities import ALL_ORDERS
 from generator.sets import plan_file
 from generator.sets.dataset import Dataset
 from generator.transport.left_out import PATCH, SHADOW
@@ -267,7 +268,8 @@ def test_a_faint_sky_is_left_out_and_surfel_takes_over(tmp_path):
         scene.render.resolution_x = scene.render.resolution_y = 16
         blend_file.save_file(path)
         planned = planning._planned(scene, read_scene(scene), "patch", 2, 0)
-        shares.append(planning.ambient(path, sorted(planned, key=lambda p: (p.index, p.voxel))).share)
+        effects = planning.followed(path, sorted(planned, key=lambda p: (p.index, p.voxel)))
+        shares.append({effect.name: effect for effect in effects}[simplify.AMBIENT].share)
     assert shares[1][0] == pytest.approx(2.0 * shares[0][0], rel=0.1)
     plan = planning.make(tmp_path / "0.blend", tolerance=0.3, count=2, by_cycles=False, predict=False)
     assert simplify.AMBIENT in plan.dropped
@@ -275,7 +277,27 @@ def test_a_faint_sky_is_left_out_and_surfel_takes_over(tmp_path):
     assert plan.together.share[0] > plan.effects[[e.name for e in plan.effects].index(simplify.AMBIENT)].share[0]
     built()
     blend_file.save_file(tmp_path / "dark.blend")
-    assert planning.ambient(tmp_path / "dark.blend", planned) is None
+    effects = {effect.name: effect for effect in planning.followed(tmp_path / "dark.blend", planned)}
+    assert simplify.AMBIENT not in effects
+    fourth, every = (effects[paired.order_name(order)] for order in (4, ALL_ORDERS))
+    assert fourth.note == every.note == "not in the scene"
+    assert 0.1 < fourth.share[0] < every.share[0]  # in a closed room, three reflections are not all of it
+
+
+@pytest.mark.slow
+def test_reflections_beyond_the_third_are_paid_for_or_left_out(tmp_path):
+    """A closed room's are much of what the object changes; a tolerance above that leaves them out."""
+    scene, path = built(), tmp_path / "room.blend"
+    roles.limit_reflections(scene, 6)
+    scene.render.resolution_x = scene.render.resolution_y = 16
+    blend_file.save_file(path)
+    kept = planning.make(path, tolerance=0.01, count=2, by_cycles=False, predict=False)
+    assert simplify.BEYOND not in kept.dropped
+    assert kept.settings["engine"] == "surfel"
+    share = kept.effects[[e.name for e in kept.effects].index(simplify.BEYOND)].share
+    assert share[0] > 0.1
+    left = planning.make(path, tolerance=4.0 * share[2], count=2, by_cycles=False, predict=False)
+    assert simplify.BEYOND in left.dropped
 
 
 @pytest.mark.slow
