@@ -10,7 +10,6 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numpy.polynomial.legendre import leggauss
 
 from generator.model.arrays import rotation_matrix
 from generator.transport.compiled import jit, jit_in_place
@@ -19,7 +18,9 @@ from generator.transport.prepared import Setting
 from generator.transport.rays import Planes, Surfaces, nearest
 
 SIDE = 4
-"""Points of the picture along a side; paths of each are drawn anew."""
+"""Parts of the picture along a side; as many paths leave places drawn anew in each."""
+SPLIT = 4
+"""Into how many a path divides where it meets the target, which few do."""
 
 
 @jit_in_place
@@ -87,16 +88,36 @@ def _walk(place, normal, weight, hits, planes, tint, patch, sky, sign, found):
         hits += 1
 
 
+@jit_in_place
+def _leave(part, to_wall, place, normal):
+    """Draw a place of a part of the picture, on the wall."""
+    u, v = (part[0] + np.random.random()) / SIDE, (part[1] + np.random.random()) / SIDE
+    scale = to_wall[2, 0] * u + to_wall[2, 1] * v + to_wall[2, 2]
+    for r in range(2):
+        place[r] = (to_wall[r, 0] * u + to_wall[r, 1] * v + to_wall[r, 2]) / scale
+    place[2] = 0.0
+    normal[0], normal[1], normal[2] = 0.0, 0.0, 1.0
+
+
 @jit
-def _paths(seed, count, start, room, both, target, tint, patch, sky, found):
-    """Follow paths from a point of the wall; add what the target changes by the number of reflections."""
+def _empty(seed, count, part, to_wall, room, tint, patch, sky, found):
+    """Follow paths from a part of the picture in the room without the target; add light by reflections."""
+    np.random.seed(seed)
+    place, normal = np.empty(3), np.empty(3)
+    for _ in range(count):
+        _leave(part, to_wall, place, normal)
+        _walk(place, normal, 1.0, 0, room, tint, patch, sky, 1.0, found)
+
+
+@jit
+def _paths(seed, count, part, to_wall, room, both, target, tint, patch, sky, found):
+    """Follow paths from a part of the picture; add what the target changes by the number of reflections."""
     np.random.seed(seed)
     order = found.shape[1] - 1
     place, normal, way, to = np.empty(3), np.empty(3), np.empty(3), np.empty(3)
-    there, facing = np.empty(3), np.empty(3)
+    there, facing, start, turned = np.empty(3), np.empty(3), np.empty(3), np.empty(3)
     for _ in range(count):
-        place[:] = start
-        normal[0], normal[1], normal[2] = 0.0, 0.0, 1.0
+        _leave(part, to_wall, place, normal)
         weight = 1.0
         for hits in range(1, order + 1):
             _scatter(normal, way)
@@ -106,21 +127,26 @@ def _paths(seed, count, start, room, both, target, tint, patch, sky, found):
                 there[:] = place
                 _arrive(there, facing, way, near, target, body)
                 reflected = weight * tint[room.normal.shape[0] + body]
-                if reflected > 0.0:
-                    _walk(there, facing, reflected, hits, both, tint, patch, sky, 1.0, found)
+                start[:], turned[:] = there, facing
+                for _ in range(SPLIT if reflected > 0.0 else 0):
+                    there[:], facing[:] = start, turned
+                    _walk(there, facing, reflected, hits, both, tint, patch, sky, 1.0 / SPLIT, found)
                 if wall < 0:
                     found[1, hits] -= weight * sky
                 elif tint[wall] > 0.0:
-                    there[:] = place
-                    _arrive(there, facing, way, beyond, room, wall)
-                    _walk(there, facing, weight * tint[wall], hits, room, tint, patch, sky, -1.0, found)
+                    for _ in range(SPLIT):
+                        there[:] = place
+                        _arrive(there, facing, way, beyond, room, wall)
+                        _walk(there, facing, weight * tint[wall], hits, room, tint, patch, sky, -1.0 / SPLIT, found)
                 break
             if wall < 0:
                 break
             _arrive(place, normal, way, beyond, room, wall)
             weight *= tint[wall]
-            if weight == 0.0:
-                break
+            if weight < 0.1:
+                if np.random.random() < 0.5:
+                    break
+                weight *= 2.0
             light = _light(place, normal, patch, to)
             shadowed = nearest(place, to, target, 1.0 - 1e-7)[0] >= 0
             if light > 0.0 and hits + 2 <= order and shadowed and nearest(place, to, room, 1.0 - 1e-7)[0] < 0:
@@ -130,6 +156,15 @@ def _paths(seed, count, start, room, both, target, tint, patch, sky, found):
 
 def change(world, position, rotation, count, *, repeats=8, seed=1):
     """Return the mean change of the picture by number of reflections, and its standard error, (2, order + 1) each.
+
+    As `changes` has it.
+    """
+    found = changes(world, position, rotation, count, repeats=repeats, seed=seed)
+    return found.mean(axis=0), found.std(axis=0, ddof=1) / math.sqrt(repeats)
+
+
+def changes(world, position, rotation, count, *, repeats=8, seed=1):
+    """Return the mean change of the picture by number of reflections, in several runs, (repeats, 2, order + 1).
 
     The first row is of the lamp's light, in units of the lit patch's radiance times pi times the wall's albedo; the
     second of the sky's, in units of its radiance times the wall's albedo. Only flat, grey surfaces.
@@ -144,17 +179,33 @@ def change(world, position, rotation, count, *, repeats=8, seed=1):
     placed = Surfaces(every, np.zeros((len(every), 1)))
     tint = np.append(around.tint[:, 0], np.full(len(placed), target.tint[0, 0]))
     both = Planes(*(np.concatenate(pair) for pair in zip(around.planes, placed.planes, strict=True)))
-    nodes, weights = leggauss(SIDE)
-    u, v = (np.tile(nodes, SIDE) + 1.0) / 2.0, (np.repeat(nodes, SIDE) + 1.0) / 2.0
-    homogeneous = np.stack([u, v, np.ones(SIDE**2)], axis=1) @ setting.to_wall.T
-    share = np.outer(weights, weights).ravel() / 4.0
-    sky = 0.0 if world.ambient is None else 1.0
-    found = np.zeros((repeats, 2, world.order + 1))
+
+    def follow(number, part, found):
+        sky = float(world.ambient is not None)
+        rooms = around.planes, both, placed.planes
+        _paths(number, count, part, setting.to_wall, *rooms, tint, setting.patch, sky, found)
+
+    return _repeated(follow, count, world.order, repeats, seed)
+
+
+def backgrounds(world, count, *, repeats=8, seed=1):
+    """Return the mean light of the empty room by number of reflections, in several runs, as `changes` does.
+
+    Without the lit patch itself, where the picture shows it.
+    """
+    setting = Setting(world)
+
+    def follow(number, part, found):
+        sky, around = float(world.ambient is not None), setting.around
+        _empty(number, count, part, setting.to_wall, around.planes, around.tint[:, 0], setting.patch, sky, found)
+
+    return _repeated(follow, count, world.order, repeats, seed)
+
+
+def _repeated(follow, count, order, repeats, seed):
+    found = np.zeros((repeats, 2, order + 1))
     for repeat in range(repeats):
         for point in range(SIDE**2):
-            start = np.append(homogeneous[point, :2] / homogeneous[point, 2], 0.0)
-            one = np.zeros((2, world.order + 1))
-            number = (seed * repeats + repeat) * SIDE**2 + point
-            _paths(number, count, start, around.planes, both, placed.planes, tint, setting.patch, sky, one)
-            found[repeat] += share[point] * one / count
-    return found.mean(axis=0), found.std(axis=0, ddof=1) / math.sqrt(repeats)
+            part = np.array(divmod(point, SIDE), float)
+            follow((seed * repeats + repeat) * SIDE**2 + point, part, found[repeat])
+    return found / (count * SIDE**2)
