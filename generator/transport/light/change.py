@@ -50,13 +50,10 @@ _LINES, _MOST_LINES = 1 << 13, 1 << 17
 _RATE = 4.0 / 3.0
 """How many times lines are doubled to halve the error, as measured."""
 _LIT = 1 << 11
-"""How many of the target's places the lamp's light is computed for."""
-_SEEN = 128
-"""Number of lines towards the target from each point of the picture."""
-_MOST_POINTS = 48
-"""Points along a side of the picture at most, where polynomials fit its light badly."""
-_ROUGH = 0.1
-"""Misfit of the polynomials, in units of what they describe, that is left as noise of the lines."""
+"""How many of the target's places the lamp's light is computed for at least; else a fourth of the lines' places."""
+_VIEWS = ((12, 128), (12, 512), (24, 512), (48, 512))
+"""Points along a side of the picture, and lines from each towards the target; the next where polynomials fit the
+light worse than is asked for: it is noisy, or rough."""
 _LEFT = 1e-4
 """Share of the change at which further reflections are left out."""
 _STEP = 0.25
@@ -82,10 +79,10 @@ class _Samples(NamedTuple):
 
 
 class _Choice(NamedTuple):
-    """How many lines a picture took, and points along a side of it; 0 if that is to be found."""
+    """How many lines a picture took, and which of ``_VIEWS``; -1 if that is to be found."""
 
     lines: int
-    side: int
+    view: int
 
 
 class LightChange:
@@ -183,10 +180,10 @@ class LightChange:
         while known:
             lines, excess = self._through(self._sampled(count), pose), 0.0
             for name in list(known):
-                several, level, side = self._several(name, lines, pose, known[name], shadows, _Choice(count, 0))
+                several, level, view = self._several(name, lines, pose, known[name], shadows, _Choice(count, -1))
                 error = float(np.sqrt(several.var(axis=0, ddof=1).mean() / SETS))
                 if error <= self._accuracy * level or count == _MOST_LINES:
-                    found[name] = several.mean(axis=0), _Choice(count, side)
+                    found[name] = several.mean(axis=0), _Choice(count, view)
                     del known[name]
                 excess = max(excess, error / max(self._accuracy * level, 1e-300))
             count = min(_MOST_LINES, count << max(1, round(_RATE * math.log2(max(1.0, min(excess, 1e3))))))
@@ -203,18 +200,18 @@ class LightChange:
         gain: float = 1.0,
     ) -> tuple[Floats, float, int]:
         """Return the change of a source's light by each set of lines, (sets, groups, height, width), the root mean
-        square of the whole change, and the number of points along a side of the picture.
+        square of the whole change, and which of ``_VIEWS`` was taken.
 
         ``gain`` is a factor on the target's albedo.
         """
         source, samples = self._field.sources[name], self._sampled(choice.lines)
         shade = self._shade(samples, pose) if name == "lamp" else None
         sums = self._followed(source, lines, samples, gain * self._tint, shade)
-        pictures, side = self._drawn(sums, pose, exact, choice.side)
+        pictures, view = self._drawn(sums, pose, exact, choice.view)
         if not shadows:  # less what a black target changes
             dark = self._followed(source, lines, samples, np.zeros_like(self._tint), shade)
-            pictures = pictures - self._drawn(dark, pose, exact, side)[0]
-        return pictures, _level(pictures, exact), side
+            pictures = pictures - self._drawn(dark, pose, exact, view)[0]
+        return pictures, _level(pictures, exact), view
 
     def _parts(self) -> tuple[Numbers, Floats, Floats]:
         """Return the part of the target that each of its cells is in, (cells + 1,), and the parts' areas and albedos.
@@ -260,7 +257,7 @@ class LightChange:
     def _shade(self, samples: _Samples, pose: Pose) -> tuple[Floats, Floats]:
         """Return the lamp's irradiance of the target's cells (cells, sets), and of the room's, what it takes."""
         setting, cells = self._setting, self._field.cells
-        size, first = len(samples.owner) // SETS, min(len(samples.owner), _LIT) // SETS
+        size, first = len(samples.owner) // SETS, max(_LIT, len(samples.owner) // 4) // SETS
         # The beginning of each set is spread evenly, too.
         some = (size * np.arange(SETS)[:, None] + np.arange(first)).reshape(-1)
         owner, part = samples.owner[some], some // size
@@ -346,24 +343,22 @@ class LightChange:
             body = tint * np.roll(completed(arriving, missing, groups), groups, axis=1)
         return Sums(room_sum, body_sum, coefficients)
 
-    def _drawn(self, sums: Sums, pose: Pose, exact: Floats | None, side: int) -> tuple[Floats, int]:
-        """Return the pictures (sets, groups, height, width) of sums, with the target seen directly from as many
-        points along a side of the picture as given, or, for 0, as needed; and that number."""
+    def _drawn(self, sums: Sums, pose: Pose, exact: Floats | None, view: int) -> tuple[Floats, int]:
+        """Return the pictures (sets, groups, height, width) of sums, with the target seen directly by one of
+        ``_VIEWS``, or, for -1, by the first that is good enough; and which that is."""
         room = drawn(sums.coefficients, self._resolution)
         level = _level(room.reshape(SETS, -1, *room.shape[1:]), exact)
-        fixed = side > 0
-        side = side or math.isqrt(len(self._field.points.places))
+        fixed, view = view >= 0, max(view, 0)
         sums = sums._replace(body=np.append(sums.body, np.zeros((1, sums.body.shape[1])), axis=0)[self._part])
         while True:
-            points, eye = self._eye(side)
+            points, eye = self._eye(view)
             light = self._looked(eye, pose, sums)
             fit = points.fit @ light
-            missed, shown = points.misfit(light, fit)
-            if fixed or missed <= max(_ROUGH * shown, self._accuracy * level) or 2 * side > _MOST_POINTS:
+            if fixed or view + 1 == len(_VIEWS) or points.misfit(light, fit) <= self._accuracy * level:
                 break
-            side *= 2
+            view += 1
         pictures: Floats = room + drawn(fit, self._resolution)
-        return pictures.reshape(SETS, -1, *room.shape[1:]), side
+        return pictures.reshape(SETS, -1, *room.shape[1:]), view
 
     def _seen_area(self, owner: Numbers) -> Floats:
         """Return the area of each part, made larger where lines (n,) lead to others only: none of it is lost."""
@@ -371,12 +366,12 @@ class LightChange:
         area: Floats = np.where(there, self._area * (self._sampled_area / self._area[there].sum()), 0.0)
         return area
 
-    def _eye(self, side: int) -> tuple[PicturePoints, Eye]:
-        if side not in self._eyes:
+    def _eye(self, view: int) -> tuple[PicturePoints, Eye]:
+        if view not in self._eyes:
+            side, rays = _VIEWS[view]
             points = PicturePoints(self._setting.to_wall, side)
-            spread = shifted(_SEEN, 2, np.arange(side * side))
-            self._eyes[side] = points, Eye(points.places, spread)
-        return self._eyes[side]
+            self._eyes[view] = points, Eye(points.places, shifted(rays, 2, np.arange(side * side)))
+        return self._eyes[view]
 
     def _looked(self, eye: Eye, pose: Pose, sums: Sums) -> Floats:
         """Return the light (points, columns) that the target sends to the picture's points, less what it hides."""

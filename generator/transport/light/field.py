@@ -52,7 +52,7 @@ _LEFT = 1e-4
 """Share of the light at which further reflections are left out."""
 _MOST_LEVELS = 64
 """Number of reflections that are followed one by one where all count; the rest is a geometric series."""
-_TOUCH = 1e-9
+_TOUCH, _FLAT = 1e-9, 1e-6
 _LAMP, _SKY = 2, 0
 """Reflections of the light that sources begin with: of the lamp's on cells, and none of the sky's."""
 
@@ -93,8 +93,8 @@ class LightField:
     Attributes
     ----------
     cells : Cells
-        Cells of the room and of the relay wall; those that the picture sees neither directly nor by way of others (a
-        room's outer sides) are given no light.
+        Cells of the room and of the relay wall; those that neither picture nor wall see, directly or by way of
+        others (a room's outer sides), are given no light.
     tint : ndarray of shape (cells, groups)
         Albedo.
     block : ndarray of shape (cells,), int
@@ -122,7 +122,7 @@ class LightField:
         self.points = PicturePoints(setting.to_wall, _POINTS)
         self._wall_share, wall = self._seen(*_from_wall(self.points, _WALL), _WALL)
         wall = _refined(wall, self.points, cells, setting)
-        reached, share, rows = self._reached(np.flatnonzero(wall.any(axis=0)))
+        reached, share, rows = self._reached(np.flatnonzero(wall.any(axis=0) | self._of_wall()))
         gather = _reciprocal(rows, cells.area[reached])
         self.tint = cells.tint
         self._reached_cells, self._gather, self._wall = reached, gather, wall[:, reached]
@@ -154,6 +154,12 @@ class LightField:
                 counts = np.bincount(met, minlength=self.cells.count + 1) / rays
                 seen[k], sky[k] = counts[:-1], counts[-1]
         return sky, seen
+
+    def _of_wall(self) -> NDArray[np.bool_]:
+        """Return which cells are of the relay wall's front: the picture does not see them, but a target may."""
+        places, normals = self.cells.places(np.arange(self.cells.count), np.full((self.cells.count, 2), 0.5))
+        front: NDArray[np.bool_] = (np.abs(places[:, 2]) < _FLAT) & (normals[:, 2] > 0.5)
+        return front
 
     def _reached(self, fresh: Numbers) -> tuple[Numbers, Floats, Floats]:
         """Return the cells (n,) that are seen, directly or by way of others, from some; what each sees of the sky

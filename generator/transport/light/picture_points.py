@@ -45,11 +45,9 @@ class PicturePoints:
         homogeneous = np.concatenate([uv, np.ones((len(uv), 1))], axis=1) @ to_wall.T
         self.places = np.append(homogeneous[:, :2] / homogeneous[:, 2:], np.zeros((len(uv), 1)), axis=1)
 
-    def misfit(self, light: Floats, coefficients: Floats) -> tuple[float, float]:
-        """Return root mean squares: of the difference of polynomials (coefficients, n) from light (points, n), and of
-        the light."""
-        missed, total = (math.sqrt(float((part**2).mean())) for part in (light - self._back @ coefficients, light))
-        return missed, total
+    def misfit(self, light: Floats, coefficients: Floats) -> float:
+        """Return the root mean square difference of polynomials (coefficients, n) from light (points, n)."""
+        return math.sqrt(float(((light - self._back @ coefficients) ** 2).mean()))
 
 
 def drawn(coefficients: Floats, resolution: tuple[int, int]) -> Floats:

@@ -83,6 +83,17 @@ def test_paths_at_random_say_the_same_under_a_sky(order, pose):
         assert abs(ours - theirs) <= 4.0 * spread_of_it + 0.01 * level
 
 
+def test_a_wall_alone_sends_the_sky_to_the_target():
+    """Without a room, the sky's third reflection is sky, wall, target, wall; against paths at random."""
+    world = replace(room(order=3, ceiling=False, sky=1.0), room=())
+    pose = ((0.3, 0.5, 0.1), (0.0, 0.0, 0.0))
+    mean, error = brute_force.change(world, *pose, 4000)
+    _, sky, _ = both(world, *pose)
+    level = abs(mean[1]).sum()
+    assert mean[1, 3] > 0.1 * level
+    assert abs(sky - mean[1, 1:].sum()) < 4.0 * np.sqrt((error[1] ** 2).sum()) + 0.01 * level
+
+
 @pytest.mark.parametrize("albedo", [0.5, 0.99])
 def test_a_closed_room_keeps_its_light(albedo):
     """Each reflection leaves the albedo's share, whatever the shape; all together leave 1 / (1 - albedo)."""
@@ -206,7 +217,7 @@ def test_compiled_and_array_forms_agree():
     cells._locate(start, way, which, far, field.cells.grid, cell, corners, shares)
     np.testing.assert_array_equal(met.cell, cell)
     np.testing.assert_allclose(met.of(level), cells._interpolated_arrays(level, corners, shares), rtol=1e-9)
-    _, eye = changes._eye(12)
+    _, eye = changes._eye(0)
     sums = view.Sums(
         level, np.append(body, np.zeros((1, light_lines.SETS)), axis=0), np.zeros((64, light_lines.SETS))
     )
