@@ -80,7 +80,10 @@ POSES, REPEATS = 3, 16
 RANDOM = 3
 ROUNDS = 6
 """Renders of each pose by Cycles, with noise of their own, from which its standard error follows."""
-FINER: tuple[dict[str, Any], ...] = ({"_LINES": 1 << 17}, {"_LINES": 1 << 17, "_VIEWS": ((48, 1 << 11),), "_LIT": 1 << 14})
+FINER: tuple[dict[str, Any], ...] = (
+    {"_LINES": 1 << 17},
+    {"_LINES": 1 << 17, "_VIEWS": ((48, 1 << 11),), "_LIT": 1 << 14},
+)
 """Numbers of lines in `change`: through the target; and also from the picture's points to it, and from the lamp."""
 
 
