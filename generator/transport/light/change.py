@@ -199,8 +199,8 @@ class LightChange:
         choice: _Choice,
         gain: float = 1.0,
     ) -> tuple[Floats, float, int]:
-        """Return the change of a source's light by each set of lines, (sets, groups, height, width), the root mean
-        square of the whole change, and which of ``_VIEWS`` was taken.
+        """Return the change of a source's light by each set of lines, (sets, groups, height, width), what errors are
+        relative to (`_level`), and which of ``_VIEWS`` was taken.
 
         ``gain`` is a factor on the target's albedo.
         """
@@ -223,9 +223,7 @@ class LightChange:
         if body.count <= _MOST_PARTS:
             return np.arange(body.count + 1), body.area, body.tint
         places, normals = body.places(np.arange(body.count), np.full((body.count, 2), 0.5))
-        where = np.clip(((places - self._centre) / self._radius + 1.0) * (_PARTS / 2.0), 0, _PARTS - 1).astype(
-            np.int64
-        )
+        where = np.clip(((places - self._centre) / self._radius + 1.0) * (_PARTS / 2.0), 0, _PARTS - 1)
         keys = np.concatenate([where.astype(np.int64), np.rint(1.2 * normals).astype(np.int64), body.tint], axis=1)
         _, part = np.unique(keys, axis=0, return_inverse=True)
         part = part.reshape(-1)
@@ -412,9 +410,7 @@ def _smooth(field: LightField, change: Floats) -> Floats:
 
     What a target adds to it is a small part of a small change, so coarse cells are enough.
     """
-    n = len(field.coarse)
-    area = field.cells.area[:, None]
-    sent = summed(field.block, change * area, n) / np.maximum(summed(field.block, area, n), 1e-300)
+    sent = summed(field.block, change * field.cells.area[:, None], len(field.coarse)) / field.block_area[:, None]
     received = np.append(field.coarse @ sent, np.zeros((1, change.shape[1])), axis=0)
     smooth: Floats = received[field.block]
     return smooth

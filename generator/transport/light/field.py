@@ -99,6 +99,8 @@ class LightField:
         Albedo.
     block : ndarray of shape (cells,), int
         Coarse cell that each cell is part of.
+    block_area : ndarray of shape (blocks,)
+        Area of each coarse cell.
     coarse : ndarray of shape (blocks, blocks)
         Irradiance of coarse cells per radiosity of each other.
     sources : dict of str to Source
@@ -128,7 +130,7 @@ class LightField:
         self._reached_cells, self._gather, self._wall = reached, gather, wall[:, reached]
         self._share = np.zeros(cells.count)
         self._share[reached] = share
-        self.block, self.coarse = self._coarsened()
+        self.block, self.block_area, self.coarse = self._coarsened()
         self.sources: dict[str, Source] = {}
         if order > 3:
             lit = self._lit(setting)
@@ -181,7 +183,7 @@ class LightField:
         reached = np.concatenate(found)[order]
         return reached, np.concatenate(shares)[order], np.concatenate(rows)[order][:, reached].astype(np.float64)
 
-    def _coarsened(self) -> tuple[Numbers, Floats]:
+    def _coarsened(self) -> tuple[Numbers, Floats, Floats]:
         reached, area = self._reached_cells, self.cells.area
         blocks, inner = np.unique(self.cells.blocks()[reached], return_inverse=True)
         inner = inner.reshape(-1)
@@ -193,10 +195,10 @@ class LightField:
         np.add.at(coarse.T, inner, sums.T)
         block = np.full(self.cells.count, n)  # cells that are not reached are in none
         block[reached] = inner
-        return block, coarse / size[:, None]
+        return block, size, coarse / size[:, None]
 
     def _lit(self, setting: Setting) -> Floats:
-        """Return the irradiance (cells, groups) from the lit patch, of radiance 1 under the lamp."""
+        """Return the irradiance (cells, 1) from the lit patch, of radiance 1 under the lamp."""
         light = np.zeros(self.cells.count)
         steps = (np.arange(_WITHIN) + 0.5) / _WITHIN
         cells = self._reached_cells
@@ -204,7 +206,8 @@ class LightField:
             for v in steps:
                 places, normals = self.cells.places(cells, np.tile([u, v], (len(cells), 1)))
                 light[cells] += patch_light(setting, places, normals, _PATCH).sum(axis=1)
-        return np.repeat(light[:, None] / _WITHIN**2, setting.tint.shape[1], axis=1)
+        irradiance: Floats = light[:, None] / _WITHIN**2
+        return irradiance
 
     def _source(self, first: int, shown: int, start: Floats) -> Source:
         levels, last = [start], self.order - 1
