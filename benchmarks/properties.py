@@ -55,8 +55,8 @@ CRITICAL = 7.0
 """Student's t with about 15 degrees of freedom: one false alarm in 100,000 comparisons, of which an edit has 21."""
 TOLERANCE = {"patch": 3e-3, "surfel": 3e-3}
 """Relative difference allowed besides noise: the engines' own accuracy, of which 1e-3 is requested, and rounding."""
-AMBIENT_TOLERANCE = 0.06
-"""Tolerance of `surfel` under ambient light, which it computes to a few per cent."""
+AMBIENT_TOLERANCE = 0.01
+"""Tolerance of `surfel` under ambient light, as requested of the difference picture."""
 ENGINES = ("path", "patch", "surfel")
 PATIENCE = 240.0
 """Seconds after which a process that edits counts as hung."""
@@ -987,6 +987,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     )
     parser.add_argument("--patience", type=float, default=PATIENCE, help="seconds for an edit (default: %(default)g)")
     parser.add_argument("--shard", default="0/1", help="i/n: every n-th edit, from the i-th on")
+    parser.add_argument("--judged", type=Path, nargs="+", default=[], help="leave out the edits in these files")
     parser.add_argument("--merge", type=Path, nargs="+", help="make the table from these files; of two, the later")
     parser.add_argument("--blender", default="", help="the Blender of those, for the heading")
     parser.add_argument("--serve", action="store_true", help=argparse.SUPPRESS)
@@ -1005,7 +1006,9 @@ def main(argv: Sequence[str] | None = None) -> int:
 
     options.output.mkdir(parents=True, exist_ok=True)
     index, _, count = options.shard.partition("/")
-    listed = [e for e in catalogue() if re.search(options.only, Row(*e).label)][int(index) :: int(count)]
+    judged = {row.label for path in options.judged for row in stored(path)}
+    listed = [e for e in catalogue() if re.search(options.only, label := Row(*e).label) and label not in judged]
+    listed = listed[int(index) :: int(count)]
     rows: list[Row] = []
     path = options.output / f"edits-{index}.csv"
     with path.open("w", newline="", encoding="utf-8") as file:
