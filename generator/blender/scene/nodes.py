@@ -7,8 +7,9 @@ their inputs that are constant. Whatever cannot be determined is reported as unk
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import bpy
@@ -48,6 +49,8 @@ class Part:
         Selected component of a node that has several, else empty.
     images : mapping of str to bpy.types.Image
         Images that are linked directly into the node, by socket name.
+    weight : float or None
+        Factor on its light, from sums and mixtures; None where it varies in space or cannot be determined.
     """
 
     kind: str
@@ -55,6 +58,7 @@ class Part:
     linked: frozenset[str] = frozenset()
     component: str = ""
     images: Mapping[str, Any] = field(default_factory=dict)
+    weight: float | None = 1.0
 
     def is_zero(self, name: str) -> bool:
         """Whether an input is certainly 0, or black, or missing."""
@@ -119,22 +123,52 @@ def uses_nodes(block: Any) -> bool:
     return bpy.app.version >= since or bool(block.use_nodes)
 
 
-def diffuse(material: Any) -> tuple[float, float, float] | None:
-    """Return the RGB albedo of a material that is a constant Lambertian reflector and nothing else, else None."""
+@dataclass(frozen=True)
+class Lambertian:
+    """A surface that sends equal radiance in all directions.
+
+    Attributes
+    ----------
+    albedo : (float, float, float)
+        Per colour channel.
+    radiance : (float, float, float)
+        Of its own light, per colour channel, W/m^2/sr.
+    """
+
+    albedo: tuple[float, float, float]
+    radiance: tuple[float, float, float]
+
+
+def lambertian(material: Any) -> Lambertian | None:
+    """Return what a material reflects and emits, if that is constant and Lambertian and all there is, else None."""
     shader = read(material)
     if shader.displaced or shader.volume:
         return None
-    parts = [part for part in shader.surface if part.kind != "EMISSION" or _shines(part)]
-    if not parts:
-        return (0.0, 0.0, 0.0)
-    part = parts[0]
-    if len(parts) > 1 or "Normal" in part.linked:
-        return None
-    if part.kind == "BSDF_DIFFUSE" and part.is_zero("Roughness"):
-        return part.colour("Color")
-    if part.kind == "BSDF_PRINCIPLED" and _only_diffuse(part):
-        return part.colour("Base Color")
-    return None
+    albedo, radiance = [0.0] * 3, [0.0] * 3
+    for part in shader.surface:
+        if part.kind == "EMISSION" and not _shines(part):
+            continue
+        if part.weight is None or "Normal" in part.linked:
+            return None
+        reflected: tuple[float, ...] | None = (0.0, 0.0, 0.0)
+        if part.kind == "BSDF_DIFFUSE" and part.is_zero("Roughness"):
+            reflected = part.colour("Color")
+        elif part.kind == "BSDF_PRINCIPLED" and _only_diffuse(part):
+            reflected = part.colour("Base Color")
+        elif part.kind != "EMISSION":
+            return None
+        sent = _radiance(part) if _shines(part) else (0.0, 0.0, 0.0)
+        if reflected is None or sent is None:
+            return None
+        albedo = [a + part.weight * c for a, c in zip(albedo, reflected, strict=True)]
+        radiance = [r + part.weight * c for r, c in zip(radiance, sent, strict=True)]
+    return Lambertian((albedo[0], albedo[1], albedo[2]), (radiance[0], radiance[1], radiance[2]))
+
+
+def diffuse(material: Any) -> tuple[float, float, float] | None:
+    """Return the RGB albedo of a material that is a constant Lambertian reflector and nothing else, else None."""
+    found = lambertian(material)
+    return None if found is None or any(found.radiance) else found.albedo
 
 
 def glows(block: Any) -> bool:
@@ -162,10 +196,10 @@ def radiance(block: Any) -> tuple[float, float, float] | None:
             return None
         if not _shines(part):
             continue
-        colour, strength = part.colour("Color"), part.inputs["Strength"]
-        if colour is None or not isinstance(strength, float):
+        sent = _radiance(part)
+        if sent is None or part.weight is None:
             return None
-        total = [t + strength * c for t, c in zip(total, colour, strict=True)]
+        total = [t + part.weight * c for t, c in zip(total, sent, strict=True)]
     return (total[0], total[1], total[2])
 
 
@@ -174,7 +208,7 @@ def level(block: Any) -> float:
     total = 0.0
     for part in filter(_shines, read(block).surface):
         strength, colour = part.inputs.get("Strength"), part.colour("Color")
-        power = strength if isinstance(strength, float) else 1.0
+        power = (strength if isinstance(strength, float) else 1.0) * (1.0 if part.weight is None else part.weight)
         total += abs(power * (sum(colour) / 3.0 if colour is not None else 1.0))
     return total
 
@@ -250,6 +284,15 @@ def _shines(part: Part) -> bool:
     return part.kind not in _DARK
 
 
+def _radiance(part: Part) -> tuple[float, float, float] | None:
+    """Return the radiance of a shader that shines, before its weight, if it is constant."""
+    prefix = "Emission " if part.kind == "BSDF_PRINCIPLED" else ""
+    colour, strength = part.colour(f"{prefix}Color"), part.inputs.get(f"{prefix}Strength")
+    if colour is None or not isinstance(strength, float):
+        return None
+    return (strength * colour[0], strength * colour[1], strength * colour[2])
+
+
 def _thin(part: Part) -> bool:
     """Whether a volume shader certainly has no effect."""
     return part.kind in ("VOLUME_ABSORPTION", "VOLUME_SCATTER") and part.is_zero("Density")
@@ -258,7 +301,7 @@ def _thin(part: Part) -> bool:
 def _only_diffuse(part: Part) -> bool:
     weights = ("Metallic", "Specular IOR Level", "Transmission Weight", "Subsurface Weight", "Coat Weight")
     zero = (*weights, "Sheen Weight", "Diffuse Roughness", "Thin Film Thickness")
-    return part.inputs.get("Alpha") == 1.0 and all(map(part.is_zero, zero)) and not _shines(part)
+    return part.inputs.get("Alpha") == 1.0 and all(map(part.is_zero, zero))
 
 
 def _kinds(part: Part) -> set[str]:
@@ -330,6 +373,15 @@ class _Origin:
     shader: bool = False
 
 
+@dataclass(frozen=True)
+class _Term:
+    """A shader, or a sum or mixture of others: their sockets, the groups around these, and their shares."""
+
+    key: Path
+    shader: Part | None = None
+    inputs: tuple[tuple[Any, Path, float | None], ...] = ()
+
+
 _NOWHERE = _Origin()
 """A link without a usable start: into a group that has no tree or is nested too deep."""
 
@@ -341,30 +393,60 @@ class _Reader:
     links: dict[int, dict[int, Any]] = field(default_factory=dict)
 
     def parts(self, socket: Any, path: Path) -> Iterator[Part]:
-        """Yield the shaders whose sum or mixture reaches a socket, each once."""
-        todo, seen = [(socket, path)], set()
+        """Yield the shaders whose sum or mixture reaches a socket, each once, with its weight."""
+        root = self._term(socket, path)
+        shaders: dict[Path, Part | None] = {}
+        links: dict[Path, list[tuple[Path, float | None]]] = {}
+        todo = [] if root is None else [root]
         while todo:
-            origin = self.origin(*todo.pop())
-            if origin is None or origin is _NOWHERE:
+            term = todo.pop()
+            if term.key in shaders:
                 continue
-            if not origin.shader:  # Cycles emits a colour that is linked where a shader is expected
-                # (a tenth of it for a world, before Blender 5).
-                colour = origin.value if bpy.app.version >= (5, 0) else None
-                yield Part("EMISSION", {"Color": colour, "Strength": 1.0}, frozenset({"Color"}))
-                continue
-            node, path = origin.node, origin.path
-            key = (node.as_pointer(), *(group.as_pointer() for group in path))
-            if key in seen:
-                continue
-            seen.add(key)
-            if node.type == "MIX_SHADER":
-                share = self.value(node.inputs[0], path)
-                first, second = not isinstance(share, float) or share < 1.0, share is None or share > 0.0  # type: ignore[operator]
-                todo += [(node.inputs[i], path) for i, counts in ((1, first), (2, second)) if counts]
-            elif node.type == "ADD_SHADER":
-                todo += [(term, path) for term in node.inputs]
-            elif node.type != "EEVEE_SPECULAR":  # which Cycles does not have
-                yield self._part(node, path)
+            found = [(self._term(*place), share) for *place, share in term.inputs]
+            shaders[term.key] = term.shader
+            links[term.key] = [(inner.key, share) for inner, share in found if inner is not None]
+            todo += [inner for inner, _ in found if inner is not None]
+        missing = Counter(key for inner in links.values() for key, _ in inner)
+        weights: dict[Path, float | None] = dict.fromkeys(shaders, 0.0)
+        ready = [] if root is None else [root.key]
+        weights |= dict.fromkeys(ready, 1.0)
+        while ready:  # a term comes after all those that it is an input of
+            key = ready.pop()
+            weight, shader = weights[key], shaders[key]
+            if shader is not None:
+                yield replace(shader, weight=weight)
+            for inner, share in links[key]:
+                before = weights[inner]
+                known = before is not None and weight is not None and share is not None
+                weights[inner] = before + weight * share if known else None  # type: ignore[operator]
+                missing[inner] -= 1
+                if not missing[inner]:
+                    ready.append(inner)
+
+    def _term(self, socket: Any, path: Path) -> _Term | None:
+        """Return what reaches a socket; None if it is nothing."""
+        origin = self.origin(socket, path)
+        if origin is None or origin is _NOWHERE:
+            return None
+        if not origin.shader:  # Cycles emits a colour that is linked where a shader is expected
+            # (a tenth of it for a world, before Blender 5).
+            colour = origin.value if bpy.app.version >= (5, 0) else None
+            emission = Part("EMISSION", {"Color": colour, "Strength": 1.0}, frozenset({"Color"}))
+            return _Term(_pointers(socket, path), emission)
+        node, path = origin.node, origin.path
+        key = _pointers(node, path)
+        if node.type == "MIX_SHADER":
+            share = self.value(node.inputs[0], path)
+            second = min(1.0, max(0.0, share)) if isinstance(share, float) else None
+            shares = (None if second is None else 1.0 - second, second)
+        elif node.type == "ADD_SHADER":
+            shares = (1.0, 1.0)
+        elif node.type == "EEVEE_SPECULAR":  # which Cycles does not have
+            return None
+        else:
+            return _Term(key, self._part(node, path))
+        pairs = zip(node.inputs[-2:], shares, strict=True)
+        return _Term(key, None, tuple((term, path, share) for term, share in pairs if share != 0.0))
 
     def _part(self, node: Any, path: Path) -> Part:
         inputs = [s for s in node.inputs if s.enabled and not getattr(s, "is_unavailable", False)]
@@ -436,6 +518,11 @@ class _Reader:
                 if link.is_valid and not link.is_muted and link.from_socket.enabled and link.to_socket.enabled
             }
         return self.links[key].get(socket.as_pointer())
+
+
+def _pointers(item: Any, path: Path) -> Path:
+    """Return what identifies a node or socket inside groups."""
+    return (item.as_pointer(), *(group.as_pointer() for group in path))
 
 
 def _group_output(node: Any, output: Any) -> Any:

@@ -132,6 +132,30 @@ def sum_of_two(tree, kind):
     emission(tree, add.inputs[1], 3.0)
 
 
+def a_quarter_of_one(tree, kind):
+    mix = node(tree, "MixShader", output(tree, kind).inputs["Surface"])
+    mix.inputs[0].default_value = 0.25
+    emission(tree, mix.inputs[2], 3.0)
+
+
+def sum_with_itself(tree, kind):
+    add = node(tree, "AddShader", output(tree, kind).inputs["Surface"])
+    shader = emission(tree, add.inputs[0], 0.5)
+    tree.links.new(shader.outputs[0], add.inputs[1])
+
+
+def mixed_twice(tree, kind):
+    """One shader by two ways, a quarter and a half of it."""
+    add = node(tree, "AddShader", output(tree, kind).inputs["Surface"])
+    mix = node(tree, "MixShader", add.inputs[0])
+    mix.inputs[0].default_value = 0.25
+    shader = emission(tree, mix.inputs[2], 2.0)
+    emission(tree, mix.inputs[1], 1.0)
+    other = node(tree, "MixShader", add.inputs[1])
+    other.inputs[0].default_value = 0.5
+    tree.links.new(shader.outputs[0], other.inputs[1])
+
+
 def group(tree, kind):
     inner = bpy.data.node_groups.new("Inner", "ShaderNodeTree")
     inner.interface.new_socket("Strength", in_out="INPUT", socket_type="NodeSocketFloat")
@@ -173,6 +197,7 @@ def black_emission(tree, kind):
 TREES = [
     *(plain, muted_shader, muted_link, unlinked, eevee_only, cycles_before_all, active_of_two, by_reroutes),
     *(value_node, colour_as_number, colour_as_shader, muted_mix, mix_of_one, sum_of_two, group, empty_group),
+    *(a_quarter_of_one, sum_with_itself, mixed_twice),
     *(dangling_reroute, muted_number, muted_output, black_emission),
 ]
 
@@ -190,6 +215,23 @@ def test_what_shines_is_what_cycles_renders(studio, build, kind):
         return
     np.testing.assert_allclose(nodes.radiance(block), rendered, rtol=1e-3)  # luminance differs in the fourth digit
     assert nodes.level(block) == pytest.approx(rendered.mean(), rel=1e-3)
+    if kind == "Material":
+        np.testing.assert_allclose(nodes.lambertian(block).radiance, rendered, rtol=1e-3)
+
+
+def test_a_mixture_reflects_what_its_parts_do_by_their_shares():
+    made = bpy.data.materials.new("Mixed")
+    tree = tree_of(made)
+    mix = node(tree, "MixShader", output(tree).inputs["Surface"])
+    mix.inputs[0].default_value = 0.25
+    node(tree, "BsdfDiffuse", mix.inputs[1], Color=(0.8, 0.4, 0.2, 1.0))
+    assert nodes.diffuse(made) == pytest.approx((0.6, 0.3, 0.15))
+    emission(tree, mix.inputs[2], 2.0)
+    assert nodes.diffuse(made) is None
+    assert nodes.lambertian(made).albedo == pytest.approx((0.6, 0.3, 0.15))
+    assert nodes.lambertian(made).radiance == pytest.approx((0.5, 0.5, 0.5))
+    node(tree, "TexNoise", mix.inputs[0])
+    assert nodes.lambertian(made) is None
 
 
 def test_the_default_of_old_files_is_dark():
