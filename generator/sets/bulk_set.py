@@ -88,6 +88,8 @@ def is_grey(world: World) -> bool:
     light = [world.patch.intensity, world.patch.albedo, world.watched.albedo]
     if world.ambient is not None:
         light.append(world.ambient.radiance)
+    if world.emitters is not None:
+        light += [world.emitters.radiance, world.emitters.intensity]
     if world.wall is not None:
         light.append(world.wall.albedo)
     colours = [np.atleast_2d(c) for c in (*light, *(body.albedo for body in (*world.target, *world.room)))]

@@ -4,12 +4,23 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, Any
 
-from generator.transport.world import AmbientLight, LitPatch, Mesh, Sphere, Watched, World
+from generator.transport.world import AmbientLight, Emitters, LitPatch, Mesh, Sphere, Watched, World
 
 if TYPE_CHECKING:
     from generator.transport.render import Gains, Rendered, Transport
 
-__all__ = ["AmbientLight", "Gains", "LitPatch", "Mesh", "Rendered", "Sphere", "Transport", "Watched", "World"]
+__all__ = [
+    "AmbientLight",
+    "Emitters",
+    "Gains",
+    "LitPatch",
+    "Mesh",
+    "Rendered",
+    "Sphere",
+    "Transport",
+    "Watched",
+    "World",
+]
 
 
 def __getattr__(name: str) -> Any:

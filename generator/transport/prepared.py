@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from functools import lru_cache
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,7 +16,7 @@ from generator.transport.faces import Faces
 from generator.transport.lit import Patch, chord_rules, whole_rules
 from generator.transport.obstacles import Obstacles
 from generator.transport.rays import Surfaces
-from generator.transport.world import Mesh, Sphere, Watched, World
+from generator.transport.world import Emitters, Mesh, Sphere, Watched, World
 
 Floats = NDArray[Any]
 
@@ -52,6 +52,31 @@ class Frame:
         return local
 
 
+class Emission(NamedTuple):
+    """Light besides that of the spot and of the sky, in the wall's frame and unit.
+
+    Attributes
+    ----------
+    triangles : ndarray of shape (n, 3, 3)
+        Surfaces that give light, on the side from which their corners run counter-clockwise.
+    radiance : ndarray of shape (n, groups)
+    places : ndarray of shape (m, 3)
+        Lamps without extent.
+    intensity : ndarray of shape (m, groups)
+    softness : ndarray of shape (n + m,)
+        Radius of lamps with a soft falloff, of triangles and then of places.
+    colour : ndarray of shape (3,)
+        Radiance of the watched wall, W/m^2/sr, per unit of irradiance by these.
+    """
+
+    triangles: Floats
+    radiance: Floats
+    places: Floats
+    intensity: Floats
+    softness: Floats
+    colour: Floats
+
+
 class Setting:
     """A world in its wall's own frame.
 
@@ -68,7 +93,8 @@ class Setting:
     wall_radiance, factor : ndarray of shape (3,)
         Radiance, W/m^2/sr, of the lit patch under the lamp; and radiance per unit of the sums over the target.
     channel : list of int
-        Group of albedos that each colour channel uses; there is one group if all surfaces are grey.
+        Group of albedos that each colour channel uses; there is one group if all surfaces are grey, and all emitters
+        of one colour.
     flat, balls : ndarray
         The target's cells, in its own frame.
     tint : ndarray of shape (cells, groups)
@@ -83,7 +109,8 @@ class Setting:
     room, around : Surfaces
         Surfaces of the room: without the relay wall, and with it if light is followed on (`World.is_followed_on`).
     sky : ndarray of shape (3,) or None
-        Radiance, W/m^2/sr, of the watched wall where the whole sky lights it; None without ambient light.
+        Radiance, W/m^2/sr, of the watched wall where the whole sky lights it; None without a sky.
+    emission : Emission or None
 
     Raises
     ------
@@ -132,8 +159,11 @@ class Setting:
             around.append(Mesh(frame.points(world.wall.triangles), world.wall.albedo))
         self.sky = None if world.ambient is None else world.ambient.radiance * watched.albedo
         albedos = np.concatenate([tint, *(m.albedo for m in around)])
-        self.channel = [0, 0, 0] if (albedos == albedos[:, :1]).all() else [0, 1, 2]
+        is_grey = (albedos == albedos[:, :1]).all()
+        emitters = world.emitters
+        self.channel = [0, 0, 0] if is_grey and (emitters is None or _of_one_colour(emitters)) else [0, 1, 2]
         channels = sorted(set(self.channel))
+        self.emission = None if emitters is None else _emission(emitters, frame, watched.albedo, channels)
         self.tint = np.ascontiguousarray(tint[:, channels])
         self.faces = Faces(self.flat, len(self.balls), self.to_wall, self.patch)
         self.room = Surfaces(room.triangles, room.albedo[:, channels])
@@ -163,6 +193,30 @@ class Setting:
             self.patch,
             np.append(frame.points(eye[:3]) if eye[3] else frame.directions(eye[:3]) / frame.unit, eye[3]),
         )
+
+
+def _of_one_colour(emitters: Emitters) -> bool:
+    """Whether all emitters differ in strength only."""
+    colours = np.concatenate([emitters.radiance, emitters.intensity])
+    strongest = colours[colours.max(axis=1).argmax()]
+    expected = colours.max(axis=1, keepdims=True) * strongest / strongest.max()
+    return bool(np.allclose(colours, expected, rtol=1e-6, atol=0.0))
+
+
+def _emission(emitters: Emitters, frame: Frame, albedo: Array, channels: list[int]) -> Emission:
+    """Return emitters in the wall's frame, the strongest of strength 1.
+
+    If there is one group, its strength is that of the strongest channel.
+    """
+    intensity = emitters.intensity / frame.unit**2
+    colours = np.concatenate([emitters.radiance, intensity])
+    strength, colour = colours, np.full(3, colours.max())
+    if len(channels) == 1:
+        strength, colour = colours.max(axis=1, keepdims=True), colours.max(axis=0)
+    radiance, intensity = np.split(strength / colour.max(), [len(emitters.radiance)])
+    triangles, places = frame.points(emitters.triangles), frame.points(emitters.places)
+    softness = emitters.softness / frame.unit
+    return Emission(triangles, radiance, places, intensity, softness, colour * albedo / math.pi)
 
 
 def _joined(meshes: list[Mesh]) -> Mesh:

@@ -36,7 +36,7 @@ class Rendered:
     Attributes
     ----------
     pixels : ndarray
-        What the camera sees: ``background + added - hidden + further + ambient``.
+        What the camera sees: ``background + added - hidden + further + ambient + emitted``.
     added : ndarray
         Light of the lamp that took its second reflection on the target, and its third on the wall.
     hidden : ndarray
@@ -44,7 +44,9 @@ class Rendered:
     further : ndarray
         Change of the lamp's light after more than three reflections.
     ambient : ndarray
-        Change of ambient light by the target; zero where there is no ambient light.
+        Change of the sky's light by the target; zero where there is none.
+    emitted : ndarray
+        Change by the target of the light of other lamps and of surfaces that glow; zero where there are none.
     derivatives : ndarray of shape (7, height, width, 3), optional
         Derivatives of ``pixels`` with respect to the target's position (3, per metre), its rotation about the world's
         axes through its origin (3, per radian), and its strength (a factor on all its albedo).
@@ -60,6 +62,7 @@ class Rendered:
     hidden: Array
     further: Array
     ambient: Array
+    emitted: Array
     derivatives: Array | None
     report: dict[str, Any]
 
@@ -140,10 +143,10 @@ class Transport:
         Parameters
         ----------
         ambient : bool, default=True
-            Whether to include ambient light.
+            Whether to include light that is not the lamp's.
         """
-        if not ambient and self.world.ambient is not None:
-            return self.background() - self._followed("sky")
+        if not ambient and self.world.has_other_light:
+            return self.background() - sum(self._followed(name) for name in self._others())
         if self._background is None:
             compiled.limit_threads(self._threads)
             self._background = self._directly_lit()
@@ -156,7 +159,14 @@ class Transport:
     def _followed(self, name: str) -> Array:
         """Return the light of a source in the empty room, as `LightField` follows it, (height, width, 3)."""
         assert self._field is not None
-        return self._of_source(name, drawn(self._field.background(name), self._setting.resolution))
+        light = drawn(self._field.background(name), self._setting.resolution)
+        if name == "emitters" and self._field.shadow is not None:
+            light = light + self._field.shadow.unshadowed()
+        return self._of_source(name, light)
+
+    def _others(self) -> list[str]:
+        """Return the sources of light besides the lamp."""
+        return [name for name in self._field.sources if name != "lamp"] if self._field else []
 
     def render(self, position: Any, rotation: Any, *, derivatives: bool = False) -> Rendered:
         """Return the picture with the target at a pose.
@@ -195,9 +205,9 @@ class Transport:
             turned = np.tensordot(self._setting.frame.axes.T, moves.reshape(2, 3, *light.shape), axes=(1, 1))
             slopes = np.concatenate([turned[:, 0] / self._setting.frame.unit, turned[:, 1], strength[None]])
         changed = self._changed(position, rotation, added[0, :, 0] - hidden[0, :, 0])
-        further, ambient = (changed.get(name, np.zeros_like(light)) for name in ("lamp", "sky"))
-        pixels = self.background() + light - shade + further + ambient
-        return Rendered(pixels, light, shade, further, ambient, slopes, reports[0])
+        further, sky, emitted = (changed.get(name, np.zeros_like(light)) for name in ("lamp", "sky", "emitters"))
+        pixels = self.background() + light - shade + further + sky + emitted
+        return Rendered(pixels, light, shade, further, sky, emitted, slopes, reports[0])
 
     def difference(self, position: Any, rotation: Any, *, shadows: bool = True) -> Array:
         """Return the change due to the target at a pose, (height, width, 3), W/m^2/sr: picture minus background.
@@ -329,6 +339,8 @@ class Transport:
         setting = self._setting
         if name == "lamp":
             return self._times(groups, math.pi * setting.factor)
+        if name == "emitters" and setting.emission is not None:
+            return self._times(groups, setting.emission.colour)
         assert setting.sky is not None
         return self._times(groups, setting.sky)
 

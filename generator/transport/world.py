@@ -14,7 +14,10 @@ from generator.model.arrays import Array
 from generator.model.errors import NlosError
 
 MOST_SURFACES = 2000
-"""Most surfaces of room and wall over which light is followed that is reflected more often, or comes from the sky."""
+"""Most surfaces of room and wall over which light is followed besides the spot's first three reflections."""
+
+MOST_EMITTERS = 1000
+"""Most triangles that give light."""
 
 
 @dataclass(frozen=True)
@@ -152,6 +155,51 @@ class AmbientLight:
 
 
 @dataclass(frozen=True)
+class Emitters:
+    """Surfaces that give light, and lamps besides the spot.
+
+    Surfaces that also reflect or hide light are in the room as well.
+
+    Attributes
+    ----------
+    triangles : ndarray of shape (n, 3, 3)
+        Corner by corner, metres. Light leaves on the side from which they run counter-clockwise, with equal radiance
+        in all directions.
+    radiance : ndarray of shape (n, 3)
+        Per triangle and colour channel, W/m^2/sr.
+    places : ndarray of shape (m, 3)
+        Positions of lamps without extent, metres.
+    intensity : ndarray of shape (m, 3)
+        Radiant intensity of each, per colour channel, in all directions, W/sr.
+    softness : ndarray of shape (n + m,)
+        Radius, metres, of round lamps with Blender's soft falloff, else 0; for triangles, then for places.
+    """
+
+    triangles: Array
+    radiance: Array
+    places: Array
+    intensity: Array
+    softness: Array
+
+    def __post_init__(self) -> None:
+        for name, values, shape in (
+            ("triangles", self.triangles, (len(self.triangles), 3, 3)),
+            ("radiance", self.radiance, (len(self.triangles), 3)),
+            ("places", self.places, (len(self.places), 3)),
+            ("intensity", self.intensity, (len(self.places), 3)),
+            ("softness", self.softness, (len(self.triangles) + len(self.places),)),
+        ):
+            if values.shape != shape:
+                raise NlosError(f"emitters: {name} must have shape {shape}, not {values.shape}")
+            if not np.isfinite(values).all():
+                raise NlosError(f"emitters: {name} must be finite")
+            if name != "triangles" and name != "places" and (values < 0.0).any():
+                raise NlosError(f"emitters: {name} must not be negative")
+        if not (self.radiance.any() or self.intensity.any()):
+            raise NlosError("emitters: give no light; leave them out")
+
+
+@dataclass(frozen=True)
 class World:
     """All of a scene that is relevant to diffuse reflections.
 
@@ -167,7 +215,9 @@ class World:
         Largest number of reflections that a picture includes; `ALL_ORDERS` for all.
     ambient : AmbientLight, optional
     wall : Mesh, optional
-        The whole relay wall, which reflects and blocks light of the sky and of more than three reflections.
+        The whole relay wall, which reflects and blocks all light but that of the lamp's first three reflections.
+    emitters : Emitters, optional
+        Light besides that of the spot and of the sky.
     """
 
     patch: LitPatch
@@ -177,11 +227,17 @@ class World:
     order: int = 3
     ambient: AmbientLight | None = None
     wall: Mesh | None = None
+    emitters: Emitters | None = None
+
+    @property
+    def has_other_light(self) -> bool:
+        """Whether there is light that is not the spot's."""
+        return self.ambient is not None or self.emitters is not None
 
     @property
     def is_followed_on(self) -> bool:
-        """Whether there is light besides the lamp's first three reflections."""
-        return self.order > 3 or self.ambient is not None
+        """Whether there is light besides the spot's first three reflections."""
+        return self.order > 3 or self.has_other_light
 
     def seen_by(self, width: int, height: int) -> World:
         """Return the world with a picture of ``width`` by ``height`` pixels."""

@@ -8,6 +8,7 @@ target.
 from __future__ import annotations
 
 import math
+from typing import NamedTuple
 
 import numpy as np
 
@@ -52,6 +53,54 @@ def _light(place, normal, patch, to):
     return facing * place[2] / squared**2 * area * radiance(x, y, patch)
 
 
+class Glow(NamedTuple):
+    """Emitters: triangles, unit normals, lamps, and after each of them the share of all strength that came so far.
+
+    ``strength`` is the sum over all, of area times radiance and of intensity.
+    """
+
+    triangles: np.ndarray
+    normals: np.ndarray
+    places: np.ndarray
+    until: np.ndarray
+    strength: float
+
+
+def glow_of(emission):
+    """The emitters of a prepared world, of one colour; or none."""
+    if emission is None:
+        return Glow(np.zeros((0, 3, 3)), np.zeros((0, 3)), np.zeros((0, 3)), np.zeros(0), 0.0)
+    corners = emission.triangles
+    cross = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    twice = np.linalg.norm(cross, axis=1)
+    strengths = np.concatenate([0.5 * twice * emission.radiance[:, 0], emission.intensity[:, 0]])
+    total = strengths.sum()
+    return Glow(corners, cross / twice[:, None], emission.places, np.cumsum(strengths) / total, total)
+
+
+@jit_in_place
+def _glowing(place, normal, glow, to):
+    """Draw a point of the emitters: write the way there, and return the irradiance from it."""
+    chosen = np.searchsorted(glow.until, np.random.random())
+    flat = glow.triangles.shape[0]
+    u, v = np.random.random(), np.random.random()
+    if u + v > 1.0:
+        u, v = 1.0 - u, 1.0 - v
+    facing, sent, squared = 0.0, 0.0, 0.0
+    for r in range(3):
+        if chosen < flat:
+            a, b, c = glow.triangles[chosen, 0, r], glow.triangles[chosen, 1, r], glow.triangles[chosen, 2, r]
+            to[r] = a + u * (b - a) + v * (c - a) - place[r]
+            sent -= to[r] * glow.normals[chosen, r]
+        else:
+            to[r] = glow.places[chosen - flat, r] - place[r]
+        facing += to[r] * normal[r]
+        squared += to[r] ** 2
+    if chosen >= flat:
+        sent = math.sqrt(squared)
+    return max(0.0, facing) * max(0.0, sent) / squared**2 * glow.strength
+
+
 @jit_in_place
 def _arrive(place, normal, way, far, planes, which):
     """Move to where a ray meets a surface, and turn the normal against it."""
@@ -64,7 +113,7 @@ def _arrive(place, normal, way, far, planes, which):
 
 
 @jit
-def _walk(place, normal, weight, hits, planes, tint, patch, sky, sign, found):
+def _walk(place, normal, weight, hits, planes, tint, patch, sky, glow, sign, found):
     """Follow a path in one room, from its vertex number ``hits`` on; add light by its number of reflections."""
     way, to = np.empty(3), np.empty(3)
     order = found.shape[1] - 1
@@ -72,6 +121,10 @@ def _walk(place, normal, weight, hits, planes, tint, patch, sky, sign, found):
         light = _light(place, normal, patch, to)
         if light > 0.0 and hits + 2 <= order and nearest(place, to, planes, 1.0 - 1e-7)[0] < 0:
             found[0, hits + 2] += sign * weight * light
+        if glow.strength > 0.0:
+            light = _glowing(place, normal, glow, to)
+            if light > 0.0 and nearest(place, to, planes, 1.0 - 1e-7)[0] < 0:
+                found[2, hits + 1] += sign * weight * light
         _scatter(normal, way)
         which, far = nearest(place, way, planes, np.inf)
         if which < 0:
@@ -100,17 +153,28 @@ def _leave(part, to_wall, place, normal):
 
 
 @jit
-def _empty(seed, count, part, to_wall, room, tint, patch, sky, found):
+def _empty(seed, count, part, to_wall, room, tint, patch, sky, glow, found):
     """Follow paths from a part of the picture in the room without the target; add light by reflections."""
     np.random.seed(seed)
     place, normal = np.empty(3), np.empty(3)
     for _ in range(count):
         _leave(part, to_wall, place, normal)
-        _walk(place, normal, 1.0, 0, room, tint, patch, sky, 1.0, found)
+        _walk(place, normal, 1.0, 0, room, tint, patch, sky, glow, 1.0, found)
 
 
 @jit
-def _paths(seed, count, part, to_wall, room, both, target, tint, patch, sky, found):
+def _hide(place, normal, weight, hits, room, target, glow, to, found):
+    """Take the light of emitters that the target hides from a place."""
+    if glow.strength == 0.0 or hits + 1 >= found.shape[1]:
+        return
+    light = _glowing(place, normal, glow, to)
+    shadowed = light > 0.0 and nearest(place, to, target, 1.0 - 1e-7)[0] >= 0
+    if shadowed and nearest(place, to, room, 1.0 - 1e-7)[0] < 0:
+        found[2, hits + 1] -= weight * light
+
+
+@jit
+def _paths(seed, count, part, to_wall, room, both, target, tint, patch, sky, glow, found):
     """Follow paths from a part of the picture; add what the target changes by the number of reflections."""
     np.random.seed(seed)
     order = found.shape[1] - 1
@@ -119,6 +183,7 @@ def _paths(seed, count, part, to_wall, room, both, target, tint, patch, sky, fou
     for _ in range(count):
         _leave(part, to_wall, place, normal)
         weight = 1.0
+        _hide(place, normal, weight, 0, room, target, glow, to, found)
         for hits in range(1, order + 1):
             _scatter(normal, way)
             wall, beyond = nearest(place, way, room, np.inf)
@@ -130,14 +195,15 @@ def _paths(seed, count, part, to_wall, room, both, target, tint, patch, sky, fou
                 start[:], turned[:] = there, facing
                 for _ in range(SPLIT if reflected > 0.0 else 0):
                     there[:], facing[:] = start, turned
-                    _walk(there, facing, reflected, hits, both, tint, patch, sky, 1.0 / SPLIT, found)
+                    _walk(there, facing, reflected, hits, both, tint, patch, sky, glow, 1.0 / SPLIT, found)
                 if wall < 0:
                     found[1, hits] -= weight * sky
                 elif tint[wall] > 0.0:
                     for _ in range(SPLIT):
                         there[:] = place
                         _arrive(there, facing, way, beyond, room, wall)
-                        _walk(there, facing, weight * tint[wall], hits, room, tint, patch, sky, -1.0 / SPLIT, found)
+                        kept = weight * tint[wall]
+                        _walk(there, facing, kept, hits, room, tint, patch, sky, glow, -1.0 / SPLIT, found)
                 break
             if wall < 0:
                 break
@@ -151,11 +217,12 @@ def _paths(seed, count, part, to_wall, room, both, target, tint, patch, sky, fou
             shadowed = nearest(place, to, target, 1.0 - 1e-7)[0] >= 0
             if light > 0.0 and hits + 2 <= order and shadowed and nearest(place, to, room, 1.0 - 1e-7)[0] < 0:
                 found[0, hits + 2] -= weight * light
+            _hide(place, normal, weight, hits, room, target, glow, to, found)
     return found
 
 
 def change(world, position, rotation, count, *, repeats=8, seed=1):
-    """Return the mean change of the picture by number of reflections, and its standard error, (2, order + 1) each.
+    """Return the mean change of the picture by number of reflections, and its standard error, (3, order + 1) each.
 
     As `changes` has it.
     """
@@ -164,10 +231,11 @@ def change(world, position, rotation, count, *, repeats=8, seed=1):
 
 
 def changes(world, position, rotation, count, *, repeats=8, seed=1):
-    """Return the mean change of the picture by number of reflections, in several runs, (repeats, 2, order + 1).
+    """Return the mean change of the picture by number of reflections, in several runs, (repeats, 3, order + 1).
 
     The first row is of the lamp's light, in units of the lit patch's radiance times pi times the wall's albedo; the
-    second of the sky's, in units of its radiance times the wall's albedo. Only flat, grey surfaces.
+    second of the sky's, in units of its radiance times the wall's albedo; the third of emitters', in units of
+    `Emission.colour`. Only flat, grey surfaces.
     """
     setting = Setting(world)
     around, target = setting.around, setting.target
@@ -180,10 +248,12 @@ def changes(world, position, rotation, count, *, repeats=8, seed=1):
     tint = np.append(around.tint[:, 0], np.full(len(placed), target.tint[0, 0]))
     both = Planes(*(np.concatenate(pair) for pair in zip(around.planes, placed.planes, strict=True)))
 
+    glow = glow_of(setting.emission)
+
     def follow(number, part, found):
         sky = float(world.ambient is not None)
         rooms = around.planes, both, placed.planes
-        _paths(number, count, part, setting.to_wall, *rooms, tint, setting.patch, sky, found)
+        _paths(number, count, part, setting.to_wall, *rooms, tint, setting.patch, sky, glow, found)
 
     return _repeated(follow, count, world.order, repeats, seed)
 
@@ -194,16 +264,17 @@ def backgrounds(world, count, *, repeats=8, seed=1):
     Without the lit patch itself, where the picture shows it.
     """
     setting = Setting(world)
+    glow, around = glow_of(setting.emission), setting.around
 
     def follow(number, part, found):
-        sky, around = float(world.ambient is not None), setting.around
-        _empty(number, count, part, setting.to_wall, around.planes, around.tint[:, 0], setting.patch, sky, found)
+        sky, room, tint = float(world.ambient is not None), around.planes, around.tint[:, 0]
+        _empty(number, count, part, setting.to_wall, room, tint, setting.patch, sky, glow, found)
 
     return _repeated(follow, count, world.order, repeats, seed)
 
 
 def _repeated(follow, count, order, repeats, seed):
-    found = np.zeros((repeats, 2, order + 1))
+    found = np.zeros((repeats, 3, order + 1))
     for repeat in range(repeats):
         for point in range(SIDE**2):
             part = np.array(divmod(point, SIDE), float)

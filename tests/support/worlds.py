@@ -9,9 +9,10 @@ import numpy as np
 from numpy.polynomial.legendre import leggauss
 
 from generator.model.arrays import rotation_matrix
-from generator.transport import LitPatch, Mesh, Sphere, Watched, World
+from generator.transport import AmbientLight, LitPatch, Mesh, Sphere, Watched, World
 
 WALL = 0.8
+HIGH, WIDE, DEEP = 1.4, 1.6, 2.0
 
 
 def lit_patch(*, radius=0.08, centre=(0.4, 0.0, 0.1), lamp=(-1.0, 3.0, 3.1), power=1000.0):
@@ -57,6 +58,28 @@ def world(target, *, room=(), **changes):
     return World(changes.pop("patch", lit_patch()), changes.pop("view", watched()), (target,), tuple(room), **changes)
 
 
+def room(*, albedo=0.8, order=6, ceiling=True, sky=0.0, screen=True, target=None):
+    """A box behind the wall, with a screen between camera and target, or open above."""
+    x, z = (-WIDE, 2.0 * WIDE), (-HIGH, 2.0 * HIGH)
+    across, up, back = (x[1], 0.0, 0.0), (0.0, 0.0, z[1]), (0.0, DEEP, 0.0)
+    sides = [
+        quad((x[0], 0.0, z[0]), across, back, albedo),
+        quad((x[0], DEEP, z[0]), across, up, albedo),
+        quad((x[0], 0.0, z[0]), back, up, albedo),
+        quad((x[0] + x[1], 0.0, z[0]), back, up, albedo),
+    ]
+    if ceiling:
+        sides.append(quad((x[0], 0.0, z[0] + z[1]), across, back, albedo))
+    if screen:
+        sides.append(quad((0.1, 0.8, z[0]), (0.0, DEEP - 0.8, 0.0), up, 0.1))
+    made = world(target or sheet(0.6, 0.9), room=tuple(sides))
+    wall = quad((x[0], 0.0, z[0]), across, up, albedo)
+    watched = replace(made.watched, albedo=np.full(3, albedo))
+    patch = replace(made.patch, albedo=np.full(3, albedo))
+    ambient = AmbientLight(np.full(3, sky)) if sky else None
+    return replace(made, watched=watched, patch=patch, order=order, wall=wall, ambient=ambient)
+
+
 def scaled(world, factor):
     """The same world, larger or smaller, its lamp so much brighter or dimmer that the picture stays the same."""
     patch, view = world.patch, world.watched
@@ -68,6 +91,10 @@ def scaled(world, factor):
             return Mesh(factor * body.triangles, body.albedo)
         return Sphere(factor * body.centre, factor * body.radius, body.albedo)
 
+    def larger_emitters(glow):
+        lengths = {name: factor * getattr(glow, name) for name in ("triangles", "places", "softness")}
+        return replace(glow, **lengths, intensity=factor**2 * glow.intensity)
+
     return World(
         replace(patch, **longer, intensity=factor**2 * patch.intensity),
         replace(view, to_wall=wide * view.to_wall, eye=np.append(factor * view.eye[:3], view.eye[3])),
@@ -76,6 +103,7 @@ def scaled(world, factor):
         world.order,
         world.ambient,
         None if world.wall is None else larger(world.wall),
+        None if world.emitters is None else larger_emitters(world.emitters),
     )
 
 

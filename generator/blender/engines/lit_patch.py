@@ -9,6 +9,7 @@ from dataclasses import replace
 import bpy
 import numpy as np
 
+from generator.blender.engines import lamps
 from generator.blender.engines.planes import (
     NOTHING,
     Plane,
@@ -72,9 +73,7 @@ def read_lit_patch(scene: bpy.types.Scene, reading: Reading) -> tuple[LitPatch |
         lamp=origin,
         axis=axis,
         height=height,
-        intensity=numbers(light.color)
-        * np.array(nodes.radiance(light) or (0.0, 0.0, 0.0))
-        * (light.energy * 2.0 ** getattr(light, "exposure", 0.0) / (4.0 * math.pi)),
+        intensity=lamps.strength(light) / (4.0 * math.pi),
         albedo=np.zeros(3),
         cos_outer=math.cos(half_angle),
         cos_width=(1.0 - math.cos(half_angle)) * blend,
@@ -98,30 +97,9 @@ def read_lit_patch(scene: bpy.types.Scene, reading: Reading) -> tuple[LitPatch |
 
 def _lamp_reasons(lamp: bpy.types.Object, matrix: Array, order: int) -> list[str]:
     """Properties of the spot lamp that speak against engines that start at the patch."""
-    light, name = lamp.data, f"the spot {lamp.name!r}"
-    reasons = []
-    if light.shadow_soft_size > 0:
-        reasons.append(f"{name} has a radius of {light.shadow_soft_size:g} m, not 0")
-    factor = nodes.radiance(light)
-    if factor is None or min(factor) < 0.0 or nodes.read(light).volume:
-        reasons.append(f"{name} has shader nodes of its own that are not one constant emission")
-    if getattr(light, "use_temperature", False):
-        reasons.append(f"{name} takes its colour from a temperature")
-    if not getattr(light, "normalize", True):
-        reasons.append(f"{name} has a power that is not normalised")
-    scale = np.linalg.norm(matrix[:3, :3], axis=0)
-    if np.ptp(scale) > 1e-5 * scale.max():
-        reasons.append(f"{name} is scaled unevenly, so that its cone is not round")
-    if not light.use_shadow or not getattr(light.cycles, "cast_shadow", True):
-        reasons.append(f"{name} casts no shadows")
-    if light.cycles.max_bounces < order - 1:
-        reasons.append(f"{name} has a limit of bounces of its own ({light.cycles.max_bounces})")
-    if not lamp.visible_diffuse:
-        reasons.append(f"{name} is not visible to diffuse rays")
-    linking = getattr(lamp, "light_linking", None)
-    if linking is not None and (linking.receiver_collection or linking.blocker_collection):
-        reasons.append(f"{name} is linked to some objects only (light linking)")
-    return reasons
+    name, radius = f"the spot {lamp.name!r}", lamp.data.shadow_soft_size
+    reasons = [f"{name} has a radius of {radius:g} m, not 0"] if radius > 0 else []
+    return [*reasons, *(f"{name} {flaw}" for flaw in lamps.flaws(lamp, matrix, order))]
 
 
 def _reflection_reasons(scene: bpy.types.Scene, reading: Reading) -> list[str]:

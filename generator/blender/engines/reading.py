@@ -7,6 +7,7 @@ from typing import Any
 import bpy
 import numpy as np
 
+from generator.blender.engines import lamps
 from generator.blender.engines.shapes import COARSE, SMOOTH, shape_of, softening
 from generator.blender.engines.surface import Light, Reading, Shape, Surface
 from generator.blender.scene import geometry, materials, nodes, roles
@@ -50,7 +51,7 @@ def read_surfaces(scene: bpy.types.Scene) -> Reading:
         layer = scene.view_layers[depsgraph.view_layer.name]
         world = getattr(layer, "world_override", None) or depsgraph.scene.world
         _read_world(world, roles.reflection_order(scene), reading)
-        reader = _Reader(played, parts[0], layer, reading)
+        reader = _Reader(played, parts[0], layer, roles.reflection_order(scene), reading)
         for instance in depsgraph.object_instances:
             reader.read(instance)
         return reading
@@ -68,13 +69,21 @@ class _Reader:
     target : bpy.types.Object
         The target itself, whose children move with it.
     layer : bpy.types.ViewLayer
+    order : int
+        Largest number of reflections.
     reading : Reading, added to
     """
 
     def __init__(
-        self, played: dict[bpy.types.Object, str], target: bpy.types.Object, layer: Any, reading: Reading
+        self,
+        played: dict[bpy.types.Object, str],
+        target: bpy.types.Object,
+        layer: Any,
+        order: int,
+        reading: Reading,
     ) -> None:
         self._played, self._target, self._layer, self._reading = played, target, layer, reading
+        self._order = order
         self._shapes: dict[tuple[int, ...], Shape] = {}
 
     def read(self, instance: Any) -> None:
@@ -90,7 +99,7 @@ class _Reader:
             reading.layers += [reason] * (reason not in reading.layers)
             reading.reasons += [reason] * (reason not in reading.reasons)
         if obj.type == "LIGHT":
-            _read_lamp(instance, self._played.get(obj.original, "room"), matrix, reading)
+            _read_lamp(instance, self._played.get(obj.original, "room"), matrix, self._order, reading)
             return
         hair = [s for s in obj.particle_systems if s.settings.type == "HAIR" and s.settings.render_type == "PATH"]
         if hair and instance.show_particles:
@@ -126,6 +135,8 @@ class _Reader:
         label = self._label(obj, role)
         triangles = shape.corners @ matrix[:3, :3].T + matrix[:3, 3]
         flaws = [*shape.flaws, *_visibility_flaws(instance, role, self._layer)]
+        if role in ("relay_wall", "target") and shape.radiance.any():
+            flaws.append("has a material that gives light of its own")
         if not np.isfinite(triangles).all():
             flaws.append("has a corner that is not a finite number")
             triangles = np.nan_to_num(triangles, nan=0.0, posinf=0.0, neginf=0.0)
@@ -136,6 +147,7 @@ class _Reader:
                 role=role if role in ("relay_wall", "target") else "room",
                 triangles=triangles,
                 albedo=shape.albedo,
+                radiance=shape.radiance,
                 closed=shape.closed,
                 smooth=shape.lean > SMOOTH,
                 faces=shape.faces,
@@ -167,7 +179,7 @@ def _has_empty_slot(obj: bpy.types.Object) -> bool:
     )
 
 
-def _read_lamp(instance: Any, role: str, matrix: Array, reading: Reading) -> None:
+def _read_lamp(instance: Any, role: str, matrix: Array, order: int, reading: Reading) -> None:
     """Record a lamp if it emits light."""
     obj, lamp = instance.object, instance.object.data
     portal = lamp.type == "AREA" and lamp.cycles.is_portal
@@ -180,7 +192,9 @@ def _read_lamp(instance: Any, role: str, matrix: Array, reading: Reading) -> Non
     if role == "spot" and instance.is_instance:
         reading.reasons.append(f"the lamp {obj.name!r} shines once more, as an instance")
     elif role != "spot":
-        reading.reasons.append(f"the lamp {obj.name!r} shines too")
+        glow, reasons = lamps.glow(instance, role, matrix, order)
+        reading.reasons += reasons
+        reading.glowing += [glow] if glow is not None else []
 
 
 def _read_world(world: Any, order: int, reading: Reading) -> None:

@@ -33,11 +33,12 @@ def shape_of(obj: Any) -> Shape:
         sides = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
         solid = sides.any(axis=1)  # a triangle without area neither reflects nor hides anything
         edges = np.bincount(_values(mesh.loops, "edge_index", 1, np.int32)[:, 0])
-        colours, flaws = _colours(obj, slot[solid])
+        colours, radiance, flaws = _colours(obj, slot[solid])
         kinds, glowing, fire = _makings(obj, slot[solid])
         return Shape(
             corners=corners[solid],
             albedo=colours,
+            radiance=radiance,
             closed=bool((edges[edges > 0] == 2).all()),
             lean=_lean(mesh),
             faces=len(mesh.polygons),
@@ -90,22 +91,23 @@ def _makings(obj: Any, slots: Any) -> tuple[frozenset[str], Any, bool]:
     return kinds, np.isin(slots, glowing), fire
 
 
-def _colours(obj: Any, slots: Any) -> tuple[Array, tuple[str, ...]]:
-    """Return the albedo (n, 3) of faces with given material slots, and the flaws of their materials."""
+def _colours(obj: Any, slots: Any) -> tuple[Array, Array, tuple[str, ...]]:
+    """Return albedo and radiance (n, 3) of faces with given material slots, and the flaws of their materials."""
     materials, slots = _slots(obj, slots)
-    table = np.zeros((len(materials), 3))
+    albedo, radiance = np.zeros((2, len(materials), 3))
     flaws = []
     for index in np.unique(slots):
         material = materials[index]
-        colour = None if material is None else nodes.diffuse(material)
-        if colour is None:
+        found = None if material is None else nodes.lambertian(material)
+        if found is None:
             flaws.append(_material_flaw(material))
-        elif min(colour) < 0.0 or max(colour) > 1.0:
+        elif min(found.albedo) < 0.0 or max(found.albedo) > 1.0:
             flaws.append(f"has a material ({material.name!r}) whose colour is not between 0 and 1")
+        elif min(found.radiance) < 0.0:
+            flaws.append(f"has a material ({material.name!r}) that gives negative light")
         else:
-            table[index] = colour
-    albedo: Array = table[slots]
-    return albedo, tuple(dict.fromkeys(flaws))
+            albedo[index], radiance[index] = found.albedo, found.radiance
+    return albedo[slots], radiance[slots], tuple(dict.fromkeys(flaws))
 
 
 def _material_flaw(material: Any) -> str:
@@ -117,7 +119,7 @@ def _material_flaw(material: Any) -> str:
     if shader.displaced:
         return "has a material that displaces it"
     if nodes.glows(material):
-        return "has a material that may give light of its own"
+        return "has a material that may give light of its own, which is not constant, or not all"
     return "has a material that is not one constant diffuse colour"
 
 

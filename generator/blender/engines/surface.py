@@ -24,13 +24,15 @@ FLAT = 1e-5
 
 @dataclass(frozen=True)
 class Surface:
-    """A rendered surface: its triangles (n, 3, 3) in the world, metres, with albedos (n, 3)."""
+    """A rendered surface: its triangles (n, 3, 3) in the world, metres; their albedos (n, 3), and the radiance (n, 3)
+    of their own light, W/m^2/sr."""
 
     name: str
     label: str
     role: str
     triangles: Array
     albedo: Array
+    radiance: Array
     closed: bool
     smooth: bool
     faces: int
@@ -78,6 +80,31 @@ class Light:
         return self.role == "spot" and not self.instance
 
 
+@dataclass(frozen=True)
+class Glow:
+    """Light of a lamp: from triangles (n, 3, 3), on the side of their normals, or from places (m, 3) without extent.
+
+    Attributes
+    ----------
+    radiance : ndarray of shape (3,)
+        Of the triangles, W/m^2/sr.
+    intensity : ndarray of shape (3,)
+        Of each place, W/sr.
+    softness : float
+        Radius, metres, of a lamp with a soft falloff, else 0.
+    seen : bool
+        Whether the camera may see it.
+    """
+
+    name: str
+    triangles: Array
+    radiance: Array
+    places: Array
+    intensity: Array
+    softness: float
+    seen: bool
+
+
 @dataclass
 class Reading:
     """The scene as a render sees it.
@@ -96,6 +123,8 @@ class Reading:
         Radiance of a world with uniform light, else None.
     lights : list of Light
         All light sources.
+    glowing : list of Glow
+        Those lamps besides the spot that `surfel` can follow.
     volumes : list of str
         Phrases that name what is filled with a volume.
     kinds : dict of str to frozenset of str
@@ -108,6 +137,7 @@ class Reading:
     layers: list[str] = field(default_factory=list)
     sky: Array | None = None
     lights: list[Light] = field(default_factory=list)
+    glowing: list[Glow] = field(default_factory=list)
     volumes: list[str] = field(default_factory=list)
     kinds: dict[str, frozenset[str]] = field(default_factory=dict)
 
@@ -118,6 +148,7 @@ class Shape:
 
     corners: Array
     albedo: Array
+    radiance: Array
     closed: bool
     lean: float
     faces: int

@@ -19,7 +19,16 @@ from generator.blender.scene import geometry, nodes, posing, roles
 from generator.blender.scene.quiet import Overrides
 from generator.model.arrays import Array
 from generator.model.errors import NlosError
-from generator.transport.world import MOST_SURFACES, AmbientLight, LitPatch, Mesh, Sphere, World
+from generator.transport.world import (
+    MOST_EMITTERS,
+    MOST_SURFACES,
+    AmbientLight,
+    Emitters,
+    LitPatch,
+    Mesh,
+    Sphere,
+    World,
+)
 
 _SPHERE_FACES = 80
 _SPHERE_ROUND = 1e-3
@@ -126,8 +135,11 @@ def survey(scene: bpy.types.Scene, *, resolution: tuple[int, int] | None = None)
     smooth += [part for sphere, part in zip(spheres, parts, strict=True) if part.smooth and sphere is None]
     reasons += [f"{s.label} is shaded smooth, so that it reflects as if it were curved" for s in smooth]
     reasons += _coincident(reading, patch)
-    if order > 3 or sky is not None:
+    emitters = _emitters(reading)
+    if order > 3 or sky is not None or emitters is not None:
         reasons += _too_many([*room, *([_mesh(walls)] if walls else [])])
+    if emitters is not None and len(emitters.triangles) > MOST_EMITTERS:
+        reasons.append(f"{len(emitters.triangles)} triangles give light, of which `surfel` follows {MOST_EMITTERS}")
     if hidden := roles.unseen(scene, target):
         reasons.append(f"the target {target.name!r} {hidden}")
     elif not bodies:
@@ -135,7 +147,11 @@ def survey(scene: bpy.types.Scene, *, resolution: tuple[int, int] | None = None)
     surfel_input = None
     if not (never or reasons) and patch is not None and watched is not None:
         surfel_input = World(
-            *(patch, watched, tuple(bodies), tuple(room)), order=order, ambient=sky, wall=_mesh(walls)
+            *(patch, watched, tuple(bodies), tuple(room)),
+            order=order,
+            ambient=sky,
+            wall=_mesh(walls),
+            emitters=emitters,
         )
     return Survey(
         scene=bpy.data.filepath or "scene",
@@ -149,12 +165,33 @@ def survey(scene: bpy.types.Scene, *, resolution: tuple[int, int] | None = None)
     )
 
 
+def _emitters(reading: Reading) -> Emitters | None:
+    """Return what gives light besides the spot and the sky; None if nothing does."""
+    triangles, radiance = [np.zeros((0, 3, 3))], [np.zeros((0, 3))]
+    for surface in reading.surfaces:
+        shining = surface.radiance.any(axis=1)
+        for faces in (surface.triangles[shining], surface.triangles[shining][:, ::-1]):  # both sides give light
+            triangles.append(faces)
+            radiance.append(surface.radiance[shining])
+    softness = [np.zeros(sum(map(len, triangles)))]
+    places, intensity = [np.zeros((0, 3))], [np.zeros((0, 3))]
+    for glow in reading.glowing:
+        softness.append(np.full(len(glow.triangles), glow.softness))
+        triangles.append(glow.triangles)
+        radiance.append(np.tile(glow.radiance, (len(glow.triangles), 1)))
+        places.append(glow.places)
+        intensity.append(np.tile(glow.intensity, (len(glow.places), 1)))
+    softness.append(np.zeros(sum(map(len, places))))
+    parts = [np.concatenate(part) for part in (triangles, radiance, places, intensity, softness)]
+    return Emitters(*parts) if len(parts[0]) + len(parts[2]) else None
+
+
 def _too_many(meshes: Sequence[Mesh]) -> list[str]:
-    """Why light of more than three reflections, or of the sky, cannot be followed from surface to surface."""
+    """Why light of more than three reflections, or other than the spot's, cannot be followed across surfaces."""
     count = sum(len(mesh.triangles) for mesh in meshes)
     if count <= MOST_SURFACES:
         return []
-    return [f"the room has {count} triangles, over which neither a sky nor a fourth reflection is followed"]
+    return [f"the room has {count} triangles, over which neither other light nor a fourth reflection is followed"]
 
 
 def _foreign_colours() -> list[str]:

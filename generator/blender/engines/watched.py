@@ -87,6 +87,9 @@ def read_watched(
     for surface in surfaces:
         if surface.seen and surface.role == "room" and cut_areas(surface.triangles, view_volume).sum() > threshold:
             reasons.append(f"{surface.name!r} stands between {name} and the relay wall")
+    for lamp in reading.glowing:
+        if lamp.seen and cut_areas(lamp.triangles, view_volume).sum() > threshold:
+            reasons.append(f"the lamp {lamp.name!r} stands between {name} and the relay wall")
     if not covered(surfaces, sides, point, normal, outline, slack):
         reasons.append(f"{name} sees beyond the edge of the relay wall {wall.name!r}")
     return watched, list(dict.fromkeys(reasons))

@@ -249,7 +249,7 @@ def followed(source: Path, some: Sequence[PoseRecord], deadline: Deadline | None
 
 
 def _change(render: Rendered) -> Array:
-    return render.added - render.hidden + render.further + render.ambient
+    return render.added - render.hidden + render.further + render.ambient + render.emitted
 
 
 def _exact(

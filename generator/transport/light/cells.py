@@ -18,6 +18,11 @@ Numbers = NDArray[np.int64]
 _NEAR = 1e-6
 _TOUCH = 1e-6
 """Distance from a plane, in units of the scene, within which a corner lies on it."""
+_GAP = 0.3
+"""Distance between surfaces, in units of the smaller one's shorter side, within which it counts as touching the
+larger one: light between them does not leave along the way that light beside them does."""
+_BENEATH, _HALVINGS = 0.4, 6
+"""Size of a cell, in units of its distance from a lamp; and how often cells are halved for that, at most."""
 _SLIVER = 1e-4
 """Width, in units of a surface, below which no cell is made."""
 
@@ -107,6 +112,8 @@ class Cells:
     least : float
     ball_tint : ndarray of shape (spheres, groups)
         Albedo of the spheres; that of flat surfaces is in ``surfaces``.
+    spots : ndarray of shape (k, 3), optional
+        Lamps, near which cells are smaller than they are far from a surface.
 
     Attributes
     ----------
@@ -117,8 +124,17 @@ class Cells:
     grid : Grid
     """
 
-    def __init__(self, surfaces: Surfaces, size: float, place: Floats, least: float, ball_tint: Floats) -> None:
+    def __init__(
+        self,
+        surfaces: Surfaces,
+        size: float,
+        place: Floats,
+        least: float,
+        ball_tint: Floats,
+        spots: Floats | None = None,
+    ) -> None:
         self._surfaces = surfaces
+        spots = np.zeros((0, 3)) if spots is None else spots
         n = len(surfaces.origin)
         edges = np.stack([surfaces.first, surfaces.second], axis=1)
         long = np.linalg.norm(edges, axis=2)
@@ -133,6 +149,10 @@ class Cells:
         breaks = _breaks(surfaces)
         for axis in range(2):
             cut = [_cut(breaks[i][axis], long[i, axis], foot[i, axis], away[i], size) for i in range(n)]
+            if len(spots):
+                height = np.abs((spots[:, None] - surfaces.origin) @ surfaces.normal.T).diagonal(axis1=1, axis2=2)
+                under = np.einsum("sic,ic->si", spots[:, None] - surfaces.origin, surfaces.dual[:, axis])
+                cut = [_finer(*cut[i], long[i, axis], under[:, i] * long[i, axis], height[:, i]) for i in range(n)]
             axes.append(_joined(cut))
         along, across = axes
         counts = along.cells * across.cells
@@ -226,6 +246,21 @@ class Cells:
         points[~flat], normals[~flat] = balls[:, :3] + balls[:, 3:] * outward, outward
         return points, normals
 
+    def extents(self) -> tuple[Floats, Floats]:
+        """Return the diagonals (cells,) of the cells, and their middles (cells, 3)."""
+        every = np.arange(self.count)
+        middles, low, high = (self.places(every, np.full((self.count, 2), at))[0] for at in (0.5, 0.0, 1.0))
+        return np.linalg.norm(high - low, axis=1), middles
+
+    def outer(self, outward: NDArray[np.bool_] | None) -> Numbers:
+        """Return the cells that are not inside a solid; ``outward`` as for `scattered`."""
+        every = np.arange(self.count)
+        if outward is None:
+            return every
+        side = np.concatenate([outward[self._owner], ~outward[self._owner]])
+        kept: Numbers = every[np.append(side, np.ones(self.count - len(side), dtype=bool))]
+        return kept
+
     def scattered(self, spread: Floats, outward: NDArray[np.bool_] | None) -> tuple[Numbers, Floats, Floats]:
         """Return places all over the surfaces, by area.
 
@@ -271,6 +306,8 @@ class Cells:
 def _breaks(surfaces: Surfaces) -> list[tuple[list[float], list[float]]]:
     """Return, for each surface, where along its two edges others touch it, or lie on it, in line with the other edge.
 
+    A smaller one that is near counts as lying on it (`_GAP`).
+
     Triangles are not cut: their cells are mapped by area.
     """
     outlines = surfaces.outlines()
@@ -279,11 +316,15 @@ def _breaks(surfaces: Surfaces) -> list[tuple[list[float], list[float]]]:
         return found
     size = float(np.ptp(np.concatenate(outlines), axis=0).max())
     lows, highs = (np.array([end(outline, axis=0) for outline in outlines]) for end in (np.min, np.max))
+    short = np.minimum(*(np.linalg.norm(edge, axis=1) for edge in (surfaces.first, surfaces.second)))
+    gaps = np.maximum(_TOUCH * size, _GAP * short)[:, None]
     for i in np.flatnonzero(~surfaces.triangle):
-        near = ((lows <= highs[i] + _TOUCH * size) & (highs >= lows[i] - _TOUCH * size)).all(axis=1)
+        near = ((lows <= highs[i] + gaps) & (highs >= lows[i] - gaps)).all(axis=1)
         near[i] = False
         for j in np.flatnonzero(near):
-            for one, other in _contact(outlines[j], (outlines[j] - surfaces.origin[i]) @ surfaces.normal[i], size):
+            height = (outlines[j] - surfaces.origin[i]) @ surfaces.normal[i]
+            gap = float(gaps[j, 0]) if short[j] < short[i] else 0.0
+            for one, other in _contact(outlines[j], height, size, gap):
                 a, b = surfaces.dual[i] @ (one - surfaces.origin[i]), surfaces.dual[i] @ (other - surfaces.origin[i])
                 for axis in range(2):
                     low, high = sorted((a[1 - axis], b[1 - axis]))
@@ -293,10 +334,13 @@ def _breaks(surfaces: Surfaces) -> list[tuple[list[float], list[float]]]:
     return found
 
 
-def _contact(outline: Floats, height: Floats, size: float) -> list[tuple[Floats, Floats]]:
-    """Return the lines that a polygon (k, 3) has in common with a plane above which its corners are at ``height``."""
+def _contact(outline: Floats, height: Floats, size: float, gap: float) -> list[tuple[Floats, Floats]]:
+    """Return the lines that a polygon (k, 3) has in common with a plane above which its corners are at ``height``.
+
+    A polygon within the distance ``gap`` counts as lying in it.
+    """
     on, after = np.abs(height) < _TOUCH * size, np.roll(np.arange(len(outline)), -1)
-    if on.all():
+    if on.all() or np.abs(height).max() < gap:
         return [(outline[k], outline[after[k]]) for k in range(len(outline))]
     points = []
     for k, n in enumerate(after):
@@ -333,6 +377,27 @@ def _cut(breaks: list[float], long: float, foot: float, away: float, size: float
         ends.append(cut[1:])
         pieces.append(np.full(count, number))
     return np.concatenate(ends), np.concatenate(pieces)
+
+
+def _finer(ends: Floats, pieces: Numbers, long: float, under: Floats, height: Floats) -> tuple[Floats, Numbers]:
+    """Return the cells of an edge, as `_cut` does, halved where they are large for their distance from a lamp.
+
+    ``under`` (k,) is where along the edge lamps are, ``height`` (k,) how far from the surface.
+    """
+    low, high, pieces = ends[:-1], ends[1:], pieces.copy()
+    for _ in range(_HALVINGS):
+        aside = np.maximum(np.maximum(low * long - under[:, None], under[:, None] - high * long), 0.0)
+        most = _BENEATH * np.hypot(aside, height[:, None]).min(axis=0)
+        large = (high - low) * long > most
+        if not large.any():
+            break
+        middle = 0.5 * (low + high)
+        low, high = (
+            np.sort(np.concatenate([low, middle[large]])),
+            np.sort(np.concatenate([high, middle[large]])),
+        )
+        pieces = np.repeat(pieces, 1 + large)
+    return np.append(low, high[-1]), pieces
 
 
 def _joined(cuts: list[tuple[Floats, Numbers]]) -> _Axis:

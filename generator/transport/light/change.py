@@ -30,12 +30,13 @@ from numpy.typing import NDArray
 
 from generator.model.quantities import ALL_ORDERS
 from generator.transport.compiled import COMPILED
+from generator.transport.light.beams import Beams, arriving
 from generator.transport.light.cells import Cells, summed
-from generator.transport.light.field import LightField, Source, patch_light
+from generator.transport.light.field import LightField, Source
 from generator.transport.light.lines import SETS, Lines, completed, exchanged, fair
 from generator.transport.light.picture_points import PicturePoints, drawn
-from generator.transport.light.spread import hemisphere, shifted, sobol
-from generator.transport.light.view import Eye, Pose, Sums, look, look_arrays
+from generator.transport.light.spread import hemisphere, lattice, shifted, sobol
+from generator.transport.light.view import Eye, Pose, Skin, Sums, look, look_arrays, look_at, look_at_arrays
 from generator.transport.prepared import Setting
 
 Floats = NDArray[Any]
@@ -51,9 +52,15 @@ _RATE = 4.0 / 3.0
 """How many times lines are doubled to halve the error, as measured."""
 _LIT = 1 << 11
 """How many of the target's places the lamp's light is computed for at least; else a fourth of the lines' places."""
-_VIEWS = ((12, 128), (12, 512), (24, 512), (48, 512))
-"""Points along a side of the picture, and lines from each towards the target; the next where polynomials fit the
-light worse than is asked for: it is noisy, or rough."""
+_FROM = 8
+"""How many of a source's points light each of those places."""
+_VIEWS = ((12, 0), (24, 0), (12, 128), (12, 512), (24, 512), (48, 512))
+"""Points along a side of the picture, and lines from each towards the target, or none where points of its surface are
+summed; the next where polynomials fit the light worse than is asked for: it is noisy, or rough."""
+_FIRST_LINES = 2
+_APART, _ROUND, _MOST_CUTS = 0.15, 3, 4
+"""Distance of points on the target, in units of theirs from the picture; and into how many parts along a side cells
+are cut for that, at least on a sphere, whose horizon runs through cells, and at most: else, lines are followed."""
 _LEFT = 1e-4
 """Share of the change at which further reflections are left out."""
 _STEP = 0.25
@@ -115,6 +122,8 @@ class LightChange:
         # The back of a solid is part of no sum.
         sided = target.area.sum() * (2.0 if setting.outward is None else 1.0)
         self._sampled_area = float(sided + 4.0 * math.pi * (target.spheres[:, 3] ** 2).sum())
+        self._corners = corners, target.spheres
+        self._skins: dict[int, Skin] = {}
         self._samples: dict[int, _Samples] = {}
         self._eyes: dict[int, tuple[PicturePoints, Eye]] = {}
 
@@ -205,12 +214,14 @@ class LightChange:
         ``gain`` is a factor on the target's albedo.
         """
         source, samples = self._field.sources[name], self._sampled(choice.lines)
-        shade = self._shade(samples, pose) if name == "lamp" else None
+        shade = None if source.beams is None else self._shade(source.beams, samples, pose)
         sums = self._followed(source, lines, samples, gain * self._tint, shade)
         pictures, view = self._drawn(sums, pose, exact, choice.view)
         if not shadows:  # less what a black target changes
             dark = self._followed(source, lines, samples, np.zeros_like(self._tint), shade)
             pictures = pictures - self._drawn(dark, pose, exact, view)[0]
+        elif name == "emitters" and self._field.shadow is not None:
+            pictures = pictures - self._field.shadow.hidden(pose, choice.lines)
         return pictures, _level(pictures, exact), view
 
     def _parts(self) -> tuple[Numbers, Floats, Floats]:
@@ -252,42 +263,41 @@ class LightChange:
         own = np.where(samples.own_far < front.far, samples.own, self._count)
         return Lines(samples.owner, samples.flux, own, front, behind)
 
-    def _shade(self, samples: _Samples, pose: Pose) -> tuple[Floats, Floats]:
-        """Return the lamp's irradiance of the target's cells (cells, sets), and of the room's, what it takes."""
+    def _shade(self, beams: Beams, samples: _Samples, pose: Pose) -> tuple[Floats, Floats]:
+        """Return the irradiance by beams of the target's cells, (cells, sets * groups), and of the room's, what the
+        target takes."""
         setting, cells = self._setting, self._field.cells
         size, first = len(samples.owner) // SETS, max(_LIT, len(samples.owner) // 4) // SETS
         # The beginning of each set is spread evenly, too.
         some = (size * np.arange(SETS)[:, None] + np.arange(first)).reshape(-1)
         owner, part = samples.owner[some], some // size
         places, normals = samples.places[some] @ pose.turn.T + pose.place, samples.normals[some] @ pose.turn.T
-        points = self._patch_points(pose)
-        light = patch_light(setting, places, normals, points)
-        nodes = np.append(setting.whole[points][:2, : points**2].T, np.zeros((points**2, 1)), axis=1)
-        row, node = np.nonzero(light)
+        points = beams.points(pose.centre, pose.radius)
+        groups, count = points.weights.shape[1], len(points.places)
+        each = min(count, _FROM)
+        offsets = (count * lattice(len(some), 1)).astype(np.int64)
+        chosen = (offsets + np.arange(each) * count // each) % count
+        light = arriving(beams, points, places, normals, chosen)
+        weights = points.weights * (count / each)
+        row, column = np.nonzero(light)
+        node = chosen[row, column]
         if not setting.convex:
-            start, end = (places[row] - pose.place) @ pose.turn, (nodes[node] - pose.place) @ pose.turn
+            start, end = (places[row] - pose.place) @ pose.turn, (points.places[node] - pose.place) @ pose.turn
             hidden = setting.target.blocked(start, end)
-            light[row[hidden], node[hidden]] = 0.0
-            row, node = row[~hidden], node[~hidden]
-        number, arriving = np.zeros((2, self._count, SETS))
+            light[row[hidden], column[hidden]] = 0.0
+            row, column, node = (part[~hidden] for part in (row, column, node))
+        number, received = np.zeros((self._count, SETS)), np.zeros((self._count, SETS, groups))
         np.add.at(number, (owner, part), 1.0)
-        np.add.at(arriving, (owner, part), light.sum(axis=1))
-        arriving = completed(arriving / np.maximum(number, 1.0), number == 0.0, 1)
+        np.add.at(received, (owner, part), np.einsum("nk,nkg->ng", light, weights[chosen]))
+        found = (received / np.maximum(number, 1.0)[:, :, None]).reshape(self._count, -1)
+        found = completed(found, np.repeat(number == 0.0, groups, axis=1), groups)
         area = (self._seen_area(owner)[:, None] * fair(number) / np.maximum(number, 1.0))[owner, part]
-        way = places[row] - nodes[node]
+        way = places[row] - points.places[node]
         way /= np.linalg.norm(way, axis=1, keepdims=True)
         met = cells.meet(places[row], way).cell
-        taken = np.zeros((len(row), SETS))
-        taken[np.arange(len(row)), part[row]] = light[row, node] * area[row]
-        return arriving, -summed(met, taken, cells.count) / cells.area[:, None]
-
-    def _patch_points(self, pose: Pose) -> int:
-        """Return how many points along its diameter represent the lit patch, as the target sees it."""
-        patch = self._setting.patch
-        far = float(np.linalg.norm(pose.centre - [patch.x, patch.y, 0.0])) - pose.radius
-        ratio = far / math.hypot(patch.major_x, patch.major_y)
-        soft = patch.cos_width > 0.0
-        return 8 if ratio < 2.0 else 6 if soft else 4 if ratio < 6.0 else 2
+        taken = np.zeros((len(row), SETS, groups))
+        taken[np.arange(len(row)), part[row]] = (light[row, column] * area[row])[:, None] * weights[node]
+        return found, -summed(met, taken.reshape(len(row), -1), cells.count) / cells.area[:, None]
 
     def _followed(
         self,
@@ -304,13 +314,18 @@ class LightChange:
         received = np.repeat(samples.received, groups, axis=1)
         missing = received == 0.0
         empty = np.tile(source.levels[0], SETS)
-        change, body = np.zeros_like(empty), np.zeros((self._count, SETS * groups))
-        coefficients = np.zeros((len(field.points.fit), SETS * groups))
+        change = np.zeros_like(empty)
+        body: Floats = np.zeros((self._count, SETS * groups))
+        coefficients: Floats = np.zeros((len(field.points.fit), SETS * groups))
+        if source.first >= order:  # the wall is lit directly only
+            return Sums(np.zeros_like(empty), body, coefficients)
         if shade is not None:
-            arriving, taken = (np.repeat(part, groups, axis=1) for part in shade)
-            body = tint * arriving
+            first_received, taken = shade
+            body = tint * first_received
             change[:-1] = room_tint * taken
-            coefficients += field.shown(taken, order - 1 - source.first, directly=False)
+            # Of the lamp's light, what the wall sees directly is exact elsewhere.
+            directly = source.first == source.shown
+            coefficients += field.shown(taken, order - 1 - source.first, directly=directly)
         level, energy = empty + change, np.zeros(SETS * groups)
         room_sum, body_sum = np.zeros_like(level), np.zeros_like(body)
         last = len(source.levels) - 1
@@ -345,18 +360,50 @@ class LightChange:
         """Return the pictures (sets, groups, height, width) of sums, with the target seen directly by one of
         ``_VIEWS``, or, for -1, by the first that is good enough; and which that is."""
         room = drawn(sums.coefficients, self._resolution)
-        level = _level(room.reshape(SETS, -1, *room.shape[1:]), exact)
-        fixed, view = view >= 0, max(view, 0)
+        shape = (SETS, -1, *room.shape[1:])
+        cuts = self._cuts(pose)
+        fixed, view = view >= 0, max(view, 0 if cuts else _FIRST_LINES)
         sums = sums._replace(body=np.append(sums.body, np.zeros((1, sums.body.shape[1])), axis=0)[self._part])
         while True:
             points, eye = self._eye(view)
-            light = self._looked(eye, pose, sums)
+            light = self._looked_at(eye, pose, sums, cuts) if view < _FIRST_LINES else self._looked(eye, pose, sums)
             fit = points.fit @ light
-            if fixed or view + 1 == len(_VIEWS) or points.misfit(light, fit) <= self._accuracy * level:
-                break
+            pictures: Floats = (room + drawn(fit, self._resolution)).reshape(shape)
+            enough = fixed or view + 1 == len(_VIEWS)
+            if enough or points.misfit(light, fit) <= self._accuracy * _level(pictures, exact):
+                return pictures, view
             view += 1
-        pictures: Floats = room + drawn(fit, self._resolution)
-        return pictures.reshape(SETS, -1, *room.shape[1:]), view
+
+    def _cuts(self, pose: Pose) -> int:
+        """Return into how many parts along a side cells are cut to be seen from the picture; 0 if too many."""
+        corners, spheres = self._corners
+        if not self._body.few:
+            return 0
+        lowest = [corners @ pose.turn[2], spheres[:, :3] @ pose.turn[2] - spheres[:, 3]]
+        height = pose.place[2] + float(np.concatenate(lowest).min())
+        aside = max(0.0, float(np.linalg.norm(pose.centre[:2])) - self._radius - 1.0)
+        cuts = math.ceil(_BODY_CELL * self._radius / (_APART * max(1e-9, math.hypot(aside, height))))
+        cuts = max(cuts, _ROUND if len(spheres) else 1)
+        return cuts if cuts <= _MOST_CUTS else 0
+
+    def _skin(self, cuts: int) -> Skin:
+        if cuts not in self._skins:
+            body, hides = self._body, not self._setting.convex
+            cells = np.repeat(body.outer(self._setting.outward), cuts**2)
+            steps = (np.arange(cuts) + 0.5) / cuts
+            spread = np.stack([np.repeat(steps, cuts), np.tile(steps, cuts)], axis=1)
+            places, normals = body.places(cells, np.tile(spread, (len(cells) // cuts**2, 1)))
+            self._skins[cuts] = Skin(places, normals, cells, body.area[cells] / cuts**2, hides)
+        return self._skins[cuts]
+
+    def _looked_at(self, eye: Eye, pose: Pose, sums: Sums, cuts: int) -> Floats:
+        """As `_looked`, over points of the target's surface."""
+        body, cells, skin = self._body, self._field.cells, self._skin(cuts)
+        if COMPILED and cells.few:
+            light = np.zeros((len(eye.places), sums.body.shape[1]))
+            look_at(eye.places, pose, skin, body.grid, cells.grid, sums, light)
+            return light
+        return look_at_arrays(eye.places, pose, skin, self._setting.target, cells, sums)
 
     def _seen_area(self, owner: Numbers) -> Floats:
         """Return the area of each part, made larger where lines (n,) lead to others only: none of it is lost."""

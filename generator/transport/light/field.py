@@ -1,8 +1,9 @@
 """The light of the empty room, reflection by reflection, and what light that is added anywhere does to the picture.
 
 All surfaces of the room, the relay wall included, are cut into cells. Light comes from sources: the lamp, of which
-the first two reflections are exact, and the sky. With E_k the irradiance and B_k = rho E_k the radiosity of
-reflection k, and F the share of each cell in what a cell sees (Goral et al. 1984, equation 6, unrolled),
+the first two reflections are exact, the sky, and emitters: surfaces that glow, and other lamps. With E_k the
+irradiance and B_k = rho E_k the radiosity of reflection k, and F the share of each cell in what a cell sees (Goral et
+al. 1984, equation 6, unrolled),
 
     E_(k+1) = F B_k.
 
@@ -25,9 +26,11 @@ from numpy.typing import NDArray
 
 from generator.model.errors import NlosError
 from generator.model.quantities import ALL_ORDERS
+from generator.transport.light.beams import Beams, EmitterBeams, PatchBeams, irradiance
 from generator.transport.light.cells import Cells
 from generator.transport.light.picture_points import PicturePoints
 from generator.transport.light.spread import hemisphere, shifted
+from generator.transport.light.wall_shadow import WallShadow
 from generator.transport.prepared import Setting
 from generator.transport.rays import Surfaces
 from generator.transport.world import MOST_SURFACES
@@ -35,15 +38,15 @@ from generator.transport.world import MOST_SURFACES
 Floats = NDArray[Any]
 Numbers = NDArray[np.int64]
 
-_CELL = 0.12
+_CELL = 0.1
 """Size of a cell in units of its distance from the watched patch."""
 _ROWS, _WALL = 1024, 4096
 """Number of rays into the room from each cell, and from each point of the picture."""
 _POINTS = 12
 """Points along a side of the picture."""
-_PATCH = 8
-"""Points along a diameter of the lit patch, as seen from the room's cells; and those within a cell, along a side."""
-_WITHIN = 4
+_WITHIN, _MOST_WITHIN = 4, 24
+"""Points within a cell, along a side, that the lit patch and emitters light; at most, where these are nearer than the
+cell is large."""
 _CHUNK = 1 << 18
 _NEAR, _CLOSE = 0.15, 2.0
 """Size of a part of a cell, in units of its distance, that a sum over a cell's parts allows; and of a whole cell,
@@ -53,8 +56,8 @@ _LEFT = 1e-4
 _MOST_LEVELS = 64
 """Number of reflections that are followed one by one where all count; the rest is a geometric series."""
 _TOUCH, _FLAT = 1e-9, 1e-6
-_LAMP, _SKY = 2, 0
-"""Reflections of the light that sources begin with: of the lamp's on cells, and none of the sky's."""
+_LAMP, _SKY, _EMITTED = 2, 0, 1
+"""Reflections of the light that sources begin with: on cells of the lamp's and of emitters', none of the sky's."""
 
 
 @dataclass
@@ -72,12 +75,15 @@ class Source:
         Radiosity after each number of reflections; the last row is the sky's.
     rest : ndarray of shape (cells + 1, groups)
         Sum of what comes after the last of ``levels``, if all reflections count.
+    beams : Beams, optional
+        Light that makes the first of ``levels``.
     """
 
     first: int
     shown: int
     levels: list[Floats]
     rest: Floats
+    beams: Beams | None = None
 
 
 class LightField:
@@ -104,7 +110,9 @@ class LightField:
     coarse : ndarray of shape (blocks, blocks)
         Irradiance of coarse cells per radiosity of each other.
     sources : dict of str to Source
-        "lamp", and "sky" if there is ambient light.
+        "lamp" if light of it is followed, "sky" if there is one, and "emitters" likewise.
+    shadow : WallShadow or None
+        Of emitters' light straight onto the wall.
 
     Raises
     ------
@@ -120,7 +128,9 @@ class LightField:
                 f"{MOST_SURFACES}; use --engine patch"
             )
         groups = setting.tint.shape[1]
-        cells = self.cells = Cells(setting.around, _CELL, np.zeros(3), 1.0, np.zeros((0, groups)))
+        beams = None if setting.emission is None else EmitterBeams(setting.emission, setting.around)
+        lamps = np.zeros((0, 3)) if beams is None else beams.lamps
+        cells = self.cells = Cells(setting.around, _CELL, np.zeros(3), 1.0, np.zeros((0, groups)), lamps)
         self.points = PicturePoints(setting.to_wall, _POINTS)
         self._wall_share, wall = self._seen(*_from_wall(self.points, _WALL), _WALL)
         wall = _refined(wall, self.points, cells, setting)
@@ -133,14 +143,15 @@ class LightField:
         self.block, self.block_area, self.coarse = self._coarsened()
         self.sources: dict[str, Source] = {}
         if order > 3:
-            lit = self._lit(setting)
-            self.sources["lamp"] = self._source(
-                _LAMP, _LAMP + 1, np.append(self.tint * lit, np.zeros((1, groups)), 0)
-            )
+            self.sources["lamp"] = self._lit(PatchBeams(setting), _LAMP, _LAMP + 1)
         if setting.sky is not None:
             sky = np.zeros((cells.count + 1, groups))
             sky[-1] = 1.0
             self.sources["sky"] = self._source(_SKY, _SKY, sky)
+        self.shadow: WallShadow | None = None
+        if beams is not None:
+            self.shadow = WallShadow(setting, beams)
+            self.sources["emitters"] = self._lit(beams, _EMITTED, _EMITTED)
         self._responses = [self._response(g) for g in range(groups)]
 
     def _seen(self, places: Floats, normals: Floats, spread: Floats, rays: int) -> tuple[Floats, Floats]:
@@ -197,17 +208,25 @@ class LightField:
         block[reached] = inner
         return block, size, coarse / size[:, None]
 
-    def _lit(self, setting: Setting) -> Floats:
-        """Return the irradiance (cells, 1) from the lit patch, of radiance 1 under the lamp."""
-        light = np.zeros(self.cells.count)
-        steps = (np.arange(_WITHIN) + 0.5) / _WITHIN
-        cells = self._reached_cells
-        for u in steps:
-            for v in steps:
-                places, normals = self.cells.places(cells, np.tile([u, v], (len(cells), 1)))
-                light[cells] += patch_light(setting, places, normals, _PATCH).sum(axis=1)
-        irradiance: Floats = light[:, None] / _WITHIN**2
-        return irradiance
+    def _lit(self, beams: Beams, first: int, shown: int) -> Source:
+        """Return the source whose ``first`` reflection is of beams, on cells."""
+        start = np.zeros((self.cells.count + 1, self.tint.shape[1]))
+        if first < self.order:
+            extent, middles = self.cells.extents()
+            near = np.full(len(extent), np.inf)
+            for place in beams.finest.places:
+                near = np.minimum(near, np.linalg.norm(middles - place, axis=1))
+            ratio = extent / np.maximum(near - extent / 2.0, 1e-300)
+            parts = np.clip(np.ceil(_WITHIN * ratio), _WITHIN, _MOST_WITHIN).astype(np.int64)
+            for count in np.unique(parts[self._reached_cells]):
+                cells = self._reached_cells[parts[self._reached_cells] == count]
+                spread = _even(int(count))
+                places, normals = self.cells.places(np.repeat(cells, count**2), np.tile(spread, (len(cells), 1)))
+                light = irradiance(beams, beams.finest, places, normals)
+                start[cells] = self.tint[cells] * light.reshape(len(cells), count**2, -1).mean(axis=1)
+        source = self._source(first, shown, start)
+        source.beams = beams
+        return source
 
     def _source(self, first: int, shown: int, start: Floats) -> Source:
         levels, last = [start], self.order - 1
@@ -284,31 +303,6 @@ class LightField:
         return coefficients
 
 
-def patch_light(setting: Setting, places: Floats, normals: Floats, points: int) -> Floats:
-    """Return the irradiance of places (n, 3) with normals (n, 3) from each of points^2 points of the lit patch.
-
-    The patch has radiance 1 under the lamp. Surfaces of the room hide it, the target does not.
-
-    Returns
-    -------
-    irradiance : ndarray of shape (n, points^2)
-    """
-    nodes = setting.whole[points][:, : points**2]
-    light = np.zeros((len(places), points**2))
-    above = places[:, 2] > _TOUCH
-    blockers = setting.obstacles.static_blockers
-    for k, (x, y, weight) in enumerate(nodes.T):
-        source = np.array([x, y, 0.0])
-        way = source - places
-        squared = np.einsum("ni,ni->n", way, way)
-        facing = np.einsum("ni,ni->n", way, normals)
-        lit = np.flatnonzero(above & (facing > 0.0))
-        if len(blockers):
-            lit = lit[~blockers.blocked(np.tile(source, (len(lit), 1)), places[lit])]
-        light[lit, k] = weight * facing[lit] * places[lit, 2] / squared[lit] ** 2
-    return light
-
-
 def _from_wall(points: PicturePoints, rays: int) -> tuple[Floats, Floats, Floats]:
     """Return places, normals, and points of the unit square for directions, of rays from the picture's points."""
     owner = np.arange(len(points.places))
@@ -323,20 +317,21 @@ def _refined(seen: Floats, points: PicturePoints, cells: Cells, setting: Setting
     reaches the picture by way of these shares. They remain for cells that are as large as their distance.
     """
     found = seen.astype(np.float64)
-    every = np.arange(cells.count)
-    middles, _ = cells.places(every, np.full((cells.count, 2), 0.5))
-    corners = [cells.places(every, np.tile(uv, (cells.count, 1)))[0] for uv in ((0.0, 0.0), (1.0, 1.0))]
-    extent = np.linalg.norm(corners[1] - corners[0], axis=1)
+    extent, middles = cells.extents()
     blockers = setting.obstacles.static_blockers
     for k, place in enumerate(points.places):
         ratio = extent / np.maximum(np.linalg.norm(middles - place, axis=1), 1e-300)
         parts = np.ceil(ratio / _NEAR).astype(np.int64)
         for count in np.unique(parts[ratio < _CLOSE]):
             some = np.flatnonzero((parts == count) & (ratio < _CLOSE))
-            steps = (np.arange(count) + 0.5) / count
-            spread = np.stack([np.repeat(steps, count), np.tile(steps, count)], axis=1)
-            found[k, some] = _share(place, some, spread, cells, blockers)
+            found[k, some] = _share(place, some, _even(int(count)), cells, blockers)
     return found
+
+
+def _even(count: int) -> Floats:
+    """Return the centres (count^2, 2) of equal squares of the unit square."""
+    steps = (np.arange(count) + 0.5) / count
+    return np.stack([np.repeat(steps, count), np.tile(steps, count)], axis=1)
 
 
 def _share(place: Floats, some: Numbers, spread: Floats, cells: Cells, blockers: Surfaces) -> Floats:

@@ -1,6 +1,9 @@
 """A target as the picture's points see it: its light in place of what is behind it.
 
-The sum has two forms, loops for numba and arrays for NumPy; tests check that they agree to rounding.
+A target that is not near is summed over points of its surface: the same ones for all points of the picture, so that
+the sum is as smooth there as the light. A target that is near is met by lines into the cone around it.
+
+Each sum has two forms, loops for numba and arrays for NumPy; tests check that they agree to rounding.
 """
 
 from __future__ import annotations
@@ -14,9 +17,12 @@ from numpy.typing import NDArray
 from generator.transport.compiled import jit_released
 from generator.transport.light.cells import Cells, Grid, Hits, locate, meet_sphere, summed
 from generator.transport.light.spread import around
-from generator.transport.rays import nearest
+from generator.transport.rays import Surfaces, nearest
 
 Floats = NDArray[Any]
+
+_BEFORE = 1.0 - 1e-6
+"""Share of the way to a point on which something may hide it."""
 
 
 class Pose(NamedTuple):
@@ -33,6 +39,26 @@ class Eye(NamedTuple):
 
     places: Floats
     spread: Floats
+
+
+class Skin(NamedTuple):
+    """Points of the target's surface, in its own frame.
+
+    Attributes
+    ----------
+    places, normals : ndarray of shape (n, 3)
+    part : ndarray of shape (n,), int
+        Cell that each is in.
+    area : ndarray of shape (n,)
+    hides : bool
+        Whether one point may hide another that faces the same way.
+    """
+
+    places: Floats
+    normals: Floats
+    part: NDArray[np.int64]
+    area: Floats
+    hides: bool
 
 
 class Sums(NamedTuple):
@@ -131,3 +157,74 @@ def look_arrays(eye: Eye, pose: Pose, body: Cells, room: Cells, sums: Sums) -> F
     hidden = Hits(*(part[free] for part in behind)).of(sums.room)
     weight = way[met, 2] * 2.0 * (1.0 - cone[rows[met]]) / rays
     return summed(owner[met], weight[:, None] * (sums.body[front.cell[met]] - hidden), points)
+
+
+@jit_released
+def look_at(places: Floats, pose: Pose, skin: Skin, body: Grid, room: Grid, sums: Sums, light: Floats) -> None:
+    """Add to ``light`` (places, columns) what the target's surface sends to places (n, 3), less what it hides."""
+    columns = light.shape[1]
+    way, start, turned, moved = np.empty(3), np.empty(3), np.empty(3), np.empty(3)
+    corners, shares = np.zeros(4, dtype=np.int64), np.zeros(4)
+    on, facing = np.empty((len(skin.area), 3)), np.empty((len(skin.area), 3))
+    for k in range(len(skin.area)):
+        for r in range(3):
+            on[k, r], facing[k, r] = pose.place[r], 0.0
+            for t in range(3):
+                on[k, r] += pose.turn[r, t] * skin.places[k, t]
+                facing[k, r] += pose.turn[r, t] * skin.normals[k, t]
+    for p in range(places.shape[0]):
+        for r in range(3):
+            start[r] = places[p, r]
+        for k in range(len(skin.area)):
+            squared, sent = 0.0, 0.0
+            for r in range(3):
+                way[r] = on[k, r] - start[r]
+                squared += way[r] * way[r]
+                sent -= way[r] * facing[k, r]
+            if way[2] <= 0.0 or sent <= 0.0:
+                continue
+            if skin.hides:
+                for r in range(3):
+                    turned[r], moved[r] = 0.0, 0.0
+                    for t in range(3):
+                        turned[r] += pose.turn[t, r] * way[t]
+                        moved[r] += pose.turn[t, r] * (start[t] - pose.place[t])
+                if nearest(moved, turned, body.planes, _BEFORE)[0] >= 0:
+                    continue
+                if meet_sphere(moved, turned, body, _BEFORE)[0] >= 0:
+                    continue
+            wall, beyond = nearest(start, way, room.planes, np.inf)
+            if beyond <= 1.0:
+                continue
+            weight = way[2] * sent / (math.pi * squared * squared) * skin.area[k]
+            cell = skin.part[k]
+            if wall >= 0:
+                locate(start, way, wall, beyond, room, corners, shares)
+                for g in range(columns):
+                    hidden = 0.0
+                    for c in range(4):
+                        hidden += shares[c] * sums.room[corners[c], g]
+                    light[p, g] += weight * (sums.body[cell, g] - hidden)
+            else:
+                for g in range(columns):
+                    light[p, g] += weight * (sums.body[cell, g] - sums.room[sums.room.shape[0] - 1, g])
+
+
+def look_at_arrays(places: Floats, pose: Pose, skin: Skin, target: Surfaces, room: Cells, sums: Sums) -> Floats:
+    """NumPy form of `look_at`; returns the light."""
+    on, facing = skin.places @ pose.turn.T + pose.place, skin.normals @ pose.turn.T
+    way = (on - places[:, None]).reshape(-1, 3)
+    point, spot = np.divmod(np.arange(len(way)), len(on))
+    sent = -np.einsum("ni,ni->n", way, facing[spot])
+    some = np.flatnonzero((way[:, 2] > 0.0) & (sent > 0.0))
+    if skin.hides:
+        start = (places[point[some]] - pose.place) @ pose.turn
+        some = some[~target.blocked(start, start + _BEFORE * way[some] @ pose.turn)]
+    way, sent, point, spot = way[some], sent[some], point[some], spot[some]
+    squared = np.einsum("ni,ni->n", way, way)
+    far = np.sqrt(squared)
+    behind = room.meet(places[point], way / far[:, None])
+    free = behind.far > far
+    hidden = Hits(*(part[free] for part in behind)).of(sums.room)
+    weight = (way[:, 2] * sent / (math.pi * squared**2) * skin.area[spot])[free]
+    return summed(point[free], weight[:, None] * (sums.body[skin.part[spot[free]]] - hidden), len(places))

@@ -342,7 +342,7 @@ def test_flat_smooth_shading_makes_no_difference():
 
 
 def other_lamp(blender):
-    lamp = bpy.data.objects.new("Bulb", bpy.data.lights.new("Bulb", "POINT"))
+    lamp = bpy.data.objects.new("Bulb", bpy.data.lights.new("Bulb", "SUN"))
     blender.collection.objects.link(lamp)
 
 
@@ -399,6 +399,17 @@ def smooth_target(blender):
     solid = target_of(blender).modifiers.new("Solidify", "SOLIDIFY")
     solid.thickness = 0.1
     target_of(blender).data.polygons[0].use_smooth = True
+
+
+def glowing(name, colour=None):
+    def edit(blender):
+        made_of(name, "ShaderNodeEmission")(blender)
+        tree = bpy.data.objects[name].data.materials[0].node_tree
+        if colour is not None:
+            emission = next(n for n in tree.nodes if n.type == "EMISSION")
+            tree.links.new(tree.nodes.new(colour).outputs["Color"], emission.inputs["Color"])
+
+    return edit
 
 
 def flag(name, attribute, value):
@@ -529,11 +540,13 @@ def indirect_only(blender):
 
 
 OBSTACLES = {
-    "other lamp": (other_lamp, "the lamp 'Bulb' shines too"),
+    "other lamp": (other_lamp, "the lamp 'Bulb' shines too, and is a sun lamp"),
     "textured world": (textured_world, "the world '[^']+' gives ambient light"),
     "foggy world": (foggy_world, "the world '[^']+' is filled with a volume"),
     "glossy target": (made_of("Target", "ShaderNodeBsdfGlossy"), "the target 'Target' .* not one constant diffuse"),
-    "glowing floor": (made_of("Floor", "ShaderNodeEmission"), "'Floor' .* may give light of its own"),
+    "patchy floor": (glowing("Floor", "ShaderNodeTexNoise"), "'Floor' .* may give light of its own, which is not"),
+    "glowing target": (glowing("Target"), "the target 'Target' .* gives light of its own"),
+    "glowing wall": (glowing("Relay wall"), "the relay wall 'Relay wall' .* gives light of its own"),
     "floor of fog": (made_of("Floor", "ShaderNodeVolumeScatter", "Volume"), "'Floor' .* volume"),
     "displaced floor": (made_of("Floor", "ShaderNodeDisplacement", "Displacement"), "'Floor' .* displaces it"),
     "textured wall": (textured_wall, "the relay wall 'Relay wall' .* not one constant diffuse"),
@@ -572,7 +585,7 @@ OBSTACLES = {
     "follower": (follower, "'Shadowy' changes when the target moves"),
     "override": (override, "the view layer '[^']+' puts one material"),
     "hidden target": (hidden_target, "the target 'Target' is hidden from renders"),
-    "fine under a sky": (fine_under_a_sky, "over which neither a sky nor a fourth reflection is followed"),
+    "fine under a sky": (fine_under_a_sky, "over which neither other light nor a fourth reflection"),
 }
 
 

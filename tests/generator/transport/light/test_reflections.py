@@ -6,37 +6,14 @@ import brute_force
 import numpy as np
 import pytest
 import worlds
+from worlds import HIGH, room
 
 from generator.model.quantities import ALL_ORDERS
-from generator.transport import AmbientLight, Mesh, Sphere, Transport
+from generator.transport import Mesh, Sphere, Transport
 from generator.transport.light import cells, change, spread, view
 from generator.transport.light import lines as light_lines
 from generator.transport.light.field import LightField
 from generator.transport.prepared import Setting
-
-HIGH, WIDE, DEEP = 1.4, 1.6, 2.0
-
-
-def room(*, albedo=0.8, order=6, ceiling=True, sky=0.0, screen=True, target=None):
-    """A box behind the wall, with a screen between camera and target, or open above."""
-    x, z = (-WIDE, 2.0 * WIDE), (-HIGH, 2.0 * HIGH)
-    across, up, back = (x[1], 0.0, 0.0), (0.0, 0.0, z[1]), (0.0, DEEP, 0.0)
-    sides = [
-        worlds.quad((x[0], 0.0, z[0]), across, back, albedo),
-        worlds.quad((x[0], DEEP, z[0]), across, up, albedo),
-        worlds.quad((x[0], 0.0, z[0]), back, up, albedo),
-        worlds.quad((x[0] + x[1], 0.0, z[0]), back, up, albedo),
-    ]
-    if ceiling:
-        sides.append(worlds.quad((x[0], 0.0, z[0] + z[1]), across, back, albedo))
-    if screen:
-        sides.append(worlds.quad((0.1, 0.8, z[0]), (0.0, DEEP - 0.8, 0.0), up, 0.1))
-    made = worlds.world(target or worlds.sheet(0.6, 0.9), room=tuple(sides))
-    wall = worlds.quad((x[0], 0.0, z[0]), across, up, albedo)
-    watched = replace(made.watched, albedo=np.full(3, albedo))
-    patch = replace(made.patch, albedo=np.full(3, albedo))
-    ambient = AmbientLight(np.full(3, sky)) if sky else None
-    return replace(made, watched=watched, patch=patch, order=order, wall=wall, ambient=ambient)
 
 
 def both(world, position, rotation):
@@ -115,7 +92,7 @@ def test_a_target_like_the_room_keeps_its_light_too():
     pose = changes._pose(setting.frame.axes, setting.frame.points(np.array(POSES[0][0])))
     samples = changes._sampled(change._LINES)
     lines = changes._through(samples, pose)
-    arriving, taken = changes._shade(samples, pose)
+    arriving, taken = changes._shade(field.sources["lamp"].beams, samples, pose)
     # What falls on the target is missing behind it.
     np.testing.assert_allclose(
         (taken * field.cells.area[:, None]).sum(), -(arriving.T @ changes._area).sum(), rtol=1e-6
@@ -217,7 +194,7 @@ def test_compiled_and_array_forms_agree():
     cells._locate(start, way, which, far, field.cells.grid, cell, corners, shares)
     np.testing.assert_array_equal(met.cell, cell)
     np.testing.assert_allclose(met.of(level), cells._interpolated_arrays(level, corners, shares), rtol=1e-9)
-    _, eye = changes._eye(0)
+    _, eye = changes._eye(change._FIRST_LINES)
     sums = view.Sums(
         level, np.append(body, np.zeros((1, light_lines.SETS)), axis=0), np.zeros((64, light_lines.SETS))
     )
