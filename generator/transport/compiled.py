@@ -9,12 +9,7 @@ from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from typing import Any, TypeVar
 
-import numpy as np
-
 from generator.transport import caching
-
-NONE, ONE = np.zeros(2, dtype=np.int64), np.ones(2, dtype=np.int64)
-"""Sources of 0 and 1 as arguments (`NONE[0]`, `ONE[0]`): numba compiles a function anew for each literal argument."""
 
 Function = TypeVar("Function", bound=Callable[..., Any])
 
@@ -27,34 +22,54 @@ else:
     COMPILED = True
     _config: Any = numba.config
 
+_plain: dict[str, Any] = {}
+"""Options of functions whose loops are not compiled for SIMD."""
 
-def jit(function: Function) -> Function:
-    """Compile a function if numba is installed."""
+
+def jit_released(function: Function) -> Function:
+    """Compile a function that is called from Python, by `in_parts` from several threads at once.
+
+    For a function with many nested calls, this takes a third of the time of compiling a parallel loop around it.
+    """
     return _compile(function)
 
 
-def jit_in_place(function: Function) -> Function:
-    """Compile a function that neither creates nor returns arrays, and calls none that does.
+def jit_parts(function: Function) -> Function:
+    """As `jit_released`, for a function that neither creates nor returns arrays, and calls none that does.
 
     It is compiled without reference counting, which takes two atomic instructions for each array argument of a call:
     two fifths of the time in functions as small as those that cut polygons. numba refuses to compile such a function
     if it creates an array; if it returned one, it would free memory that is still in use (tests/generator/transport/
-    test_compiled.py).
+    test_compiled.py). Nor are its loops compiled for SIMD, in versions for short and long ones.
     """
-    return _compile(function, _nrt=False)
+    return _compile(function, _nrt=False, no_cfunc_wrapper=True, **_plain)
+
+
+def jit_in_place(function: Function) -> Function:
+    """As `jit_parts`, for a function that compiled ones call; a call from Python runs it as plain Python.
+
+    It has no entry from Python, which for a record of arrays is longer than most functions, and is compiled once
+    whether an argument is written as a number or not. numba would compile it for each number.
+    """
+    return _inner(function, **_plain)
 
 
 def jit_inlined(function: Function) -> Function:
     """As `jit_in_place`, and inlined, for innermost loops: a call would copy its records, number by number."""
-    return _compile(function, _nrt=False, forceinline=True)
+    return _inner(function, forceinline=True, **_plain)
 
 
-def jit_released(function: Function) -> Function:
-    """Compile a function that `in_parts` may call from several threads.
+def jit_within(function: Function) -> Function:
+    """As `jit_in_place`, for a function with one caller, and compiled as part of it.
 
-    For a function with many nested calls, this takes a third of the time of compiling a parallel loop around it.
+    A function is compiled once for itself and once with each function that calls it, calls one that does, and so on.
     """
-    return _compile(function, nogil=True)
+    return _inner(function, inline="always", **_plain)
+
+
+def jit_loops(function: Function) -> Function:
+    """As `jit_in_place`, for long loops over arrays: with SIMD instructions."""
+    return _inner(function)
 
 
 def in_parts(function: Callable[..., None], n: int, *arguments: Any) -> None:
@@ -106,11 +121,62 @@ def _compile(function: Function, **options: Any) -> Function:
         _config.CACHE_DIR = previous
 
 
+def _inner(function: Function, **options: Any) -> Function:
+    if not COMPILED:
+        return function
+    inside = {"_nrt": False, "no_cpython_wrapper": True, "no_cfunc_wrapper": True}
+    inner: Any = _Inner(function, _njit(function, **inside, **options))
+    return inner  # type: ignore[no-any-return]
+
+
 def _njit(function: Function, **options: Any) -> Function:
     # "contract" lets a multiplication and an addition become one instruction, which rounds once instead of twice.
     # The rest of fastmath stays off: reassociation would make the last bits depend on how the compiler optimises.
-    compiled: Function = numba.njit(function, error_model="numpy", fastmath={"contract"}, **options)
+    compiled: Function = numba.njit(function, nogil=True, error_model="numpy", fastmath={"contract"}, **options)
     return compiled
+
+
+class _Inner:
+    """A function without an entry from Python: numba's own object would crash where Python calls it."""
+
+    def __init__(self, function: Callable[..., Any], dispatcher: Any) -> None:
+        functools.update_wrapper(self, function)
+        self.py_func, self.dispatcher = function, dispatcher
+        self.targetoptions = dispatcher.targetoptions
+
+    def __call__(self, *arguments: Any) -> Any:
+        return self.py_func(*arguments)
+
+
+if COMPILED:
+    from numba.core.compiler import Compiler
+    from numba.extending import models, register_model, typeof_impl
+
+    class _Plain(Compiler):  # type: ignore[misc]
+        """numba's compiler, without SIMD for loops."""
+
+        def compile_extra(self, function: Any) -> Any:
+            """Compile a function."""
+            previous, _config.LOOP_VECTORIZE = _config.LOOP_VECTORIZE, 0
+            try:
+                return super().compile_extra(function)
+            finally:
+                _config.LOOP_VECTORIZE = previous
+
+    _plain["pipeline_class"] = _Plain
+
+    class _InnerType(numba.types.Dispatcher):  # type: ignore[misc]
+        """The type of `_Inner` in compiled code, called with the types of numbers, not with numbers as types."""
+
+        def get_call_type(self, context: Any, arguments: Any, keywords: Any) -> Any:
+            """Return the signature of a call, for which the function is compiled."""
+            return super().get_call_type(context, tuple(map(numba.types.unliteral, arguments)), keywords)
+
+    register_model(_InnerType)(models.OpaqueModel)
+
+    @typeof_impl.register(_Inner)
+    def _type_of_inner(value: _Inner, _context: Any) -> Any:
+        return _InnerType(value.dispatcher)
 
 
 def limit_threads(threads: int) -> int:

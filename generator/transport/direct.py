@@ -3,15 +3,15 @@
 from __future__ import annotations
 
 import math
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.polynomial.legendre import leggauss
 from numpy.typing import NDArray
 
-from generator.transport.compiled import in_parts, jit_in_place, jit_released
+from generator.transport.compiled import in_parts, jit_parts, jit_within
 from generator.transport.lit import Patch, radiance
-from generator.transport.polygons import clip, start_triangle
+from generator.transport.polygons import clip, copy, middle, start_triangle
 
 Floats = NDArray[Any]
 
@@ -49,11 +49,28 @@ def draw(to_wall: Floats, patch: Patch, resolution: tuple[int, int], accuracy: f
         along, across = leggauss(max(4, math.ceil(most * share))), leggauss(max(4, math.ceil(most / 4.0 * share)))
     rules = tuple(((nodes + 1.0) / 2.0, weights / 2.0) for nodes, weights in (along, across))
     image = np.zeros((height, width))
-    in_parts(_draw, height, image, to_wall, from_wall, patch, rim, rules)
+    in_parts(_draw_rows, height, image, to_wall, from_wall, patch, rules, rim)
     return image
 
 
-@jit_released
+class _Space(NamedTuple):
+    """The patch's rim (n, 2), and scratch space: two polygons, the corners of a pixel (4, 2), a triangle (6,)."""
+
+    rim: Floats
+    polygon: Floats
+    spare: Floats
+    corners: Floats
+    triangle: Floats
+
+
+def _draw_rows(start: int, stop: int, *arguments: Any) -> None:
+    """Write rows of the picture."""
+    *some, rim = arguments
+    size = (len(rim) + 8, 2)
+    _draw(start, stop, *some, _Space(rim, np.empty(size), np.empty(size), np.empty((4, 2)), np.empty(6)))
+
+
+@jit_parts
 def _draw(
     start: int,
     stop: int,
@@ -61,8 +78,8 @@ def _draw(
     to_wall: Floats,
     from_wall: Floats,
     patch: Patch,
-    rim: Floats,
     rules: tuple[tuple[Floats, Floats], tuple[Floats, Floats]],
+    space: _Space,
 ) -> None:
     """Write rows of the picture."""
     height, width = made.shape
@@ -72,11 +89,10 @@ def _draw(
         - to_wall[0, 1] * (to_wall[1, 0] * to_wall[2, 2] - to_wall[1, 2] * to_wall[2, 0])
         + to_wall[0, 2] * (to_wall[1, 0] * to_wall[2, 1] - to_wall[1, 1] * to_wall[2, 0])
     )
+    rim, polygon, spare, corners, triangle = space
     reach0, reach1 = 0.0, 0.0
     for k in range(rim.shape[0]):
         reach0, reach1 = max(reach0, abs(rim[k, 0] - patch.x)), max(reach1, abs(rim[k, 1] - patch.y))
-    corners, triangle = np.empty((4, 2)), np.empty(6)
-    polygon, spare = np.empty((rim.shape[0] + 8, 2)), np.empty((rim.shape[0] + 8, 2))
     for row in range(start, stop):
         for column in range(width):
             for k in range(4):
@@ -84,26 +100,27 @@ def _draw(
                 far = to_wall[2, 0] * u + to_wall[2, 1] * v + to_wall[2, 2]
                 corners[k, 0] = (to_wall[0, 0] * u + to_wall[0, 1] * v + to_wall[0, 2]) / far
                 corners[k, 1] = (to_wall[1, 0] * u + to_wall[1, 1] * v + to_wall[1, 2]) / far
-            if (
-                corners[:, 0].min() > patch.x + reach0
-                or corners[:, 0].max() < patch.x - reach0
-                or corners[:, 1].min() > patch.y + reach1
-                or corners[:, 1].max() < patch.y - reach1
-            ):
+            left, right, below, above = 0, 0, 0, 0
+            for k in range(4):
+                left += corners[k, 0] < patch.x - reach0
+                right += corners[k, 0] > patch.x + reach0
+                below += corners[k, 1] < patch.y - reach1
+                above += corners[k, 1] > patch.y + reach1
+            if max(max(left, right), max(below, above)) == 4:
                 continue
             n = rim.shape[0]
-            polygon[:n] = rim
-            middle0, middle1 = corners[:, 0].mean(), corners[:, 1].mean()
+            copy(rim, n, polygon)
+            middle0, middle1 = middle(corners, 4)
             for k in range(4):
                 p0, p1 = corners[k, 0], corners[k, 1]
                 a, b = p1 - corners[(k + 1) % 4, 1], corners[(k + 1) % 4, 0] - p0
                 c = -a * p0 - b * p1
                 side = 1.0 if a * middle0 + b * middle1 + c > 0.0 else -1.0
                 n = clip(polygon, n, side * a, side * b, side * c, spare)
-                polygon[:n] = spare[:n]
+                copy(spare, n, polygon)
             if n < 3:
                 continue
-            middle0, middle1 = polygon[:n, 0].mean(), polygon[:n, 1].mean()
+            middle0, middle1 = middle(polygon, n)
             total = 0.0
             for k in range(n):
                 start_triangle(polygon, n, k, middle0, middle1, triangle)
@@ -112,7 +129,7 @@ def _draw(
             made[row, column] = total * width * height / determinant
 
 
-@jit_in_place
+@jit_within
 def _triangle(
     triangle: Floats, from_wall: Floats, patch: Patch, rules: tuple[tuple[Floats, Floats], tuple[Floats, Floats]]
 ) -> float:

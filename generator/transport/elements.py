@@ -14,7 +14,7 @@ import numpy as np
 from numpy.polynomial.legendre import leggauss
 from numpy.typing import NDArray
 
-from generator.transport.compiled import COMPILED, jit, jit_in_place
+from generator.transport.compiled import COMPILED, jit_in_place
 from generator.transport.world import Body, Mesh
 
 Floats = NDArray[Any]
@@ -401,19 +401,17 @@ def cell_point(cell: Floats, i: int, j: int, ku: int, kv: int, gauss: Floats, po
     return corner_weights[ku, i] * weights[kv, j] * area / 2.0
 
 
-@jit
-def with_room_for(rows: Floats, filled: int, more: int) -> Floats:
-    """Return ``rows``, or a copy of its ``filled`` rows in a larger array, with room for ``more`` rows."""
-    if filled + more <= rows.shape[0]:
-        return rows
-    grown = np.empty((2 * rows.shape[0] + more, rows.shape[1]))
-    grown[:filled] = rows[:filled]
-    return grown
-
-
 @jit_in_place
 def add_points(cell: Floats, owner: int, ku: int, kv: int, gauss: Floats, found: Floats, count: int) -> int:
-    """Append a cell's quadrature points, ku along its first side, kv along its second; return the new count."""
+    """Append a cell's quadrature points, ku along its first side, kv along its second.
+
+    Returns
+    -------
+    int
+        The new count; negative if ``found`` has too few rows.
+    """
+    if count + ku * kv > found.shape[0]:
+        return -1
     for i in range(ku):
         for j in range(kv):
             row = found[count]

@@ -112,7 +112,8 @@ class Fields:
         """
         setting, rule = self._setting, self._free_rule
         single = self._accuracy > _SINGLE and not moving
-        like = np.zeros(0, dtype=np.float32 if single else np.float64)
+        # Derivatives are summed in double precision whatever this is.
+        like = np.zeros(0, dtype=np.float32 if self._accuracy > _SINGLE else np.float64)
         n, groups, channels = len(places), setting.tint.shape[1], 7 if moving else 1
         most = np.zeros((n, 2))
         parts, wanted = setting.faces.parts(turns, places)
@@ -353,7 +354,8 @@ class Fields:
             hiders: list[shaded.Hider] = [setting.obstacles.blockers(place, turn)]
             if not is_room and not setting.convex:
                 hiders.append(Placed(setting.target, turn, place))
-            points, _ = integral.cover(shape, turn, place, faced, _around(wall), rules, finest, wanted)
+            seen = integral.Seen(faced, _around(wall), rules, finest)
+            points = integral.cover(shape, turn, place, seen, wanted)
             return shaded.reflected(wall, points, shape.albedo, self._light, hiders), len(points)
 
         return _arrays(at_pose, shape.albedo.shape[1])
@@ -367,7 +369,8 @@ class Fields:
             turn, place = turns[pose], places[pose]
             view = _around(wall)
             seen, lit = (
-                integral.cover(target, turn, place, faced, view, rules, finest, wanted)[0] for faced in (view, patch)
+                integral.cover(target, turn, place, integral.Seen(faced, view, rules, finest), wanted)
+                for faced in (view, patch)
             )
             blockers, hiders = [setting.obstacles.blockers(place, turn)], [Placed(setting.target, turn, place)]
             values = shaded.hidden(

@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from generator.transport.compiled import COMPILED, jit, jit_in_place
+from generator.transport.compiled import COMPILED, jit_in_place, jit_loops, jit_released
 
 Floats = NDArray[Any]
 
@@ -79,7 +79,7 @@ def _radiance_arrays(a: Floats, b: Floats, elements: Floats, count: int, floor: 
     total += (facing / (squared * squared)).sum(axis=1)
 
 
-radiance = jit(_radiance_loops) if COMPILED else _radiance_arrays
+radiance = jit_released(_radiance_loops) if COMPILED else _radiance_arrays
 
 
 def _irradiance_loops(x: Floats, n: Floats, nodes: Floats, count: int) -> float:
@@ -113,7 +113,7 @@ def _irradiance_arrays(x: Floats, n: Floats, nodes: Floats, count: int) -> float
     return float((weight * facing * x[2] / (squared * squared)).sum())
 
 
-irradiance = jit(_irradiance_loops) if COMPILED else _irradiance_arrays
+irradiance = jit_released(_irradiance_loops) if COMPILED else _irradiance_arrays
 
 
 @jit_in_place
@@ -147,7 +147,7 @@ def irradiance_gradient(x: Floats, n: Floats, nodes: Floats, count: int, gradien
     return total
 
 
-@jit_in_place
+@jit_loops
 def radiance_gradient(
     a: Floats, b: Floats, elements: Floats, moves: Floats, count: int, floor: float, total: Floats
 ) -> None:

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.polynomial import legendre
 from numpy.typing import NDArray
 
-from generator.transport.compiled import jit, jit_in_place
+from generator.transport.compiled import jit_in_place
 from generator.transport.elements import distance_to_disc
 
 Floats = NDArray[Any]
@@ -225,17 +225,25 @@ def clip(x: Floats, n: Floats, patch: Patch, rule: Floats, order: int, nodes: Fl
     return count
 
 
-@jit
-def seen_from(x: Floats, n: Floats, rules: Rules, nodes: Floats) -> tuple[Floats, int]:
-    """Return the quadrature points of the part of the patch that a surface point sees, and their number."""
+@jit_in_place
+def seen_from(x: Floats, n: Floats, rules: Rules, nodes: Floats) -> tuple[int, int]:
+    """Find the quadrature points of the part of the patch that a surface point sees.
+
+    Returns
+    -------
+    whole : int
+        Index of the rule in ``rules.whole`` that holds them; -1 if the point does not see all of the patch and they
+        are written to ``nodes``.
+    number : int
+    """
     patch = rules.patch
     order = order_at(x, patch, rules.digits)
     level = n[0] * (patch.x - x[0]) + n[1] * (patch.y - x[1]) - n[2] * x[2]
     across, along = n[0] * patch.major_x + n[1] * patch.major_y, n[0] * patch.minor_x + n[1] * patch.minor_y
     steep = math.sqrt(across**2 + along**2)
     if level >= steep:
-        return rules.whole[order], order * order
+        return order, order * order
     if level <= -steep:
-        return nodes, 0
+        return -1, 0
     order = chord_order(order, math.acos(max(-1.0, min(1.0, -level / steep))), rules.digits)
-    return nodes, clip(x, n, patch, rules.chords[order], order, nodes)
+    return -1, clip(x, n, patch, rules.chords[order], order, nodes)

@@ -22,7 +22,14 @@ import numpy as np
 from numpy.polynomial.legendre import leggauss, legvander
 from numpy.typing import NDArray
 
-from generator.transport.compiled import COMPILED, in_parts, jit, jit_released
+from generator.transport.compiled import (
+    COMPILED,
+    in_parts,
+    jit_in_place,
+    jit_loops,
+    jit_parts,
+    jit_released,
+)
 from generator.transport.polygons import clip
 
 Floats = NDArray[Any]
@@ -244,9 +251,10 @@ def deposit(out: Floats, owner: Floats, boxes: Floats, coefficients: Floats, lin
     if len(owner):
         order = np.argsort(owner, kind="stable")
         starts = np.flatnonzero(np.diff(owner[order], prepend=-1))
-        edge = _edge_rule(math.isqrt(coefficients.shape[2]))
+        m = math.isqrt(coefficients.shape[2])
         runs = _Runs(owner, order, np.append(starts, len(owner)))
-        in_parts(_deposit, len(starts), out, runs, boxes, coefficients, lines, edge)
+        coefficients = np.ascontiguousarray(coefficients).reshape(*coefficients.shape[:2], m, m)
+        in_parts(_deposit_runs, len(starts), out, runs, boxes, coefficients, lines)
 
 
 class _Runs(NamedTuple):
@@ -264,24 +272,90 @@ def _edge_rule(m: int) -> Floats:
     return np.stack([(nodes + 1.0) / 2.0, weights / 2.0])
 
 
-@jit
-def _shares(low: float, high: float, pixels: int, m: int) -> tuple[int, Floats]:
-    """Return integrals of Legendre polynomials on [low, high] over the pixels that it overlaps, in pixels.
+class _Strip(NamedTuple):
+    """Integrals of Legendre polynomials over the pixels of a row or column of the picture; and scratch space.
+
+    Attributes
+    ----------
+    shares : ndarray of shape (m, pixels)
+        Integrals of each over the pixels, in pixels, from the first that a panel overlaps.
+    edge : ndarray of shape (2, m + 1)
+        Polynomials at the ends of a pixel.
+    """
+
+    shares: Floats
+    edge: Floats
+
+
+class _Space(NamedTuple):
+    """Scratch space: compiled functions that create no arrays are compiled in a third of the time.
+
+    Attributes
+    ----------
+    across, down : _Strip
+    half : ndarray of shape (m, width)
+        Integrals over columns.
+    block : ndarray of shape (channels, height, width)
+        Integrals of a panel over pixels, from the first that it overlaps.
+    corners, polygon : ndarray of shape (4, 2) and (8, 2)
+        Of a pixel, and of what is left of it.
+    values : ndarray of shape (2, m + 1)
+        Polynomials at a point.
+    rule : ndarray of shape (2, m)
+        Gauss points and weights on [0, 1].
+    """
+
+    across: _Strip
+    down: _Strip
+    half: Floats
+    block: Floats
+    corners: Floats
+    polygon: Floats
+    values: Floats
+    rule: Floats
+
+
+class _Pixels(NamedTuple):
+    """Pixels that a panel overlaps, and the picture's size."""
+
+    first_row: int
+    first_column: int
+    rows: int
+    columns: int
+    height: int
+    width: int
+
+
+def _deposit_runs(
+    start: int, stop: int, out: Floats, runs: _Runs, boxes: Floats, coefficients: Floats, lines: Floats
+) -> None:
+    """Add the panels of pictures ``start`` to ``stop``; see `deposit`."""
+    (_, channels, height, width), m = out.shape, coefficients.shape[2]
+    across, down = (_Strip(np.empty((m, pixels)), np.empty((2, m + 1))) for pixels in (width, height))
+    block, half = np.empty((channels, height, width)), np.empty((m, width))
+    space = _Space(
+        *(across, down, half, block, np.empty((4, 2)), np.empty((8, 2)), np.empty((2, m + 1)), _edge_rule(m))
+    )
+    _deposit(start, stop, out, runs, boxes, coefficients, lines, space)
+
+
+@jit_in_place
+def _shares(low: float, high: float, pixels: int, strip: _Strip) -> tuple[int, int]:
+    """Write integrals of Legendre polynomials on [low, high] over the pixels that it overlaps, in pixels.
 
     Uses (2 n + 1) P_n = d/dx (P_(n+1) - P_(n-1)).
 
     Returns
     -------
-    first : int
-        The first of these pixels.
-    shares : ndarray of shape (pixels met, m)
+    first, count : int
+        The first of these pixels, and their number.
     """
     slack = 1e-9
+    shares, edge = strip.shares, strip.edge
+    m = shares.shape[0]
     first = min(pixels - 1, max(0, math.floor(low * pixels + slack)))
     last = min(pixels - 1, max(first, math.ceil(high * pixels - slack) - 1))
-    shares = np.zeros((last - first + 1, m))
     scale = (high - low) * pixels / 2.0
-    edge = np.empty((2, m + 1))
     for p in range(first, last + 1):
         for e in range(2):
             x = 2.0 * ((p + e) / pixels - low) / (high - low) - 1.0
@@ -290,35 +364,81 @@ def _shares(low: float, high: float, pixels: int, m: int) -> tuple[int, Floats]:
             edge[e, 1] = x
             for n in range(1, m):
                 edge[e, n + 1] = ((2 * n + 1) * x * edge[e, n] - n * edge[e, n - 1]) / (n + 1)
-        shares[p - first, 0] = scale * (edge[1, 1] - edge[0, 1])
+        shares[0, p - first] = scale * (edge[1, 1] - edge[0, 1])
         for n in range(1, m):
             rise = edge[1, n + 1] - edge[1, n - 1] - edge[0, n + 1] + edge[0, n - 1]
-            shares[p - first, n] = scale * rise / (2 * n + 1)
-    return first, shares
+            shares[n, p - first] = scale * rise / (2 * n + 1)
+    return first, last - first + 1
 
 
-@jit
-def _keep_side(
-    block: Floats, first: Floats, box: Floats, pixels: Floats, held: Floats, line: Floats, edge: Floats
-) -> None:
-    """Remove from a panel's shares of pixels (channels, rows, columns) what lies beyond a line.
+def _integrate_loops(polynomial: Floats, pixels: _Pixels, space: _Space) -> None:
+    """Write integrals of a panel's polynomials (channels, m, m) over pixels to ``block``."""
+    across, down, half, block = space.across.shares, space.down.shares, space.half, space.block
+    m = half.shape[0]
+    for channel in range(polynomial.shape[0]):
+        for j in range(m):
+            for column in range(pixels.columns):
+                half[j, column] = 0.0
+            for i in range(m):
+                factor = polynomial[channel, j, i]
+                for column in range(pixels.columns):
+                    half[j, column] += factor * across[i, column]
+        for row in range(pixels.rows):
+            for column in range(pixels.columns):
+                block[channel, row, column] = 0.0
+            for j in range(m):
+                factor = down[j, row]
+                for column in range(pixels.columns):
+                    block[channel, row, column] += factor * half[j, column]
+
+
+def _integrate_arrays(polynomial: Floats, pixels: _Pixels, space: _Space) -> None:
+    """NumPy form of `_integrate_loops`."""
+    across, down = space.across.shares[:, : pixels.columns], space.down.shares[:, : pixels.rows]
+    space.block[:, : pixels.rows, : pixels.columns] = down.T @ (polynomial @ across)
+
+
+_integrate = jit_loops(_integrate_loops) if COMPILED else _integrate_arrays
+
+
+def _add_loops(block: Floats, pixels: _Pixels, image: Floats) -> None:
+    """Add a block of pixels to a picture (channels, height, width)."""
+    for channel in range(image.shape[0]):
+        for row in range(pixels.rows):
+            for column in range(pixels.columns):
+                added = block[channel, row, column]
+                image[channel, pixels.first_row + row, pixels.first_column + column] += added
+
+
+def _add_arrays(block: Floats, pixels: _Pixels, image: Floats) -> None:
+    """NumPy form of `_add_loops`."""
+    rows, columns = slice(pixels.first_row, None), slice(pixels.first_column, None)
+    image[:, rows, columns][:, : pixels.rows, : pixels.columns] += block[:, : pixels.rows, : pixels.columns]
+
+
+_add = jit_loops(_add_loops) if COMPILED else _add_arrays
+
+
+@jit_in_place
+def _keep_side(pixels: _Pixels, box: Floats, polynomial: Floats, line: Floats, space: _Space) -> None:
+    """Remove from a panel's shares of pixels what lies beyond a line.
 
     The rest of a pixel that the line crosses is a polygon. The integral over it equals one along its edges (Green's
     theorem), of the polynomial's antiderivative in u, which m Gauss points per edge integrate exactly.
     """
-    m = held.shape[1]
+    block, corners, polygon, edge = space.block, space.corners, space.polygon, space.rule
+    along, down = space.values[0], space.values[1]
+    m = edge.shape[1]
     wide, high = (box[1] - box[0]) / 2.0, (box[3] - box[2]) / 2.0
     # The line and (below) the pixel's sides, in the panel's own coordinates on [-1, 1].
     a, b = line[0] * wide, line[1] * high
     c = line[0] * (box[0] + wide) + line[1] * (box[2] + high) + line[2]
-    corners, polygon = np.empty((4, 2)), np.empty((8, 2))
-    along, down = np.empty(m + 1), np.empty(m + 1)
-    for row in range(block.shape[1]):
-        y0 = max(-1.0, ((first[1] + row) / pixels[1] - box[2]) / high - 1.0)
-        y1 = min(1.0, ((first[1] + row + 1) / pixels[1] - box[2]) / high - 1.0)
-        for column in range(block.shape[2]):
-            x0 = max(-1.0, ((first[0] + column) / pixels[0] - box[0]) / wide - 1.0)
-            x1 = min(1.0, ((first[0] + column + 1) / pixels[0] - box[0]) / wide - 1.0)
+    for row in range(pixels.rows):
+        y0 = max(-1.0, ((pixels.first_row + row) / pixels.height - box[2]) / high - 1.0)
+        y1 = min(1.0, ((pixels.first_row + row + 1) / pixels.height - box[2]) / high - 1.0)
+        for column in range(pixels.columns):
+            x0 = max(-1.0, ((pixels.first_column + column) / pixels.width - box[0]) / wide - 1.0)
+            x1 = min(1.0, ((pixels.first_column + column + 1) / pixels.width - box[0]) / wide - 1.0)
             corners[0, 0], corners[0, 1], corners[1, 0], corners[1, 1] = x0, y0, x1, y0
             corners[2, 0], corners[2, 1], corners[3, 0], corners[3, 1] = x1, y1, x0, y1
             bright = 0
@@ -327,7 +447,8 @@ def _keep_side(
                     bright += 1
             if bright == 4:
                 continue
-            block[:, row, column] = 0.0
+            for channel in range(block.shape[0]):
+                block[channel, row, column] = 0.0
             if bright == 0 or x1 <= x0 or y1 <= y0:
                 continue
             n = clip(corners, corners.shape[0], a, b, c, polygon)
@@ -350,18 +471,18 @@ def _keep_side(
                         current = along[i]
                         along[i] = (along[i + 1] - previous) / (2 * i + 1)
                         previous = current
-                    share = edge[1, q] * rise * wide * high * pixels[0] * pixels[1]
+                    share = edge[1, q] * rise * wide * high * pixels.width * pixels.height
                     for channel in range(block.shape[0]):
                         total = 0.0
                         for j in range(m):
                             inner = 0.0
                             for i in range(m):
-                                inner += held[channel, j, i] * along[i]
+                                inner += polynomial[channel, j, i] * along[i]
                             total += inner * down[j]
                         block[channel, row, column] += share * total
 
 
-@jit_released
+@jit_parts
 def _deposit(
     start: int,
     stop: int,
@@ -370,27 +491,21 @@ def _deposit(
     boxes: Floats,
     coefficients: Floats,
     lines: Floats,
-    edge: Floats,
+    space: _Space,
 ) -> None:
-    channels, height, width = out.shape[1], out.shape[2], out.shape[3]
-    m = edge.shape[1]
-    pixels = np.array([width, height])
+    height, width = out.shape[2], out.shape[3]
     for run in range(start, stop):  # a run is one picture, so no two threads write to the same one
         for k in range(runs.ends[run], runs.ends[run + 1]):
             item = runs.order[k]
-            box, line = boxes[item], lines[item]
-            first_column, across = _shares(box[0], box[1], width, m)
-            first_row, down = _shares(box[2], box[3], height, m)
-            across_t = np.ascontiguousarray(across.T)
-            polynomial = np.ascontiguousarray(coefficients[item]).reshape(channels, m, m)
-            block = np.empty((channels, down.shape[0], across.shape[0]))
-            for c in range(channels):
-                block[c] = np.dot(down, np.dot(polynomial[c], across_t))
+            box, line, polynomial = boxes[item], lines[item], coefficients[item]
+            first_column, columns = _shares(box[0], box[1], width, space.across)
+            first_row, rows = _shares(box[2], box[3], height, space.down)
+            pixels = _Pixels(first_row, first_column, rows, columns, height, width)
+            _integrate(polynomial, pixels, space)
             least = line[2] + min(line[0] * box[0], line[0] * box[1]) + min(line[1] * box[2], line[1] * box[3])
             if least < 0.0:
-                _keep_side(block, np.array([first_column, first_row]), box, pixels, polynomial, line, edge)
-            image = out[runs.owner[item]]
-            image[:, first_row : first_row + down.shape[0], first_column : first_column + across.shape[0]] += block
+                _keep_side(pixels, box, polynomial, line, space)
+            _add(space.block, pixels, out[runs.owner[item]])
 
 
 def _colour_loops(

@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from generator.transport import elements
-from generator.transport.compiled import jit, jit_in_place, jit_inlined
+from generator.transport.compiled import COMPILED, jit_in_place, jit_inlined
 from generator.transport.lit import Rules, distance_to, order_at, radius_of
 from generator.transport.records import Disc
 
@@ -35,29 +35,36 @@ AREA, ORDER = 3, 4
 _STACK = 128
 
 
-@jit
+@jit_in_place
 def lay(origin: Floats, first: Floats, second: Floats, triangle: bool, row: Floats) -> None:
     """Write a parallelogram or triangle, given by a corner and two edges, as a facet."""
-    row[ORIGIN:FIRST] = origin
     axis_u, axis_v, normal = row[FIRST:SECOND], row[SECOND:NORMAL], row[NORMAL:LEVEL]
+    long, area = 0.0, 0.0
     for r in range(3):
         s, t = (r + 1) % 3, (r + 2) % 3
         normal[r] = first[s] * second[t] - first[t] * second[s]
-    axis_u[:] = first / math.sqrt((first * first).sum())
-    normal /= math.sqrt((normal * normal).sum())
+        long += first[r] ** 2
+        area += normal[r] ** 2
+    long, area = math.sqrt(long), math.sqrt(area)
+    row[LEVEL] = 0.0
+    for r in range(3):
+        row[ORIGIN + r] = origin[r]
+        axis_u[r] = first[r] / long
+        normal[r] /= area
+        row[LEVEL] += normal[r] * origin[r]
     for r in range(3):
         s, t = (r + 1) % 3, (r + 2) % 3
         axis_v[r] = normal[s] * axis_u[t] - normal[t] * axis_u[s]
-    row[LEVEL] = (normal * origin).sum()
     row[COUNT] = 3 if triangle else 4
-    corners = row[CORNER:OUTLINE]
-    corners[0:3] = origin
-    corners[3:6] = origin + first
-    corners[6:9] = origin + second if triangle else origin + first + second
-    corners[9:12] = origin + second
     for k in range(4):
-        arm = corners[3 * k : 3 * k + 3] - origin
-        row[OUTLINE + 2 * k], row[OUTLINE + 2 * k + 1] = (arm * axis_u).sum(), (arm * axis_v).sum()
+        along, across = k == 1 or (k == 2 and not triangle), k >= 2
+        u, v = 0.0, 0.0
+        for r in range(3):
+            arm = (first[r] if along else 0.0) + (second[r] if across else 0.0)
+            row[CORNER + 3 * k + r] = origin[r] + arm
+            u += arm * axis_u[r]
+            v += arm * axis_v[r]
+        row[OUTLINE + 2 * k], row[OUTLINE + 2 * k + 1] = u, v
 
 
 @jit_inlined
@@ -89,11 +96,18 @@ def outline(facet: Floats, polygon: Floats) -> int:
     return n
 
 
-@jit_in_place
-def copy(polygon: Floats, n: int, into: Floats) -> None:
+def _copy_loops(polygon: Floats, n: int, into: Floats) -> None:
     """Copy a polygon's corners."""
     for k in range(n):
         into[k, 0], into[k, 1] = polygon[k, 0], polygon[k, 1]
+
+
+def _copy_arrays(polygon: Floats, n: int, into: Floats) -> None:
+    """NumPy form of `_copy_loops`."""
+    into[:n] = polygon[:n]
+
+
+copy = jit_in_place(_copy_loops) if COMPILED else _copy_arrays
 
 
 @jit_in_place
@@ -189,10 +203,19 @@ class Summing(NamedTuple):
     found: Floats
 
 
-@jit
 def room_to_sum() -> Summing:
     """Return scratch space for summing."""
     return Summing(np.empty((_STACK, 6)), np.empty(3), np.empty((elements.MAX_POINTS**2, 5)))
+
+
+@jit_in_place
+def middle(polygon: Floats, n: int) -> tuple[float, float]:
+    """Return the mean of a polygon's corners."""
+    u, v = 0.0, 0.0
+    for k in range(n):
+        u += polygon[k, 0]
+        v += polygon[k, 1]
+    return u / n, v / n
 
 
 @jit_inlined
@@ -203,7 +226,8 @@ def fan(polygon: Floats, n: int) -> tuple[float, float, int, int]:
     """
     if n <= 6:
         return polygon[0, 0], polygon[0, 1], 1, n - 1
-    return polygon[:n, 0].mean(), polygon[:n, 1].mean(), 0, n
+    middle0, middle1 = middle(polygon, n)
+    return middle0, middle1, 0, n
 
 
 @jit_inlined

@@ -14,17 +14,17 @@ import numpy as np
 from numpy.typing import NDArray
 
 from generator.transport import elements
-from generator.transport.compiled import jit, jit_in_place, jit_released
+from generator.transport.compiled import jit_in_place, jit_parts, jit_within
 from generator.transport.elements import AREA, CELL, ONE_SIDED, POINT
-from generator.transport.integral import around_patch
-from generator.transport.lit import Rules, distance_to, order_at
+from generator.transport.integral import Covering, room_to_cover
+from generator.transport.lit import Rules, distance_to, order_at, radius_of
 from generator.transport.rays import Surfaces
 from generator.transport.records import Poses, Target
 
 Floats = NDArray[Any]
 
 _NEAR = 1e-6
-_STACK = 512
+_ROWS = 512
 
 NORMAL, LEVEL, ORIGIN, DUAL, TRIANGLE, WIDTH = 0, 3, 4, 7, 13, 14
 """Columns of a flat surface's row: unit normal (3), level of its plane, a corner (3), the two dual vectors that give
@@ -77,6 +77,30 @@ class Points(NamedTuple):
     walls: Floats
     finest: Floats
     widest: float
+
+
+class _Job(NamedTuple):
+    """Points, and what they receive light from: see `reflected_points`."""
+
+    points: Points
+    target: Target
+    poses: Poses
+    obstacles: Obstacles
+    rules: Rules
+
+
+class _Space(NamedTuple):
+    """Scratch space, and where a wall point's rays begin (2, 3): at itself, and in the middle of the patch."""
+
+    covering: Covering
+    origins: Floats
+    work: Floats
+
+
+def _space(job: _Job, rows: int) -> _Space:
+    """Return scratch space with room for a number of quadrature points."""
+    patch = job.rules.patch
+    return _Space(room_to_cover(rows), np.array([[0.0, 0.0, 0.0], [patch.x, patch.y, 0.0]]), np.empty(15))
 
 
 def rows(surfaces: Surfaces) -> Floats:
@@ -146,9 +170,10 @@ def _hidden(scene: _Scene, start: Floats, way: Floats, own: Floats) -> bool:
     return not scene.obstacles.convex and _met_by_target(scene, start, way, own)
 
 
-@jit_in_place
-def _disagree(cell: Floats, origins: Floats, scene: _Scene, work: Floats) -> bool:
-    """Whether some but not all of a cell's corners are hidden from one of the origins (n, 3)."""
+@jit_within
+def _disagree(cell: Floats, scene: _Scene, space: _Space) -> bool:
+    """Whether some but not all of a cell's corners are hidden from one of the origins."""
+    origins, work = space.origins, space.work
     point, way, scratch = work[0:3], work[3:6], work[6:12]
     for o in range(origins.shape[0]):
         hidden = False
@@ -163,26 +188,24 @@ def _disagree(cell: Floats, origins: Floats, scene: _Scene, work: Floats) -> boo
     return False
 
 
-@jit
+@jit_in_place
 def _cover_cell(
-    owner: int,
-    origins: Floats,
-    scene: _Scene,
-    widths: tuple[float, float],
-    rules: Rules,
-    stack: Floats,
-    found: Floats,
-    count: int,
-) -> tuple[Floats, int]:
-    """Cut the first cell of ``stack`` for one wall point, finer where a shadow's edge crosses it; append points.
+    owner: int, scene: _Scene, widths: tuple[float, float], rules: Rules, space: _Space, count: int
+) -> int:
+    """Cut the first cell of the stack for one wall point, finer where a shadow's edge crosses it; append points.
 
-    The wall point is the first of ``origins``; ``widths`` are the finest and the widest cell.
+    The wall point is the first of the origins; ``widths`` are the finest and the widest cell.
+
+    Returns
+    -------
+    int
+        Number of points; negative if there are more than rows.
     """
     finest, widest = widths
-    middle, work = np.empty(3), np.empty(12)
-    cell = np.empty(elements.WIDTH)
+    cell, stack, origins = space.covering.cell, space.covering.stack, space.origins
+    middle = space.covering.middle
     top = 1
-    while top > 0:
+    while top > 0 and count >= 0:
         top -= 1
         elements.copy_row(stack[top], cell)
         first, second = elements.middle_of(cell, middle)
@@ -195,7 +218,7 @@ def _cover_cell(
         kv = elements.points_wanted(second, distance, rules.digits)
         cut_first = (ku > elements.MAX_POINTS and first > finest) or first > widest
         cut_second = (kv > elements.MAX_POINTS and second > finest) or second > widest
-        if not cut_first and not cut_second and max(first, second) > finest and _disagree(cell, origins, scene, work):
+        if not cut_first and not cut_second and max(first, second) > finest and _disagree(cell, scene, space):
             cut_first, cut_second = first > 0.5 * second, second > 0.5 * first
         if (cut_first or cut_second) and top + 4 <= stack.shape[0]:
             top = elements.cut(cell, stack, top, cut_first, cut_second)
@@ -203,36 +226,33 @@ def _cover_cell(
         ku, kv = min(ku, elements.MAX_POINTS), min(kv, elements.MAX_POINTS)
         if cell[elements.KIND] == elements.TRIANGLE:
             ku = kv = max(ku, kv)
-        found = elements.with_room_for(found, count, ku * kv)
-        count = elements.add_points(cell, owner, ku, kv, rules.gauss, found, count)
-    return found, count
+        count = elements.add_points(cell, owner, ku, kv, rules.gauss, space.covering.points, count)
+    return count
 
 
-@jit
-def _cover(
-    target: Target, wall: Floats, scene: _Scene, widths: tuple[float, float], rules: Rules
-) -> tuple[Floats, int]:
-    """As `integral.cover`, for one wall point, finer at shadows' edges; return points and their number."""
+@jit_within
+def _cover(target: Target, scene: _Scene, widths: tuple[float, float], rules: Rules, space: _Space) -> int:
+    """As `integral.cover`, for one wall point, finer at shadows' edges; return the number of points.
+
+    It is negative if there are more than rows.
+    """
     flat, balls, rings = target.flat, target.balls, target.rings
-    faced = around_patch(rules.patch)
-    stack, points = np.empty((_STACK, elements.WIDTH)), np.empty((512, 9))
-    origins = np.empty((2, 3))
-    origins[0], origins[1] = wall, faced.centre
-    count = 0
+    stack, ball, faced, count = space.covering.stack, space.covering.ball, space.origins[1], 0
     for c in range(flat.shape[0]):
+        if count < 0:
+            break
         elements.place(flat[c], scene.turn, scene.at, stack[0])
-        points, count = _cover_cell(c, origins, scene, widths, rules, stack, points, count)
-    ball = np.empty(elements.WIDTH)
+        count = _cover_cell(c, scene, widths, rules, space, count)
     for c in range(balls.shape[0]):
         elements.place(balls[c], scene.turn, scene.at, ball)
-        rim = elements.turn_to(ball, faced.centre, faced.radius)
-        for ring in range(rings):
-            for step in range(4 * rings):
-                elements.copy_row(ball, stack[0])
-                elements.cap_cell(stack[0], rim, ring, step, rings)
-                owner = flat.shape[0] + c
-                points, count = _cover_cell(owner, origins, scene, widths, rules, stack, points, count)
-    return points, count
+        rim = elements.turn_to(ball, faced, radius_of(rules.patch))
+        for cap in range(4 * rings * rings):
+            if count < 0:
+                break
+            elements.copy_row(ball, stack[0])
+            elements.cap_cell(stack[0], rim, cap // (4 * rings), cap % (4 * rings), rings)
+            count = _cover_cell(flat.shape[0] + c, scene, widths, rules, space, count)
+    return count
 
 
 @jit_in_place
@@ -255,7 +275,6 @@ def _along(element: Floats, way: Floats) -> float:
     return element[normal] * way[0] + element[normal + 1] * way[1] + element[normal + 2] * way[2]
 
 
-@jit_released
 def reflected_points(
     start: int,
     stop: int,
@@ -279,20 +298,37 @@ def reflected_points(
     values : ndarray of shape (n, groups + 1), written
         The last column is the number of elements that each point took.
     """
+    job, rows = _Job(points, target, poses, obstacles, rules), _ROWS
+    while start < stop:
+        start = _evaluate(start, stop, job, _space(job, rows), values)
+        rows *= 2
+
+
+@jit_parts
+def _evaluate(start: int, stop: int, job: _Job, space: _Space, values: Floats) -> int:
+    """Evaluate points of the wall; return the first that was not, because ``space`` is too small for it."""
+    points, poses, target, rules = job.points, job.poses, job.target, job.rules
     for item in range(start, stop):
         pose, wall = points.owner[item], points.walls[item]
-        scene = _Scene(obstacles, poses.hiders[pose], poses.turns[pose], poses.places[pose])
+        scene = _Scene(job.obstacles, poses.hiders[pose], poses.turns[pose], poses.places[pose])
         finest = points.finest[pose]
-        quadrature, count = _cover(target, wall, scene, (finest, max(points.widest, finest)), rules)
+        elements.copy_row(wall, space.origins[0])
+        count = _cover(target, scene, (finest, max(points.widest, finest)), rules, space)
+        if count < 0:
+            return item
         values[item] = 0.0
-        _reflect(wall, quadrature[:count], target.albedo, scene, rules, values[item, :-1])
-        values[item, -1] = count
+        _reflect(wall, space.covering.points[:count], target.albedo, scene, rules, space.work, values[item])
+        values[item, values.shape[1] - 1] = count
+    return stop
 
 
-@jit
-def _reflect(wall: Floats, found: Floats, albedo: Floats, scene: _Scene, rules: Rules, total: Floats) -> None:
-    """Add to ``total`` (groups,) the light that a wall point receives by way of elements."""
-    way, step, start, scratch = np.empty(3), np.empty(3), np.zeros(3), np.empty(6)
+@jit_within
+def _reflect(
+    wall: Floats, found: Floats, albedo: Floats, scene: _Scene, rules: Rules, work: Floats, total: Floats
+) -> None:
+    """Add to ``total`` (groups + 1,) the light that a wall point receives by way of elements."""
+    way, step, start, scratch = work[0:3], work[3:6], work[6:9], work[9:15]
+    start[2] = 0.0
     for j in range(found.shape[0]):
         element = found[j]
         term = _facing(element, wall, way)
@@ -308,5 +344,5 @@ def _reflect(wall: Floats, found: Floats, albedo: Floats, scene: _Scene, rules: 
             if share == 0.0 or side * _along(element, step) <= 0.0 or _hidden(scene, start, step, scratch):
                 continue
             light += share / element[AREA]
-        for g in range(total.shape[0]):
+        for g in range(albedo.shape[1]):
             total[g] += term * light * albedo[int(element[CELL]), g]

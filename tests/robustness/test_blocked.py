@@ -208,7 +208,7 @@ def unwritable(tmp_path):
         for source in (ROOT / name).glob("*.py"):
             shutil.copy(source, tmp_path / name)
     (tmp_path / "generator/transport/__pycache__").write_text("")
-    function = "@compiled.jit\ndef twice(x):\n    return 2.0 * x\n"
+    function = "@compiled.jit_released\ndef twice(x):\n    return 2.0 * x\n"
     (tmp_path / "small.py").write_text(f"from generator.transport import compiled\n\n\n{function}")
 
     def run(**environment):

@@ -13,7 +13,7 @@ from typing import NamedTuple
 import numpy as np
 
 from generator.model.arrays import rotation_matrix
-from generator.transport.compiled import jit, jit_in_place
+from generator.transport.compiled import jit_in_place, jit_released
 from generator.transport.lit import radiance
 from generator.transport.prepared import Setting
 from generator.transport.rays import Planes, Surfaces, nearest
@@ -112,7 +112,7 @@ def _arrive(place, normal, way, far, planes, which):
         normal[r] = -planes.normal[which, r] if cosine > 0.0 else planes.normal[which, r]
 
 
-@jit
+@jit_released
 def _walk(place, normal, weight, hits, planes, tint, patch, sky, glow, sign, found):
     """Follow a path in one room, from its vertex number ``hits`` on; add light by its number of reflections."""
     way, to = np.empty(3), np.empty(3)
@@ -152,7 +152,7 @@ def _leave(part, to_wall, place, normal):
     normal[0], normal[1], normal[2] = 0.0, 0.0, 1.0
 
 
-@jit
+@jit_released
 def _empty(seed, count, part, to_wall, room, tint, patch, sky, glow, found):
     """Follow paths from a part of the picture in the room without the target; add light by reflections."""
     np.random.seed(seed)
@@ -162,7 +162,7 @@ def _empty(seed, count, part, to_wall, room, tint, patch, sky, glow, found):
         _walk(place, normal, 1.0, 0, room, tint, patch, sky, glow, 1.0, found)
 
 
-@jit
+@jit_released
 def _hide(place, normal, weight, hits, room, target, glow, to, found):
     """Take the light of emitters that the target hides from a place."""
     if glow.strength == 0.0 or hits + 1 >= found.shape[1]:
@@ -173,7 +173,7 @@ def _hide(place, normal, weight, hits, room, target, glow, to, found):
         found[2, hits + 1] -= weight * light
 
 
-@jit
+@jit_released
 def _paths(seed, count, part, to_wall, room, both, target, tint, patch, sky, glow, found):
     """Follow paths from a part of the picture; add what the target changes by the number of reflections."""
     np.random.seed(seed)

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from generator.transport import elements
-from generator.transport.compiled import jit, jit_in_place
+from generator.transport.compiled import jit_in_place
 from generator.transport.polygons import CORNER, COUNT, FACET, LEVEL, NORMAL, SIDED, height_above, lay
 from generator.transport.rays import Surfaces
 
@@ -153,19 +153,25 @@ def all_hidden(view: Floats, occluders: Occluders, cones: Cones) -> None:
         cones.counts[first + k] = _behind_ball(balls[k], view, occluders.sides, cones.spaces[first + k])
 
 
-@jit
-def no_cones(occluders: Occluders) -> Cones:
-    """Return empty arrays for the regions that are hidden from a point."""
-    depth = max(6, occluders.sides.shape[0] + 1 if occluders.balls.shape[0] else 0)
-    number = all_parts(occluders)
-    return Cones(np.empty((number, depth, 4)), np.zeros(number, dtype=np.int64))
-
-
-@jit
-def hidden_from_each(views: Floats, occluders: Occluders) -> Cones:
-    """Return the regions that are hidden from each of some points (n, 3)."""
-    spaces, counts = no_cones(occluders)
-    cones = Cones(np.empty((views.shape[0], *spaces.shape)), np.empty((views.shape[0], len(counts)), dtype=np.int64))
+@jit_in_place
+def hidden_from_each(views: Floats, occluders: Occluders, cones: Cones) -> None:
+    """Write the regions that are hidden from each of some points (n, 3)."""
     for q in range(views.shape[0]):
         all_hidden(views[q], occluders, Cones(cones.spaces[q], cones.counts[q]))
-    return cones
+
+
+def room_for_cones(occluders: int, balls: int, sides: int, views: int) -> tuple[Cones, Cones]:
+    """Return room for the regions that are hidden from one point, and from each of several.
+
+    Parameters
+    ----------
+    occluders, balls : int
+        Number of all occluders, and how many of them are spheres.
+    sides : int
+        Number of rows that `ring` returned.
+    views : int
+        Number of points.
+    """
+    depth = max(6, sides + 1 if balls else 0)
+    one, each = (occluders, depth, 4), (views, occluders, depth, 4)
+    return tuple(Cones(np.empty(shape), np.zeros(shape[:-2], dtype=np.int64)) for shape in (one, each))

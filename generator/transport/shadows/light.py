@@ -8,7 +8,7 @@ from typing import NamedTuple
 import numpy as np
 
 from generator.transport import elements
-from generator.transport.compiled import NONE, ONE, jit_in_place
+from generator.transport.compiled import jit_in_place, jit_within
 from generator.transport.lit import distance_to, order_at
 from generator.transport.polygons import (
     AREA,
@@ -23,6 +23,7 @@ from generator.transport.polygons import (
     height_of,
     is_lit,
     light_of,
+    middle,
     on_facet,
     within,
 )
@@ -149,7 +150,7 @@ def _add_edge(light: Floats, edge: _Edge, path: Path, view: View, scene: Scene, 
                 space = view.cones.spaces[edge.part, edge.side]
                 _ball_rates(ball, space, sides[sides.shape[0] - 1, 0], view.point, scene.at, point, rates)
             weight = edge.sign * gauss[1, number, g] * length / cuts / edge.steep
-            weight *= add_by_way_of(0.0, sample, ONE[0], path, rules.whole) * level
+            weight *= add_by_way_of(0.0, sample, 1, path, rules.whole) * level
             for r in range(6):
                 light[1 + r] += weight * rates[r]
 
@@ -163,7 +164,7 @@ def _add_rates(
     By Reynolds' theorem it is an integral of the light along the edges that move, times how fast they do.
     """
     lines, flat = work.cutting.lines, scene.occluders.flat
-    middle0, middle1 = polygon[:n, 0].mean(), polygon[:n, 1].mean()
+    middle0, middle1 = middle(polygon, n)
     for part in range(scene.target.parts):
         count = view.cones.counts[part]
         on_plane(path.facet, view.cones.spaces[part], count, lines)
@@ -204,12 +205,10 @@ def add_seen(light: Floats, s: int, eye: View, pieces: Pieces, count: int, scene
         for q in range(counts.shape[0] if blocked else 1):
             copy(polygon, corners, lit.polygons[0])
             lit.corners[0] = corners
-            number, node = ONE[0], work.zeros
+            number, node = 1, work.zeros
             if blocked:
                 node = scene.nodes[q]
-                number = cleared(
-                    facet, occluder, lit, ONE[0], Cones(spaces[q], counts[q]), scene.first, last, cutting
-                )
+                number = cleared(facet, occluder, lit, 1, Cones(spaces[q], counts[q]), scene.first, last, cutting)
             if number < 0:
                 light[:] = np.nan
             path = Path(facet, eye.point, node)
@@ -219,7 +218,7 @@ def add_seen(light: Floats, s: int, eye: View, pieces: Pieces, count: int, scene
                     _add_rates(light, 1.0, lit.polygons[i], lit.corners[i], path, eye, scene, work)
 
 
-@jit_in_place
+@jit_within
 def add_kept(light: Floats, whole: bool, kept: Kept, p: int, eye: View, scene: Scene, work: Work) -> None:
     """Add the light that a wall point loses to a lamp point's shadow; if not ``whole``, only subtract what is hidden
     from it anyway.
@@ -232,11 +231,11 @@ def add_kept(light: Floats, whole: bool, kept: Kept, p: int, eye: View, scene: S
     moving = light.shape[0] > 1
     copy(kept.polygons[p], kept.corners[p], held.polygons[0])
     held.corners[0] = kept.corners[p]
-    count = ONE[0]
+    count = 1
     if whole:
         last = all_parts(scene.occluders)
-        count = cleared(facet, scene.first + s, held, ONE[0], eye.cones, scene.first, last, cutting)
-    overlaps = NONE[0]
+        count = cleared(facet, scene.first + s, held, 1, eye.cones, scene.first, last, cutting)
+    overlaps = 0
     for k in range(count):
         overlaps = covered(
             facet, held.polygons[k], held.corners[k], eye.cones, scene.target, pieces, overlaps, cutting

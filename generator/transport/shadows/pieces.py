@@ -6,7 +6,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from generator.transport.compiled import NONE, ONE, jit, jit_in_place
+from generator.transport.compiled import jit_in_place
 from generator.transport.lit import Rules
 from generator.transport.polygons import (
     CORNERS,
@@ -128,7 +128,7 @@ def above(facet: Floats, polygon: Floats, lines: Floats, spare: Floats) -> int:
     """Write the corners of the part of a facet that is above the relay wall; return their number."""
     n = outline(facet, polygon)
     lines[0, 0], lines[0, 1], lines[0, 2] = facet[FIRST + 2], facet[SECOND + 2], facet[ORIGIN + 2]
-    return within(polygon, n, lines, ONE[0], polygon, spare)
+    return within(polygon, n, lines, 1, polygon, spare)
 
 
 @jit_in_place
@@ -157,7 +157,7 @@ def cleared(
                 break
         if not touched:
             continue
-        remaining = NONE[0]
+        remaining = 0
         for p in range(count):
             remaining = without(polygons[p], corners[p], lines, k, rest, rest_corners, remaining, spare)
         if remaining < 0:
@@ -198,9 +198,9 @@ def covered(
         shadow_corners[0] = within(polygon, n, lines, k, shadow[0], work.spare[0])
         if shadow_corners[0] == 0:
             continue
-        added = ONE[0]
+        added = 1
         if not target.disjoint and part > 0:
-            added = cleared(facet, -ONE[0], work.some, ONE[0], cones, NONE[0], part, work)
+            added = cleared(facet, -1, work.some, 1, cones, 0, part, work)
         if added < 0 or count + added > PIECES:
             return -1
         for p in range(added):
@@ -234,15 +234,9 @@ def may_meet(facet: Floats, polygon: Floats, n: int, ends: Cones, part: int, lin
     return not separated
 
 
-@jit
-def no_pieces() -> Pieces:
-    """Return room for pieces of polygons."""
-    return Pieces(np.empty((PIECES, CORNERS, 2)), np.empty(PIECES, dtype=np.int64))
-
-
-@jit
 def room_to_work(cones: Cones) -> Work:
     """Return scratch space for cones of as many half-spaces as ``cones`` have."""
     lines = np.empty((cones.spaces.shape[1], 3))
-    cutting = Cutting(no_pieces(), no_pieces(), np.empty((3, CORNERS, 2)), lines)
-    return Work(no_pieces(), no_pieces(), cutting, room_to_sum(), np.empty((4, 6)), np.zeros(3))
+    four = [Pieces(np.empty((PIECES, CORNERS, 2)), np.empty(PIECES, dtype=np.int64)) for _ in range(4)]
+    cutting = Cutting(four[2], four[3], np.empty((3, CORNERS, 2)), lines)
+    return Work(four[0], four[1], cutting, room_to_sum(), np.empty((4, 6)), np.zeros(3))

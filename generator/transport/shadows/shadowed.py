@@ -14,7 +14,7 @@ from typing import NamedTuple
 import numpy as np
 
 from generator.transport import elements, kernel
-from generator.transport.compiled import NONE, ONE, jit, jit_in_place, jit_released
+from generator.transport.compiled import jit_in_place, jit_parts, jit_within
 from generator.transport.lit import Rules
 from generator.transport.polygons import (
     AREA,
@@ -38,7 +38,7 @@ from generator.transport.shadows.cones import (
     all_hidden,
     all_parts,
     hidden_from_each,
-    no_cones,
+    room_for_cones,
     target_parts,
 )
 from generator.transport.shadows.light import Kept, add_kept, add_seen
@@ -75,48 +75,93 @@ class Room(NamedTuple):
     disjoint: bool
 
 
-@jit
-def _placed(target: Target, turn: Floats, at: Floats) -> tuple[Floats, Floats]:
-    """Return a target's cells as facets, and its spheres (centre, radius), at a pose."""
-    flat, balls = target.flat, target.balls
-    parts, spheres = np.zeros((flat.shape[0], FACET)), np.empty((balls.shape[0], 4))
-    cell = np.empty(elements.WIDTH)
-    origin, first, second, end = elements.ORIGIN, elements.FIRST, elements.SECOND, elements.LOW
-    for k in range(flat.shape[0]):
-        elements.place(flat[k], turn, at, cell)
-        triangle = cell[elements.KIND] == elements.TRIANGLE
-        lay(cell[origin:first], cell[first:second], cell[second:end], triangle, parts[k])
-        parts[k, SIDED] = cell[elements.SIDED]
-    for k in range(balls.shape[0]):
-        elements.place(balls[k], turn, at, cell)
-        spheres[k, :3], spheres[k, 3] = cell[origin:first], cell[elements.RADIUS]
-    return parts, spheres
+class _Job(NamedTuple):
+    """Panels, and what light they receive: of ``hidden_panels`` if ``hides``, else of ``received_panels``."""
+
+    panels: Panels
+    target: Target
+    poses: Poses
+    room: Room
+    rules: Rules
+    hides: bool
 
 
-@jit
-def _lamps(rules: Rules, order: int) -> tuple[Floats, Floats]:
-    """Return the points of the patch that throw shadows (n, 3): with radiance times area, and as points in space."""
-    nodes = np.ascontiguousarray(rules.whole[order, :, : order**2].T)
-    lamps = nodes.copy()
-    lamps[:, 2] = 0.0
-    return nodes, lamps
+class _Space(NamedTuple):
+    """Scratch space: compiled functions that create no arrays are compiled in a third of the time.
+
+    Attributes
+    ----------
+    facets : ndarray of shape (target's cells + m, FACET)
+        The target's at a pose, and the room's.
+    spheres : ndarray of shape (s, 4)
+    cell : ndarray of shape (elements.WIDTH,)
+    nodes, lamps : ndarray of shape (n, 3)
+        As in `Scene`, for the pose with the most.
+    from_wall, from_lamps, ends : Cones
+        Regions hidden from a point of a panel, from each of the lamps, from the panel's corners.
+    kept : Kept
+    together, apart : ndarray
+        Of each region that is kept.
+    outside : ndarray of shape (k,), bool
+    light : ndarray of shape (1 or 7,)
+    wall : ndarray of shape (2, points of a panel)
+    sent : ndarray of shape (groups, 6, elements of a sum)
+    polygon : ndarray of shape (CORNERS, 2)
+    work : Work
+    """
+
+    facets: Floats
+    spheres: Floats
+    cell: Floats
+    nodes: Floats
+    lamps: Floats
+    from_wall: Cones
+    from_lamps: Cones
+    ends: Cones
+    kept: Kept
+    together: Floats
+    apart: Floats
+    outside: Floats
+    light: Floats
+    wall: Floats
+    sent: Floats
+    polygon: Floats
+    work: Work
 
 
-@jit
-def _around(walls: Floats) -> Disc:
-    """Return a disc around a panel's points, whose last four are its corners."""
-    ends = walls[walls.shape[0] - 4 :]
-    centre = np.zeros(3)
-    for e in range(4):
-        centre[0] += ends[e, 0] / 4.0
-        centre[1] += ends[e, 1] / 4.0
-    radius = 0.0
-    for e in range(4):
-        radius = max(radius, math.hypot(ends[e, 0] - centre[0], ends[e, 1] - centre[1]))
-    return Disc(centre, radius)
+_SUM = 256
+"""Elements that are summed at once."""
 
 
-@jit_released
+def _space(job: _Job, channels: int, kept: int) -> _Space:
+    """Return scratch space for panels, with room for a number of regions that nodes' shadows cover."""
+    cells, balls, room = len(job.target.flat), len(job.target.balls), job.room
+    lamps = int(job.poses.orders.max()) ** 2
+    occluders = cells + balls + int(job.poses.hiders.max())
+    from_wall, from_lamps = room_for_cones(occluders, balls, len(room.sides), lamps)
+    _, ends = room_for_cones(occluders, balls, len(room.sides), 4)
+    tint = room.tint if job.hides else job.target.albedo
+    return _Space(
+        np.concatenate([np.zeros((cells, FACET)), room.facets]),
+        np.empty((balls, 4)),
+        np.empty(elements.WIDTH),
+        np.zeros((lamps, 3)),
+        np.zeros((lamps, 3)),
+        from_wall,
+        from_lamps,
+        ends,
+        Kept(np.empty((kept, CORNERS, 2)), np.empty(kept, dtype=np.int64), np.empty((kept, 2), dtype=np.int64), 0),
+        np.empty(kept, dtype=np.bool_),
+        np.empty(kept, dtype=np.bool_),
+        np.empty(from_wall.spaces.shape[1], dtype=np.bool_),
+        np.empty(channels),
+        np.empty((2, job.panels.walls.shape[1])),
+        np.empty((tint.shape[1], 6, _SUM)),
+        np.empty((CORNERS, 2)),
+        room_to_work(from_wall),
+    )
+
+
 def hidden_panels(
     start: int, stop: int, panels: Panels, target: Target, poses: Poses, room: Room, rules: Rules, values: Floats
 ) -> None:
@@ -138,33 +183,84 @@ def hidden_panels(
         Not a number where shadows fall into too many pieces. With seven channels, the derivatives for the target's
         position (3) and its rotation about the three axes (3) follow.
     """
+    job = _Job(panels, target, poses, room, rules, True)
+    kept = PIECES + int(poses.orders.max()) ** 2 * len(room.facets)
+    while start < stop:
+        start = _evaluate(start, stop, job, _space(job, values.shape[2], kept), values)
+        kept *= 2
+
+
+def received_panels(
+    start: int, stop: int, panels: Panels, cells: Target, poses: Poses, room: Room, rules: Rules, values: Floats
+) -> None:
+    """Evaluate `shaded.reflected` on panels, for flat cells that may hide each other and be hidden by the room.
+
+    Parameters are those of `hidden_panels`, except that the light comes by way of ``cells``.
+    """
+    job = _Job(panels, cells, poses, room, rules, False)
+    _evaluate(start, stop, job, _space(job, values.shape[2], 1), values)
+
+
+@jit_parts
+def _evaluate(start: int, stop: int, job: _Job, space: _Space, values: Floats) -> int:
+    """Evaluate panels; return the first that was not, because ``space`` is too small for it."""
+    target, room, poses = job.target, job.room, job.poses
+    cells = target.flat.shape[0]
     for item in range(start, stop):
-        pose = panels.owner[item]
-        parts, spheres = _placed(target, poses.turns[pose], poses.places[pose])
-        facets = np.concatenate((parts, room.facets[: poses.hiders[pose]]))
-        occluders = Occluders(facets, parts.shape[0], spheres, room.sides)
-        nodes, lamps = _lamps(rules, poses.orders[pose])
-        hidden = hidden_from_each(lamps, occluders)
-        shadows = TargetShadows(target_parts(occluders), room.disjoint)
-        scene = Scene(occluders, room.facets, shadows.parts, shadows, poses.places[pose], nodes, lamps, hidden, rules)
+        pose = job.panels.owner[item]
+        at, order = poses.places[pose], poses.orders[pose]
+        _place(target, poses.turns[pose], at, space)
+        parts, facets = space.facets[:cells], space.facets[: cells + poses.hiders[pose]]
+        occluders = Occluders(facets, cells if job.hides else facets.shape[0], space.spheres, room.sides)
+        nodes, lamps = space.nodes[: order * order], space.lamps[: order * order]
+        for q in range(order * order):
+            for r in range(3):
+                nodes[q, r] = job.rules.whole[order, r, q]
+            lamps[q, 0], lamps[q, 1] = nodes[q, 0], nodes[q, 1]
+        hidden = Cones(space.from_lamps.spaces[: order * order], space.from_lamps.counts[: order * order])
+        hidden_from_each(lamps, occluders, hidden)
         values[item] = 0.0
-        _hidden_panel(panels.walls[item], scene, room.tint, values[item])
+        first = target_parts(occluders) if job.hides else 0
+        shadows = TargetShadows(first, room.disjoint)
+        surfaces = room.facets if job.hides else parts
+        scene = Scene(occluders, surfaces, first, shadows, at, nodes, lamps, hidden, job.rules)
+        if not job.hides:
+            _received_panel(job.panels.walls[item], scene, target.albedo, space, values[item])
+        elif not _hidden_panel(job.panels.walls[item], scene, room.tint, space, values[item]):
+            return item
+    return stop
 
 
-@jit
-def _hidden_panel(walls: Floats, scene: Scene, tint: Floats, total: Floats) -> None:
-    from_wall = no_cones(scene.occluders)
-    work = room_to_work(from_wall)
-    polygon, light = np.empty((CORNERS, 2)), np.zeros(total.shape[1])
-    kept = _kept_by_nodes(scene, polygon, work)
-    if kept.number < 0:
+@jit_within
+def _place(target: Target, turn: Floats, at: Floats, space: _Space) -> None:
+    """Write a target's cells as facets, and its spheres (centre, radius), at a pose."""
+    flat, balls, cell = target.flat, target.balls, space.cell
+    origin, first, second, end = elements.ORIGIN, elements.FIRST, elements.SECOND, elements.LOW
+    for k in range(flat.shape[0]):
+        elements.place(flat[k], turn, at, cell)
+        triangle = cell[elements.KIND] == elements.TRIANGLE
+        lay(cell[origin:first], cell[first:second], cell[second:end], triangle, space.facets[k])
+        space.facets[k, SIDED] = cell[elements.SIDED]
+    for k in range(balls.shape[0]):
+        elements.place(balls[k], turn, at, cell)
+        for r in range(3):
+            space.spheres[k, r] = cell[origin + r]
+        space.spheres[k, 3] = cell[elements.RADIUS]
+
+
+@jit_within
+def _hidden_panel(walls: Floats, scene: Scene, tint: Floats, space: _Space, total: Floats) -> bool:
+    """Add what one panel's points lose to ``total``; return whether ``space`` was large enough."""
+    from_wall, polygon, light, work = space.from_wall, space.polygon, space.light, space.work
+    number = _keep(scene, space)
+    if number == _TOO_MANY:
         total[:] = np.nan
-        return
-    together, apart = _sorted(walls, kept, scene, work.cutting.lines)
-    if total.shape[1] > 1:
-        together[:] = False
-        apart[:] = True
-    _add_together(walls, kept, together, scene, tint, work, total)
+    if number < 0:
+        return number == _TOO_MANY
+    kept = Kept(space.kept.polygons, space.kept.corners, space.kept.of, number)
+    moving = total.shape[1] > 1
+    _sort(walls, kept, scene, space, moving)
+    _add_together(walls, kept, scene, tint, space, total)
     first, last = scene.first, all_parts(scene.occluders)
     pieces, cutting = work.pieces, work.cutting
     for w in range(walls.shape[0]):
@@ -173,70 +269,85 @@ def _hidden_panel(walls: Floats, scene: Scene, tint: Floats, total: Floats) -> N
         for s in range(scene.surfaces.shape[0]):
             facet = scene.surfaces[s]
             n = above(facet, polygon, cutting.lines, cutting.spare[0])
-            count = covered(facet, polygon, n, from_wall, scene.target, pieces, NONE[0], cutting)
+            count = covered(facet, polygon, n, from_wall, scene.target, pieces, 0, cutting)
             count = cleared(facet, first + s, pieces, count, from_wall, first, last, cutting)
             light[:] = 0.0 if count >= 0 else np.nan
             add_seen(light, s, eye, pieces, count, scene, work)
-            for g in range(tint.shape[1]):
-                total[g, :, w] += light * tint[s, g]
+            _tinted(light, tint, s, total, w)
         for p in range(kept.number):
-            if together[p] and not apart[p]:
+            if space.together[p] and not space.apart[p]:
                 continue
             light[:] = 0.0
-            add_kept(light, not together[p], kept, p, eye, scene, work)
-            for g in range(tint.shape[1]):
-                total[g, :, w] += light * tint[kept.of[p, 0], g]
+            add_kept(light, not space.together[p], kept, p, eye, scene, work)
+            _tinted(light, tint, kept.of[p, 0], total, w)
+    return True
 
 
-@jit
-def _kept_by_nodes(scene: Scene, polygon: Floats, work: Work) -> Kept:
-    """Return the regions that the nodes' shadows cover, node by node; ``polygon`` is scratch space."""
-    size = PIECES + scene.nodes.shape[0] * scene.surfaces.shape[0]
-    kept, corners, of = np.empty((size, CORNERS, 2)), np.empty(size, np.int64), np.empty((size, 2), np.int64)
+@jit_in_place
+def _tinted(light: Floats, tint: Floats, surface: int, total: Floats, w: int) -> None:
+    """Add to the total of wall point ``w`` the light by way of a surface."""
+    for g in range(tint.shape[1]):
+        for c in range(light.shape[0]):
+            total[g, c, w] += light[c] * tint[surface, g]
+
+
+_TOO_MANY, _NO_ROOM = -1, -2
+
+
+@jit_within
+def _keep(scene: Scene, space: _Space) -> int:
+    """Write the regions that the nodes' shadows cover, node by node; return their number.
+
+    It is `_TOO_MANY` where shadows fall into too many pieces, `_NO_ROOM` where there are more than there is room for.
+    """
+    kept, polygon, work = space.kept, space.polygon, space.work
     first, last = scene.first, all_parts(scene.occluders)
-    pieces, cutting, number = work.pieces, work.cutting, NONE[0]
+    pieces, cutting, number = work.pieces, work.cutting, 0
     for s in range(scene.surfaces.shape[0]):
         facet = scene.surfaces[s]
         n = above(facet, polygon, cutting.lines, cutting.spare[0])
         for q in range(scene.nodes.shape[0] if n else 0):
             cones = Cones(scene.from_lamps.spaces[q], scene.from_lamps.counts[q])
-            count = covered(facet, polygon, n, cones, scene.target, pieces, NONE[0], cutting)
+            count = covered(facet, polygon, n, cones, scene.target, pieces, 0, cutting)
             count = cleared(facet, first + s, pieces, count, cones, first, last, cutting)
             if count < 0:
-                return Kept(kept, corners, of, -ONE[0])
-            if number + count > len(kept):
-                size = 2 * (number + count)
-                grown = np.empty((size, CORNERS, 2)), np.empty(size, np.int64), np.empty((size, 2), np.int64)
-                grown[0][:number], grown[1][:number], grown[2][:number] = kept[:number], corners[:number], of[:number]
-                kept, corners, of = grown
+                return _TOO_MANY
+            if number + count > kept.corners.shape[0]:
+                return _NO_ROOM
             for p in range(count):
-                corners[number], of[number, 0], of[number, 1] = pieces.corners[p], s, q
-                copy(pieces.polygons[p], corners[number], kept[number])
+                kept.corners[number], kept.of[number, 0], kept.of[number, 1] = pieces.corners[p], s, q
+                copy(pieces.polygons[p], pieces.corners[p], kept.polygons[number])
                 number += 1
-    return Kept(kept, corners, of, number)
+    return number
 
 
-@jit
-def _sorted(walls: Floats, kept: Kept, scene: Scene, lines: Floats) -> tuple[Floats, Floats]:
-    """Return which nodes' shadows the room hides nowhere from a panel, and which a point's own shadow may overlap."""
+@jit_within
+def _sort(walls: Floats, kept: Kept, scene: Scene, space: _Space, moving: bool) -> None:
+    """Write which nodes' shadows the room hides nowhere from a panel, and which a point's own shadow may overlap.
+
+    For derivatives, all are taken as neither free nor apart.
+    """
     occluders, target, last = scene.occluders, scene.first, all_parts(scene.occluders)
-    flat = occluders.flat
-    ends = hidden_from_each(walls[walls.shape[0] - 4 :], occluders)
-    outside = np.empty(ends.spaces.shape[2], dtype=np.bool_)
-    together = np.ones(kept.number, dtype=np.bool_)
-    apart = np.full(kept.number, flat < target)  # a sphere's outline differs from point to point
+    flat, together, apart = occluders.flat, space.together, space.apart
+    if not moving:
+        hidden_from_each(walls[walls.shape[0] - 4 :], occluders, space.ends)
     for p in range(kept.number):
+        together[p] = not moving
+        apart[p] = moving or flat < target  # a sphere's outline differs from point to point
+        if moving:
+            continue
         s = kept.of[p, 0]
         facet = scene.surfaces[s]
         for part in range(last):
             if part == target + s or flat <= part < target or (apart[p] if part < flat else not together[p]):
                 continue
-            if may_meet(facet, kept.polygons[p], kept.corners[p], ends, part, lines, outside):
-                if part < flat:
-                    apart[p] = True
-                else:
-                    together[p] = False
-    return together, apart
+            meets = may_meet(
+                facet, kept.polygons[p], kept.corners[p], space.ends, part, space.work.cutting.lines, space.outside
+            )
+            if meets and part < flat:
+                apart[p] = True
+            elif meets:
+                together[p] = False
 
 
 @jit_in_place
@@ -254,15 +365,15 @@ def _send(found: Floats, count: int, facet: Floats, node: Floats, tint: Floats, 
                 sent[g, 3 + r, filled + k] = facet[NORMAL + r] * strength * tint[g]
 
 
-@jit
-def _add_together(
-    walls: Floats, kept: Kept, together: Floats, scene: Scene, tint: Floats, work: Work, total: Floats
-) -> None:
+@jit_within
+def _add_together(walls: Floats, kept: Kept, scene: Scene, tint: Floats, space: _Space, total: Floats) -> None:
     """Add the light of nodes' shadows that nothing hides from any point of a panel: one sum for all of its points."""
-    disc, summing = _around(walls), work.summing
-    sent, filled = np.empty((tint.shape[1], 6, 256)), 0
+    sent, filled, wall, summing = space.sent, 0, space.wall, space.work.summing
+    disc = Disc(space.cell[:3], _around(walls, space.cell[:3]))
+    for w in range(walls.shape[0]):
+        wall[0, w], wall[1, w] = walls[w, 0], walls[w, 1]
     for p in range(kept.number):
-        if not together[p]:
+        if not space.together[p]:
             continue
         s, n = kept.of[p, 0], kept.corners[p]
         facet, node = scene.surfaces[s], scene.nodes[kept.of[p, 1]]
@@ -273,52 +384,37 @@ def _add_together(
             while top > 0:
                 top, count = next_points(facet, disc, scene.rules, summing, top)
                 if filled + count > sent.shape[2]:
-                    grown = np.empty((sent.shape[0], 6, 2 * (filled + count)))
-                    grown[:, :, :filled] = sent[:, :, :filled]
-                    sent = grown
+                    _sum(wall, sent, filled, total)
+                    filled = 0
                 _send(summing.found, count, facet, node, tint[s], sent, filled)
                 filled += count
-    a, b = np.ascontiguousarray(walls[:, 0]), np.ascontiguousarray(walls[:, 1])
-    for g in range(tint.shape[1]):
-        kernel.radiance(a, b, sent[g], filled, 0.0, total[g, 0])
+    _sum(wall, sent, filled, total)
 
 
-@jit_released
-def received_panels(
-    start: int, stop: int, panels: Panels, cells: Target, poses: Poses, room: Room, rules: Rules, values: Floats
-) -> None:
-    """Evaluate `shaded.reflected` on panels, for flat cells that may hide each other and be hidden by the room.
-
-    Parameters are those of `hidden_panels`, except that the light comes by way of ``cells``.
-    """
-    for item in range(start, stop):
-        pose = panels.owner[item]
-        parts, spheres = _placed(cells, poses.turns[pose], poses.places[pose])
-        facets = np.concatenate((parts, room.facets[: poses.hiders[pose]]))
-        occluders = Occluders(facets, facets.shape[0], spheres, np.empty((1, 2)))
-        nodes, lamps = _lamps(rules, poses.orders[pose])
-        hidden = hidden_from_each(lamps, occluders)
-        scene = Scene(
-            occluders,
-            parts,
-            NONE[0],
-            TargetShadows(NONE[0], room.disjoint),
-            poses.places[pose],
-            nodes,
-            lamps,
-            hidden,
-            rules,
-        )
-        values[item] = 0.0
-        _received_panel(panels.walls[item], scene, cells.albedo, values[item])
+@jit_in_place
+def _sum(wall: Floats, sent: Floats, filled: int, total: Floats) -> None:
+    for g in range(sent.shape[0]):
+        kernel.radiance(wall[0], wall[1], sent[g], filled, 0.0, total[g, 0])
 
 
-@jit
-def _received_panel(walls: Floats, scene: Scene, tint: Floats, total: Floats) -> None:
-    last = all_parts(scene.occluders)
-    from_wall = no_cones(scene.occluders)
-    work = room_to_work(from_wall)
-    pieces, cutting, light = work.pieces, work.cutting, np.zeros(1)
+@jit_in_place
+def _around(walls: Floats, centre: Floats) -> float:
+    """Write the centre of a disc around a panel's points, whose last four are its corners; return its radius."""
+    ends, radius = walls[walls.shape[0] - 4 :], 0.0
+    centre[0], centre[1], centre[2] = 0.0, 0.0, 0.0
+    for e in range(4):
+        centre[0] += ends[e, 0] / 4.0
+        centre[1] += ends[e, 1] / 4.0
+    for e in range(4):
+        radius = max(radius, math.hypot(ends[e, 0] - centre[0], ends[e, 1] - centre[1]))
+    return radius
+
+
+@jit_within
+def _received_panel(walls: Floats, scene: Scene, tint: Floats, space: _Space, total: Floats) -> None:
+    """Add what one panel's points receive to ``total``."""
+    last, from_wall, work, light = all_parts(scene.occluders), space.from_wall, space.work, space.light
+    pieces, cutting = work.pieces, work.cutting
     for w in range(walls.shape[0]):
         wall = walls[w]
         all_hidden(wall, scene.occluders, from_wall)
@@ -328,9 +424,7 @@ def _received_panel(walls: Floats, scene: Scene, tint: Floats, total: Floats) ->
             if facet[SIDED] == 1.0 and height_of(facet, wall[0], wall[1]) < 0.0:
                 continue
             pieces.corners[0] = above(facet, pieces.polygons[0], cutting.lines, cutting.spare[0])
-            count = ONE[0] if pieces.corners[0] else NONE[0]
-            count = cleared(facet, s, pieces, count, from_wall, NONE[0], last, cutting)
+            count = cleared(facet, s, pieces, 1 if pieces.corners[0] else 0, from_wall, 0, last, cutting)
             light[:] = 0.0 if count >= 0 else np.nan
             add_seen(light, s, eye, pieces, count, scene, work)
-            for g in range(tint.shape[1]):
-                total[g, 0, w] += light[0] * tint[s, g]
+            _tinted(light, tint, s, total, w)
