@@ -85,4 +85,4 @@ def compiling_words(engine: str | None) -> str:
         return ""
     subject = "engine surfel" if engine == "surfel" else "engine auto: surfel, if the scene allows it,"
     frequency = "once" if cache else "by every process, for nothing that it makes can be kept (set NUMBA_CACHE_DIR)"
-    return f"{subject} is compiled for this machine first, {frequency}; that takes a minute or so"
+    return f"{subject} is compiled for this machine first, {frequency}; that takes half a minute or so"

@@ -173,5 +173,7 @@ def room_for_cones(occluders: int, balls: int, sides: int, views: int) -> tuple[
         Number of points.
     """
     depth = max(6, sides + 1 if balls else 0)
-    one, each = (occluders, depth, 4), (views, occluders, depth, 4)
-    return tuple(Cones(np.empty(shape), np.zeros(shape[:-2], dtype=np.int64)) for shape in (one, each))
+    return (
+        Cones(np.empty((occluders, depth, 4)), np.zeros(occluders, dtype=np.int64)),
+        Cones(np.empty((views, occluders, depth, 4)), np.zeros((views, occluders), dtype=np.int64)),
+    )
