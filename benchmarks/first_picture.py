@@ -24,16 +24,18 @@ from typing import Any
 
 import results
 
+from generator.model.quantities import ALL_ORDERS
+
 RESULTS = {
     "first-picture": ("picture", "functions", "processor, s", "of it compiling, s", "of it LLVM, s", "again, s")
 }
 
 CASES = {
     "one product": None,
-    "sphere, nothing around": ("tabletop", "sphere", 3),
-    "sphere in the room": ("room", "sphere", 3),
-    "sheet in the room": ("room", "sheet", 3),
-    "sheet in the room, all reflections": ("room", "sheet", 1024),
+    "sheet, no room": ("sheet", False, 3),
+    "sheet in the room": ("sheet", True, 3),
+    "sheet in the room, all reflections": ("sheet", True, ALL_ORDERS),
+    "sphere in the room": ("sphere", True, 3),
 }
 
 
@@ -98,20 +100,21 @@ def child(case: str) -> dict[str, Any]:
     }
 
 
-def _render(name: str, target: str, order: int) -> None:
+def _render(target: str, has_room: bool, order: int) -> None:
     import numpy as np
     import scenes
 
     from generator.model.presets import preset
     from generator.transport import Mesh, Transport
 
-    scene = replace(preset(name, target), resolution=(64, 64))
+    scene = replace(preset("room", target), resolution=(64, 64))
     world, place = scenes.world_from_spec(scene), (np.array(scene.grid.lo) + scene.grid.hi) / 2.0
     # The relay wall, as wide and high as the room.
     low, high = np.array([-2.4, 0.0, 0.0]), np.array([2.6, 0.0, 2.6])
     corners = [low, np.where([1, 0, 0], high, low), high, np.where([0, 0, 1], high, low)]
     wall = Mesh(np.array([[corners[k] for k in half] for half in ((0, 1, 2), (0, 2, 3))]), np.full((2, 3), 0.8))
-    Transport(replace(world, order=order, wall=wall), accuracy=1e-2).render(place, (0.0, 0.0, 30.0))
+    world = replace(world, order=order, wall=wall, room=world.room if has_room else ())
+    Transport(world, accuracy=1e-2).render(place, (0.0, 0.0, 30.0))
 
 
 def _product(x: float) -> float:

@@ -63,11 +63,20 @@ class _Space(NamedTuple):
     triangle: Floats
 
 
-def _draw_rows(start: int, stop: int, *arguments: Any) -> None:
+def _draw_rows(
+    start: int,
+    stop: int,
+    made: Floats,
+    to_wall: Floats,
+    from_wall: Floats,
+    patch: Patch,
+    rules: tuple[tuple[Floats, Floats], tuple[Floats, Floats]],
+    rim: Floats,
+) -> None:
     """Write rows of the picture."""
-    *some, rim = arguments
     size = (len(rim) + 8, 2)
-    _draw(start, stop, *some, _Space(rim, np.empty(size), np.empty(size), np.empty((4, 2)), np.empty(6)))
+    space = _Space(rim, np.empty(size), np.empty(size), np.empty((4, 2)), np.empty(6))
+    _draw(start, stop, made, to_wall, from_wall, patch, rules, space)
 
 
 @jit_parts
@@ -81,7 +90,7 @@ def _draw(
     rules: tuple[tuple[Floats, Floats], tuple[Floats, Floats]],
     space: _Space,
 ) -> None:
-    """Write rows of the picture."""
+    """As `_draw_rows`."""
     height, width = made.shape
     # Determinant of the map from (u, v) to the wall, whose Jacobian is this over the homogeneous coordinate cubed.
     determinant = abs(

@@ -245,17 +245,17 @@ class _Space(NamedTuple):
 def _space(job: _Job, channels: int, rows: int) -> _Space:
     """Return scratch space for panels, with room for a number of quadrature points."""
     groups, points, dtype = job.target.albedo.shape[1], len(job.boxes.places), job.boxes.like.dtype
-    moving = channels > 1
+    moving, elements_most = channels > 1, 2 * rows + 8  # no power of two: rows would share the lines of a cache
     return _Space(
         room_to_cover(rows),
         np.array([job.rules.patch.x, job.rules.patch.y, 0.0]),
         np.zeros(3),
         np.empty((2, points)),
         np.empty((2, points), dtype),
-        np.empty((groups, 6, 0 if moving else 2 * rows), dtype),
+        np.empty((groups, 6, 0 if moving else elements_most), dtype),
         np.empty((groups, points), dtype),
-        np.empty((groups, 6, 2 * rows if moving else 0)),
-        np.empty((10, 2 * rows if moving else 0)),
+        np.empty((groups, 6, elements_most if moving else 0)),
+        np.empty((10, elements_most if moving else 0)),
         np.empty((3, ORDERS * ORDERS)),
         np.empty(3),
         np.empty(6),
