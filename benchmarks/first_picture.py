@@ -44,16 +44,18 @@ class _Exclusive:
 
     def __init__(self) -> None:
         self.seconds: Counter[str] = Counter()
-        self._open: list[float] = []
+        self._nested: list[float] = []
+        self._starts: list[float] = []
 
     def begin(self) -> None:
-        self._open.append(time.process_time())
+        self._starts.append(time.process_time())
+        self._nested.append(0.0)
 
     def end(self, name: str) -> None:
-        taken = time.process_time() - self._open.pop()
-        self.seconds[name] += taken
-        if self._open:
-            self._open[-1] += taken
+        taken = time.process_time() - self._starts.pop()
+        self.seconds[name] += taken - self._nested.pop()
+        if self._nested:
+            self._nested[-1] += taken
 
     def around(self, function: Callable[..., Any], name: str) -> Callable[..., Any]:
         """Return a function whose time is counted."""
