@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import functools
+import gc
 import os
 import threading
 from collections.abc import Callable
@@ -153,15 +154,19 @@ if COMPILED:
     from numba.extending import models, register_model, typeof_impl
 
     class _Plain(Compiler):  # type: ignore[misc]
-        """numba's compiler, without SIMD for loops."""
+        """numba's compiler, without SIMD for loops, and without Python's search for garbage, a seventh of the time."""
 
         def compile_extra(self, function: Any) -> Any:
             """Compile a function."""
-            previous, _config.LOOP_VECTORIZE = _config.LOOP_VECTORIZE, 0
+            collects, vectorises = gc.isenabled(), _config.LOOP_VECTORIZE
+            gc.disable()
+            _config.LOOP_VECTORIZE = 0
             try:
                 return super().compile_extra(function)
             finally:
-                _config.LOOP_VECTORIZE = previous
+                _config.LOOP_VECTORIZE = vectorises
+                if collects:
+                    gc.enable()
 
     _plain["pipeline_class"] = _Plain
 
