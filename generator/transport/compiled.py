@@ -154,7 +154,7 @@ if COMPILED:
     from numba.extending import models, register_model, typeof_impl
 
     class _Plain(Compiler):  # type: ignore[misc]
-        """numba's compiler, without SIMD for loops, and without Python's search for garbage, a seventh of the time."""
+        """numba's compiler without SIMD for loops, and without Python's garbage collector, a seventh of the time."""
 
         def compile_extra(self, function: Any) -> Any:
             """Compile a function."""
