@@ -128,11 +128,11 @@ class SimulatedSet:
     def ambient_background(self) -> Picture | None:
         """Return what ambient light alone adds to the background, (height, width, 3); None where it is off."""
         world = self._bulk.world()
-        if not world.has_other_light:
+        if world.ambient is None:
             return None
         from generator.transport import Transport  # imported here: readers of sets need no compiler
 
-        lamp = Transport(replace(world, ambient=None, emitters=None), accuracy=self._bulk.plan.accuracy).background()
+        lamp = Transport(replace(world, ambient=None), accuracy=self._bulk.plan.accuracy).background()
         return self.background() - lamp.astype(np.float32)
 
     def picture(self, record: PoseRecord) -> Picture:

@@ -143,10 +143,10 @@ class Transport:
         Parameters
         ----------
         ambient : bool, default=True
-            Whether to include light that is not the lamp's.
+            Whether to include the sky's light.
         """
-        if not ambient and self.world.has_other_light:
-            return self.background() - sum(self._followed(name) for name in self._others())
+        if not ambient and self.world.ambient is not None:
+            return self.background() - self._followed("sky")
         if self._background is None:
             compiled.limit_threads(self._threads)
             self._background = self._directly_lit()
@@ -163,10 +163,6 @@ class Transport:
         if name == "emitters" and self._field.shadow is not None:
             light = light + self._field.shadow.unshadowed()
         return self._of_source(name, light)
-
-    def _others(self) -> list[str]:
-        """Return the sources of light besides the lamp."""
-        return [name for name in self._field.sources if name != "lamp"] if self._field else []
 
     def render(self, position: Any, rotation: Any, *, derivatives: bool = False) -> Rendered:
         """Return the picture with the target at a pose.

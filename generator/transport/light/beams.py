@@ -18,6 +18,7 @@ from typing import Any, NamedTuple, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
+from generator.transport.light.cells import Spots
 from generator.transport.prepared import Emission, Setting
 from generator.transport.rays import Surfaces
 
@@ -25,8 +26,8 @@ Floats = NDArray[Any]
 Numbers = NDArray[np.int64]
 
 _TOUCH = 1e-9
-_POINTS = 256
-"""Number of points of all that glows, at least one for each triangle."""
+_POINTS, _FEW = 256, 16
+"""Number of points of all that glows, at least one for each triangle; and of those near which cells are small."""
 _CHUNK = 1 << 18
 
 
@@ -131,19 +132,16 @@ class EmitterBeams:
 
     Attributes
     ----------
-    lamps : ndarray of shape (k, 3)
-        Lamps without extent, and middles of round ones.
+    spots : Spots
+        Some of the points.
     """
 
     def __init__(self, emission: Emission, blockers: Surfaces) -> None:
         self.blockers = blockers
         self.finest = _spread(emission, _POINTS)
-        points = self.finest
-        soft = points.softness > 0.0
-        middles: Floats = (points.places - points.softness[:, None] * points.normals)[soft]
-        # Triangles of one lamp point to one middle, to a few per cent of its radius.
-        _, first = np.unique(np.rint(8.0 * middles / points.softness[soft, None]), axis=0, return_index=True)
-        self.lamps = np.concatenate([middles[first], emission.places])
+        few = _spread(emission, _FEW)
+        size = np.sqrt(few.weights.max(axis=1) / np.maximum(1e-300, emission.radiance.max(initial=0.0)))
+        self.spots = Spots(few.places, few.normals, np.where(few.normals.any(axis=1), size, 0.0))
 
     def points(self, place: Floats, radius: float) -> Points:
         """As in `Beams`."""

@@ -49,6 +49,11 @@ class Hits(NamedTuple):
         """Interpolate cells' values (cells + 1, columns) for each ray, (n, columns)."""
         return interpolated(values, self.corners, self.shares)
 
+    def spread(self, values: Floats, count: int) -> Floats:
+        """Sum values (n, columns) of rays over the cells between which `of` interpolates, (count, columns)."""
+        parts = (summed(self.corners[:, c], self.shares[:, c, None] * values, count) for c in range(4))
+        return sum(parts, start=np.zeros((count, values.shape[1])))
+
 
 class _Axis(NamedTuple):
     """Cells along one edge of all surfaces, one surface after the other.
@@ -97,6 +102,36 @@ class Grid(NamedTuple):
     bands: int
 
 
+class Spots(NamedTuple):
+    """Points that give light.
+
+    Attributes
+    ----------
+    places, normals : ndarray of shape (n, 3)
+        Of surfaces that glow; normals are zero for lamps without extent.
+    least : ndarray of shape (n,)
+        Distance below which their light is as even as there.
+    """
+
+    places: Floats
+    normals: Floats
+    least: Floats
+
+    def near(self, surfaces: Surfaces) -> Floats:
+        """Return the distance (n, flat surfaces) of each from each surface's plane; infinite where it sends none."""
+        height = np.abs((self.places[:, None] - surfaces.origin) @ surfaces.normal.T).diagonal(axis1=1, axis2=2)
+        ahead = np.stack(
+            [((c - self.places[:, None]) * self.normals[:, None]).sum(axis=2) for c in _corners(surfaces)]
+        )
+        sends = (ahead > _TOUCH).any(axis=0) | ~self.normals.any(axis=1, keepdims=True)
+        return np.where(sends, np.maximum(height, self.least[:, None]), np.inf)
+
+
+def _corners(surfaces: Surfaces) -> list[Floats]:
+    one, other = surfaces.origin + surfaces.first, surfaces.origin + surfaces.second
+    return [surfaces.origin, one, other, np.where(surfaces.triangle[:, None], other, one + surfaces.second)]
+
+
 class Cells:
     """Surfaces cut into cells, each side of a flat one separately: small near a place, larger away from it.
 
@@ -112,8 +147,8 @@ class Cells:
     least : float
     ball_tint : ndarray of shape (spheres, groups)
         Albedo of the spheres; that of flat surfaces is in ``surfaces``.
-    spots : ndarray of shape (k, 3), optional
-        Lamps, near which cells are smaller than they are far from a surface.
+    spots : Spots, optional
+        Points of lamps and of surfaces that glow, near which cells are smaller.
 
     Attributes
     ----------
@@ -131,10 +166,9 @@ class Cells:
         place: Floats,
         least: float,
         ball_tint: Floats,
-        spots: Floats | None = None,
+        spots: Spots | None = None,
     ) -> None:
         self._surfaces = surfaces
-        spots = np.zeros((0, 3)) if spots is None else spots
         n = len(surfaces.origin)
         edges = np.stack([surfaces.first, surfaces.second], axis=1)
         long = np.linalg.norm(edges, axis=2)
@@ -149,10 +183,10 @@ class Cells:
         breaks = _breaks(surfaces)
         for axis in range(2):
             cut = [_cut(breaks[i][axis], long[i, axis], foot[i, axis], away[i], size) for i in range(n)]
-            if len(spots):
-                height = np.abs((spots[:, None] - surfaces.origin) @ surfaces.normal.T).diagonal(axis1=1, axis2=2)
-                under = np.einsum("sic,ic->si", spots[:, None] - surfaces.origin, surfaces.dual[:, axis])
-                cut = [_finer(*cut[i], long[i, axis], under[:, i] * long[i, axis], height[:, i]) for i in range(n)]
+            if spots is not None:
+                near = spots.near(surfaces)
+                under = np.einsum("sic,ic->si", spots.places[:, None] - surfaces.origin, surfaces.dual[:, axis])
+                cut = [_finer(*cut[i], long[i, axis], under[:, i] * long[i, axis], near[:, i]) for i in range(n)]
             axes.append(_joined(cut))
         along, across = axes
         counts = along.cells * across.cells
@@ -382,7 +416,7 @@ def _cut(breaks: list[float], long: float, foot: float, away: float, size: float
 def _finer(ends: Floats, pieces: Numbers, long: float, under: Floats, height: Floats) -> tuple[Floats, Numbers]:
     """Return the cells of an edge, as `_cut` does, halved where they are large for their distance from a lamp.
 
-    ``under`` (k,) is where along the edge lamps are, ``height`` (k,) how far from the surface.
+    ``under`` (k,) is where along the edge lamps are, ``height`` (k,) how far from the surface (`Spots.near`).
     """
     low, high, pieces = ends[:-1], ends[1:], pieces.copy()
     for _ in range(_HALVINGS):

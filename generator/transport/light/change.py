@@ -294,10 +294,10 @@ class LightChange:
         area = (self._seen_area(owner)[:, None] * fair(number) / np.maximum(number, 1.0))[owner, part]
         way = places[row] - points.places[node]
         way /= np.linalg.norm(way, axis=1, keepdims=True)
-        met = cells.meet(places[row], way).cell
+        met = cells.meet(places[row], way)
         taken = np.zeros((len(row), SETS, groups))
         taken[np.arange(len(row)), part[row]] = (light[row, column] * area[row])[:, None] * weights[node]
-        return found, -summed(met, taken.reshape(len(row), -1), cells.count) / cells.area[:, None]
+        return found, -met.spread(taken.reshape(len(row), -1), cells.count) / cells.area[:, None]
 
     def _followed(
         self,

@@ -129,8 +129,8 @@ class LightField:
             )
         groups = setting.tint.shape[1]
         beams = None if setting.emission is None else EmitterBeams(setting.emission, setting.around)
-        lamps = np.zeros((0, 3)) if beams is None else beams.lamps
-        cells = self.cells = Cells(setting.around, _CELL, np.zeros(3), 1.0, np.zeros((0, groups)), lamps)
+        spots = None if beams is None else beams.spots
+        cells = self.cells = Cells(setting.around, _CELL, np.zeros(3), 1.0, np.zeros((0, groups)), spots)
         self.points = PicturePoints(setting.to_wall, _POINTS)
         self._wall_share, wall = self._seen(*_from_wall(self.points, _WALL), _WALL)
         wall = _refined(wall, self.points, cells, setting)

@@ -111,9 +111,7 @@ def exchanged_arrays(lines: Lines, level: Floats, body: Floats, groups: int) -> 
     near = np.where(is_own, padded[lines.own], lines.front.of(level))
     sent = np.where(is_own, 0.0, body[lines.owner] - lines.behind.of(level))
     arriving = summed(lines.owner, flux * near, len(body))
-    front = lines.front
-    corners = (summed(front.corners[:, c], front.shares[:, c, None] * flux * sent, len(level) - 1) for c in range(4))
-    return sum(corners, start=np.zeros((len(level) - 1, level.shape[1]))), arriving
+    return lines.front.spread(flux * sent, len(level) - 1), arriving
 
 
 exchanged = jit_released(_exchanged_loops) if COMPILED else exchanged_arrays

@@ -11,19 +11,19 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from generator.transport.light.beams import EmitterBeams, irradiance
+from generator.transport.light.beams import EmitterBeams
 from generator.transport.light.lines import SETS
-from generator.transport.light.spread import lattice
+from generator.transport.light.spread import shifted
 from generator.transport.light.view import Pose
 from generator.transport.prepared import Setting
 
 Floats = NDArray[Any]
 Numbers = NDArray[np.int64]
 
-_SIDE = 2
-"""Places along a pixel's side, for the light of the empty scene."""
+_EMPTY, _CHUNK = 256, 1 << 19
+"""Number of pairs in each pixel, for the light of the empty scene; and of pairs at a time."""
 _FEWEST, _MOST_PAIRS = 32, 1 << 20
-"""Number of pairs in each pixel, at least; and in a picture, at most."""
+"""Number of pairs in each pixel, at least, for the target's shadow, unless there are more in the picture."""
 
 
 class _Pairs(NamedTuple):
@@ -52,15 +52,19 @@ class WallShadow:
     def unshadowed(self) -> Floats:
         """Return the irradiance of the empty scene's wall, (groups, height, width)."""
         width, height = self._setting.resolution
-        steps = (np.arange(_SIDE) + 0.5) / _SIDE
-        u = (np.arange(width)[:, None] + steps).ravel() / width
-        v = (np.arange(height)[:, None] + steps).ravel() / height
-        places = self._on_wall(np.stack([np.tile(u, len(v)), np.repeat(v, len(u))], axis=1))
-        normals = np.tile([0.0, 0.0, 1.0], (len(places), 1))
-        light = irradiance(self._beams, self._beams.finest, places, normals)
-        parts = light.T.reshape(-1, height, _SIDE, width, _SIDE)
-        mean: Floats = parts.mean(axis=(2, 4))
-        return mean
+        groups = self._beams.finest.weights.shape[1]
+        found = np.zeros((groups, width * height))
+        step = max(1, _CHUNK // _EMPTY)
+        for start in range(0, width * height, step):
+            pixels = np.arange(start, min(start + step, width * height))
+            pairs = self._of_pixels(pixels, _EMPTY)
+            blockers = self._beams.blockers
+            if len(blockers):
+                hidden = blockers.blocked(pairs.places + pairs.ways, pairs.places)
+                pairs = _Pairs(*(part[~hidden] for part in pairs))
+            for g in range(groups):
+                found[g] += np.bincount(pairs.pixel, pairs.light[:, g], width * height) / SETS
+        return found.reshape(groups, height, width)
 
     def hidden(self, pose: Pose, lines: int) -> Floats:
         """Return the irradiance that a target hides from the wall, (sets, groups, height, width).
@@ -94,24 +98,28 @@ class WallShadow:
         return np.append(homogeneous[:, :2] / homogeneous[:, 2:], np.zeros((len(uv), 1)), axis=1)
 
     def _paired(self, number: int) -> _Pairs:
-        """Return ``number`` pairs for each pixel."""
+        """Return at least ``number`` pairs for each pixel, or fewer of a large picture."""
         width, height = self._setting.resolution
-        number = max(_FEWEST, min(number, _MOST_PAIRS // (width * height) // SETS * SETS))
+        number = max(SETS, min(number, _MOST_PAIRS // (width * height)) // SETS * SETS)
         if number not in self._pairs:
-            points = self._beams.finest
-            pixel = np.repeat(np.arange(width * height), number)
-            shifts = lattice(width * height, 3)
-            spread = ((lattice(number, 3)[None] + shifts[:, None]) % 1.0).reshape(-1, 3)
-            corner = np.stack([pixel % width, pixel // width], axis=1)
-            places = self._on_wall((corner + spread[:, :2]) / (width, height))
-            # Points are drawn as often as they are bright.
-            bright = points.weights.max(axis=1)
-            chosen = np.searchsorted(np.cumsum(bright) / bright.sum(), spread[:, 2]).clip(max=len(bright) - 1)
-            ways = points.places[chosen] - places
-            geometry = points.towards(chosen, ways, ways[:, 2])
-            share = points.weights[chosen] * (bright.sum() / bright[chosen])[:, None]
-            light = geometry[:, None] * share / (number // SETS)
-            part = np.tile(np.arange(number) * SETS // number, width * height)
-            some = np.flatnonzero(geometry > 0.0)
-            self._pairs[number] = _Pairs(pixel[some], part[some], places[some], ways[some], light[some])
+            self._pairs[number] = self._of_pixels(np.arange(width * height), number)
         return self._pairs[number]
+
+    def _of_pixels(self, pixels: Numbers, number: int) -> _Pairs:
+        """Return ``number`` pairs for each of some pixels, of which some light the wall: a set's sum is the light."""
+        width, height = self._setting.resolution
+        points = self._beams.finest
+        pixel = np.repeat(pixels, number)
+        spread = shifted(number, 3, pixels).reshape(-1, 3)
+        corner = np.stack([pixel % width, pixel // width], axis=1)
+        places = self._on_wall((corner + spread[:, :2]) / (width, height))
+        # Points are drawn as often as they are bright.
+        bright = points.weights.max(axis=1)
+        chosen = np.searchsorted(np.cumsum(bright) / bright.sum(), spread[:, 2]).clip(max=len(bright) - 1)
+        ways = points.places[chosen] - places
+        geometry = points.towards(chosen, ways, ways[:, 2])
+        share = points.weights[chosen] * (bright.sum() / bright[chosen])[:, None]
+        light = geometry[:, None] * share / (number // SETS)
+        part = np.tile(np.arange(number) * SETS // number, len(pixels))
+        some = np.flatnonzero(geometry > 0.0)
+        return _Pairs(pixel[some], part[some], places[some], ways[some], light[some])

@@ -50,8 +50,7 @@ def test_a_lamp_before_a_wall_follows_the_inverse_square():
         squared = (way**2).sum(axis=-1)
         expected = 0.8 / np.pi * (way[..., 1] / np.sqrt(squared) / (squared + softness**2)) @ weights
         engine = Transport(world, accuracy=1e-2)
-        found = engine.background() - engine.background(ambient=False)
-        assert worlds.error(found[..., 0], expected) < 2e-3
+        assert worlds.error(engine._followed("emitters")[..., 0], expected) < 2e-3
 
 
 def test_a_sphere_casts_the_shadow_that_geometry_says():
@@ -107,7 +106,7 @@ def test_paths_at_random_say_the_same(name, order):
     found = engine.render(*pose).emitted[..., 0].mean() / unit
     assert abs(found - mean[2].sum()) <= off + 0.015 * level
     runs = brute_force.backgrounds(world, 20000)[:, 2].sum(axis=1)
-    lit = (engine.background() - engine.background(ambient=False))[..., 0].mean() / unit
+    lit = engine._followed("emitters")[..., 0].mean() / unit
     assert abs(lit / runs.mean() - 1.0) < 4.0 * runs.std() / runs.mean() / np.sqrt(len(runs) - 1.0) + 0.01
 
 
