@@ -7,6 +7,7 @@ import time
 import warnings
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
+from itertools import islice
 from typing import Any
 
 import joblib
@@ -228,29 +229,39 @@ def compare(
     ]
     kinds = target_names(sets, names)
     jobs = [(i, j, c, s) for i, j in pairs for c in classifiers for s in settings]
+    splits = {(i, j): _splits(sets[i], sets[j], folds if i == j else 1, seed) for i, j in pairs}
+    tasks = (
+        joblib.delayed(fit_and_test)(
+            models.make(classifier, setting, sets[i].settings.set, len(train_rows), seed=seed),
+            sets[i].values[train_rows],
+            sets[i].labels[train_rows],
+            sets[j].values[test_rows],
+            sets[j].labels[test_rows],
+        )
+        for i, j, classifier, setting in jobs
+        for train_rows, test_rows in splits[i, j]
+    )
     results = []
-    with joblib.Parallel(n_jobs=-1) as parallel:
+    with joblib.Parallel(n_jobs=-1, return_as="generator") as parallel:  # no core waits for a classifier's last fold
+        fits = parallel(tasks)
         for done, (i, j, classifier, setting) in enumerate(jobs):
             progress(done, len(jobs), f"{kinds[i]} -> {kinds[j]}: {classifier}, {setting}")
-            train, test = sets[i], sets[j]
-            if i == j:
-                splitter = StratifiedKFold(folds, shuffle=True, random_state=seed)
-                splits = list(splitter.split(train.values, train.labels))
-            else:
-                splits = [(np.arange(len(train.labels)), np.arange(len(test.labels)))]
-            fits = parallel(
-                joblib.delayed(fit_and_test)(
-                    models.make(classifier, setting, train.settings.set, len(train_rows), seed=seed),
-                    train.values[train_rows],
-                    train.labels[train_rows],
-                    test.values[test_rows],
-                    test.labels[test_rows],
-                )
-                for train_rows, test_rows in splits
+            of_this = list(islice(fits, len(splits[i, j])))
+            results.append(
+                _summarise(of_this, kinds[i], kinds[j], classifier, setting, _classes(sets[i], sets[j]), seed)
             )
-            results.append(_summarise(fits, kinds[i], kinds[j], classifier, setting, _classes(train, test), seed))
     progress(len(jobs), len(jobs), "done")
     return results
+
+
+def _splits(
+    train: Features, test: Features, folds: int, seed: int
+) -> list[tuple[NDArray[np.int64], NDArray[np.int64]]]:
+    """Rows to train and to test on, fold by fold; with one fold, all of both sets."""
+    if folds == 1:
+        return [(np.arange(len(train.labels)), np.arange(len(test.labels)))]
+    splitter = StratifiedKFold(folds, shuffle=True, random_state=seed)
+    return list(splitter.split(train.values, train.labels))
 
 
 def target_names(sets: Sequence[Features], names: Sequence[str]) -> list[str]:

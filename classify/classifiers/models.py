@@ -27,6 +27,7 @@ from sklearn.tree import DecisionTreeClassifier
 from sklearn.tree._tree import Tree
 
 from classify.classifiers.names import ALL
+from classify.classifiers.search import KernelSearch
 from classify.pictures.feature_table import Features
 from classify.pictures.features import describe, feature_names
 from classify.pictures.settings import FeatureSettings
@@ -44,6 +45,7 @@ INNER_FOLDS = 3
 _DEPTH = 30
 """Deepest nesting of objects that is accepted inside a classifier."""
 _MANY = 3000
+"""Pictures from which on a network stops early, and above which kernels would take more memory than time is worth."""
 
 _SCALERS = [MinMaxScaler(), StandardScaler()]
 _GRIDS: dict[str, dict[str, list[Any]]] = {
@@ -116,14 +118,15 @@ def make(name: str, settings: Settings, feature_set: str, n_samples: int, *, see
     if name == "KNN":
         most_neighbours = max(1, n_samples - -(-n_samples // INNER_FOLDS) - 1)
         grid["classify__n_neighbors"] = [k for k in grid["classify__n_neighbors"] if k <= most_neighbours]
+    if name == "SVM" and n_samples <= _MANY:
+        return KernelSearch(pipeline, grid, cv=folds)
     return GridSearchCV(pipeline, grid, cv=folds, error_score="raise")
 
 
 def chosen(fitted: Any) -> dict[str, str]:
     """Return the settings that a search chose; empty if there was no search."""
-    if not isinstance(fitted, GridSearchCV):
-        return {}
-    return {key.removeprefix("classify__"): str(value) for key, value in fitted.best_params_.items()}
+    found = getattr(fitted, "best_params_", {})
+    return {key.removeprefix("classify__"): str(value) for key, value in found.items()}
 
 
 @dataclass(frozen=True)
@@ -187,7 +190,7 @@ def train(features: Features, name: str, settings: Settings, *, seed: int = 0) -
     check_varied(features)
     fitted = unfitted.fit(features.values, features.labels)
     chosen_settings = chosen(fitted)
-    estimator = fitted.best_estimator_ if isinstance(fitted, GridSearchCV) else fitted
+    estimator = getattr(fitted, "best_estimator_", fitted)
     if not hasattr(estimator, "predict_proba"):
         estimator = CalibratedClassifierCV(clone(estimator), cv=INNER_FOLDS, ensemble=False)
         estimator.fit(features.values, features.labels)

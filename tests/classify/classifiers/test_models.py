@@ -10,6 +10,8 @@ import pytest
 import skops.io
 from classify_helpers import make_dataset
 from figure_texts import misplaced
+from sklearn.base import clone
+from sklearn.model_selection import GridSearchCV
 
 from classify.classifiers import evaluate, models
 from classify.classifiers.names import NAMES
@@ -135,6 +137,21 @@ def test_scaler_and_search_see_the_training_part_only(pair, monkeypatch):
         )
     assert max(seen) == 90
     assert min(seen) == 60, "the search splits the training part once more"
+
+
+def test_shared_kernels_choose_what_a_grid_search_chooses(pair):
+    """Every candidate has scikit-learn's accuracy, with several best of all, and the fit answers the same."""
+    search = models.make("SVM", "tuned", "global", 90)
+    plain = GridSearchCV(search.estimator, search.param_grid, cv=search.cv)
+    for features in (pair[0], replace(pair[1], values=np.round(pair[1].values, 1))):
+        x, y = features.values[:90], features.labels[:90]
+        ours, theirs = clone(search).fit(x, y), clone(plain).fit(x, y)
+        assert ours.scores_.ravel().tolist() == theirs.cv_results_["mean_test_score"].tolist()
+        assert models.chosen(ours) == models.chosen(theirs)
+        rest = features.values[90:]
+        np.testing.assert_array_equal(
+            ours.best_estimator_.decision_function(rest), theirs.best_estimator_.decision_function(rest)
+        )
 
 
 def test_results_follow_from_the_seed(pair):
