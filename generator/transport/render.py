@@ -183,7 +183,8 @@ class Transport:
         Raises
         ------
         NlosError
-            The target reaches through the relay wall, lies in it, or stands in the lamp's cone or the camera's view.
+            The target reaches through the relay wall, lies in it, stands in the lamp's cone or the camera's view, or may
+            enclose a lamp.
         """
         added, hidden, reports = self._render(np.array([position], float), np.array([rotation], float), derivatives)
         light = self._colour(added[0, :, 0])
@@ -353,7 +354,13 @@ class Transport:
         """
         if self._change is None:
             return {}
-        pictures = self._change.pictures(*self._placed(position, rotation), exact / math.pi, shadows=shadows)
+        placed = self._placed(position, rotation)
+        if self._change.may_enclose_a_lamp(*placed):
+            where = ", ".join(f"{v:g}" for v in position)
+            raise NlosError(
+                f"pose ({where}): the target may enclose a lamp or a surface that glows; use --engine patch"
+            )
+        pictures = self._change.pictures(*placed, exact / math.pi, shadows=shadows)
         return {name: self._of_source(name, groups) for name, groups in pictures.items()}
 
     def _placed(self, position: Any, rotation: Any) -> tuple[Floats, Floats]:

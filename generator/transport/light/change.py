@@ -148,6 +148,14 @@ class LightChange:
         pose = self._pose(turn, place)
         return {name: found for name, (found, _) in self._settled(pose, exact, shadows).items()}
 
+    def may_enclose_a_lamp(self, turn: Floats, place: Floats) -> bool:
+        """Whether a solid target at a pose has something that gives light inside the ball around it."""
+        beams = self._field.sources["emitters"].beams if "emitters" in self._field.sources else None
+        if beams is None or (self._setting.outward is None and not len(self._setting.target.spheres)):
+            return False
+        away = np.linalg.norm(beams.finest.places - self._pose(turn, place).centre, axis=1)
+        return bool(away.min() < self._radius)
+
     def slopes(self, turn: Floats, place: Floats, exact: Floats | None = None) -> dict[str, Floats]:
         """Return the derivatives of `pictures`, by central differences with the same lines on both sides.
 

@@ -165,6 +165,14 @@ def test_points_of_the_target_and_lines_to_it_show_the_same():
         np.testing.assert_allclose((points.fit @ over)[0], lines[0], rtol=1e-2)
 
 
+def test_a_lamp_inside_the_target_is_refused():
+    target = Sphere(np.zeros(3), 0.3, np.full(3, 0.5))
+    engine = Transport(lit_by(emitters(lamps=[LAMP]), order=2, target=target), accuracy=3e-2)
+    with pytest.raises(NlosError, match=r"pose \(0.6, 1.3, 0.9\): the target may enclose a lamp"):
+        engine.difference((LAMP[0], LAMP[1] - 0.1, LAMP[2]), DARK)
+    assert engine.difference((LAMP[0], LAMP[1] - 0.4, LAMP[2]), DARK).any()
+
+
 def test_emitters_are_kept_in_files(tmp_path):
     world = lit_by(emitters(panels=[CEILING], lamps=[LAMP]), order=2)
     save_world(tmp_path / "world.npz", world)
