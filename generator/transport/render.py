@@ -183,8 +183,8 @@ class Transport:
         Raises
         ------
         NlosError
-            The target reaches through the relay wall, lies in it, stands in the lamp's cone or the camera's view, or may
-            enclose a lamp.
+            The target reaches through the relay wall, lies in it, stands in the lamp's cone or the camera's view, or
+            may enclose a lamp.
         """
         added, hidden, reports = self._render(np.array([position], float), np.array([rotation], float), derivatives)
         light = self._colour(added[0, :, 0])
