@@ -76,7 +76,7 @@ def glow(instance: Any, role: str, matrix: Array, order: int) -> tuple[Glow | No
     if role == "target":
         found.append("moves with the target")
     if light.type not in ("POINT", "AREA"):
-        found.append(f"is a {light.type.lower()} lamp, and `surfel` follows points and areas only")
+        found.append(f"is a {light.type.lower()} lamp, neither a point nor an area")
     if light.type == "AREA" and light.spread < math.pi - _EVEN:
         found.append("is an area lamp whose spread is not 180 degrees")
     if found:

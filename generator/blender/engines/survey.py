@@ -139,7 +139,7 @@ def survey(scene: bpy.types.Scene, *, resolution: tuple[int, int] | None = None)
     if order > 3 or sky is not None or emitters is not None:
         reasons += _too_many([*room, *([_mesh(walls)] if walls else [])])
     if emitters is not None and len(emitters.triangles) > MOST_EMITTERS:
-        reasons.append(f"{len(emitters.triangles)} triangles give light, of which `surfel` follows {MOST_EMITTERS}")
+        reasons.append(f"{len(emitters.triangles)} triangles give light, more than {MOST_EMITTERS}")
     if hidden := roles.unseen(scene, target):
         reasons.append(f"the target {target.name!r} {hidden}")
     elif not bodies:
