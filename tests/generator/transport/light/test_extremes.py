@@ -51,7 +51,7 @@ def test_black_surfaces_send_nothing():
 
 @pytest.mark.parametrize("height", [1e-6, 1e-2])
 def test_a_target_at_the_wall(height):
-    """Black, beside the picture: of the light that reaches that part of the wall, and of no more, it hides a little."""
+    """Black, beside the picture: it hides a little of the light that reaches its part of the wall, and no more."""
     flat = lit(target=worlds.sheet(0.3, 0.0))
     engine = Transport(flat, accuracy=3e-2)
     made = engine.render((0.8, height, 0.3), (0.0, 0.0, 0.0))
