@@ -11,7 +11,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from generator.transport.light.beams import EmitterBeams
+from generator.transport.light.beams import EmitterBeams, Points, irradiance
 from generator.transport.light.lines import SETS
 from generator.transport.light.spread import shifted
 from generator.transport.light.view import Pose
@@ -20,8 +20,8 @@ from generator.transport.prepared import Setting
 Floats = NDArray[Any]
 Numbers = NDArray[np.int64]
 
-_EMPTY, _CHUNK = 256, 1 << 19
-"""Number of pairs in each pixel, for the light of the empty scene; and of pairs at a time."""
+_EMPTY, _FULL, _ALL_PAIRS = 256, 1024, 1 << 22
+"""Number of pairs in each pixel for the light of the empty scene, at least and at most, and in a picture."""
 _FEWEST, _MOST_PAIRS = 32, 1 << 20
 """Number of pairs in each pixel, at least, for the target's shadow, unless there are more in the picture."""
 
@@ -52,19 +52,21 @@ class WallShadow:
     def unshadowed(self) -> Floats:
         """Return the irradiance of the empty scene's wall, (groups, height, width)."""
         width, height = self._setting.resolution
-        groups = self._beams.finest.weights.shape[1]
-        found = np.zeros((groups, width * height))
-        step = max(1, _CHUNK // _EMPTY)
-        for start in range(0, width * height, step):
-            pixels = np.arange(start, min(start + step, width * height))
-            pairs = self._of_pixels(pixels, _EMPTY)
-            blockers = self._beams.blockers
-            if len(blockers):
-                hidden = blockers.blocked(pairs.places + pairs.ways, pairs.places)
-                pairs = _Pairs(*(part[~hidden] for part in pairs))
-            for g in range(groups):
-                found[g] += np.bincount(pairs.pixel, pairs.light[:, g], width * height) / SETS
-        return found.reshape(groups, height, width)
+        points = self._beams.finest
+        pairs = max(_EMPTY, min(_FULL, _ALL_PAIRS // (width * height)))
+        pixels = np.arange(width * height)
+        corner = np.stack([pixels % width, pixels // width], axis=1)[:, None]
+        found = np.zeros((points.weights.shape[1], height, width))
+        flat = points.normals.any(axis=1)
+        for some in (flat, ~flat):  # a lamp without extent casts sharper shadows, and is one point
+            if not some.any():
+                continue
+            number = max(1, pairs // int(some.sum()))
+            places = self._on_wall(((corner + shifted(number, 2, pixels)) / (width, height)).reshape(-1, 2))
+            normals = np.tile([0.0, 0.0, 1.0], (len(places), 1))
+            light = irradiance(self._beams, Points(*(part[some] for part in points)), places, normals)
+            found += np.moveaxis(light.reshape(height, width, number, -1).mean(axis=2), 2, 0)
+        return found
 
     def hidden(self, pose: Pose, lines: int) -> Floats:
         """Return the irradiance that a target hides from the wall, (sets, groups, height, width).
@@ -98,28 +100,23 @@ class WallShadow:
         return np.append(homogeneous[:, :2] / homogeneous[:, 2:], np.zeros((len(uv), 1)), axis=1)
 
     def _paired(self, number: int) -> _Pairs:
-        """Return at least ``number`` pairs for each pixel, or fewer of a large picture."""
+        """Return ``number`` pairs for each pixel, or fewer of a large picture, without those that are dark."""
         width, height = self._setting.resolution
         number = max(SETS, min(number, _MOST_PAIRS // (width * height)) // SETS * SETS)
         if number not in self._pairs:
-            self._pairs[number] = self._of_pixels(np.arange(width * height), number)
+            points, pixels = self._beams.finest, np.arange(width * height)
+            pixel = np.repeat(pixels, number)
+            spread = shifted(number, 3, pixels).reshape(-1, 3)
+            corner = np.stack([pixel % width, pixel // width], axis=1)
+            places = self._on_wall((corner + spread[:, :2]) / (width, height))
+            # Points are drawn as often as they are bright.
+            bright = points.weights.max(axis=1)
+            chosen = np.searchsorted(np.cumsum(bright) / bright.sum(), spread[:, 2]).clip(max=len(bright) - 1)
+            ways = points.places[chosen] - places
+            geometry = points.towards(chosen, ways, ways[:, 2])
+            share = points.weights[chosen] * (bright.sum() / bright[chosen])[:, None]
+            light = geometry[:, None] * share / (number // SETS)
+            part = np.tile(np.arange(number) * SETS // number, width * height)
+            some = np.flatnonzero(geometry > 0.0)
+            self._pairs[number] = _Pairs(pixel[some], part[some], places[some], ways[some], light[some])
         return self._pairs[number]
-
-    def _of_pixels(self, pixels: Numbers, number: int) -> _Pairs:
-        """Return ``number`` pairs for each of some pixels, of which some light the wall: a set's sum is the light."""
-        width, height = self._setting.resolution
-        points = self._beams.finest
-        pixel = np.repeat(pixels, number)
-        spread = shifted(number, 3, pixels).reshape(-1, 3)
-        corner = np.stack([pixel % width, pixel // width], axis=1)
-        places = self._on_wall((corner + spread[:, :2]) / (width, height))
-        # Points are drawn as often as they are bright.
-        bright = points.weights.max(axis=1)
-        chosen = np.searchsorted(np.cumsum(bright) / bright.sum(), spread[:, 2]).clip(max=len(bright) - 1)
-        ways = points.places[chosen] - places
-        geometry = points.towards(chosen, ways, ways[:, 2])
-        share = points.weights[chosen] * (bright.sum() / bright[chosen])[:, None]
-        light = geometry[:, None] * share / (number // SETS)
-        part = np.tile(np.arange(number) * SETS // number, len(pixels))
-        some = np.flatnonzero(geometry > 0.0)
-        return _Pairs(pixel[some], part[some], places[some], ways[some], light[some])
