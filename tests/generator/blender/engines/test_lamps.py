@@ -67,7 +67,10 @@ FOLLOWED = {
 }
 
 
-@pytest.mark.parametrize("name", FOLLOWED)
+QUICK = ("soft ball", "rectangle", "half a panel")
+
+
+@pytest.mark.parametrize("name", [n if n in QUICK else pytest.param(n, marks=pytest.mark.slow) for n in FOLLOWED])
 def test_a_lamp_lights_the_wall_as_cycles_renders_it(name):
     """Its light after two reflections; Student's t with five degrees of freedom, one false alarm in 10,000."""
     scene = built()

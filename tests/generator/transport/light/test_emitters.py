@@ -110,6 +110,7 @@ def test_paths_at_random_say_the_same(name, order):
     assert abs(lit / runs.mean() - 1.0) < 4.0 * runs.std() / runs.mean() / np.sqrt(len(runs) - 1.0) + 0.01
 
 
+@pytest.mark.slow
 def test_colours_add_up():
     """Two emitters of two colours are the sum of each alone; the albedos are grey."""
     red, blue = np.array([1.0, 0.2, 0.0]), np.array([0.0, 0.5, 2.0])
@@ -128,6 +129,7 @@ def test_colours_add_up():
     assert worlds.error(both, one + other) < 0.03
 
 
+@pytest.mark.slow
 def test_all_reflections_and_derivatives_of_emitters():
     world = lit_by(emitters(panels=[SIDE]), order=ALL_ORDERS)
     made = Transport(world, accuracy=3e-2).render(*BETWEEN, derivatives=False)

@@ -25,6 +25,7 @@ def usual():
     return Transport(lit(), accuracy=3e-2).render(*POSE)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("factor", [1e-3, 1e3])
 def test_scale_changes_nothing(usual, factor):
     """A scene of millimetres and one of kilometres give the same picture, if lamps are as much stronger."""
@@ -33,12 +34,14 @@ def test_scale_changes_nothing(usual, factor):
         np.testing.assert_allclose(getattr(found, name), getattr(usual, name), rtol=1e-5, atol=1e-10)
 
 
+@pytest.mark.slow
 def test_one_pixel_is_the_mean_of_many(usual):
     found = Transport(lit().seen_by(1, 1), accuracy=3e-2).render(*POSE)
     for name in ("further", "ambient", "emitted"):
         assert getattr(found, name).mean() == pytest.approx(getattr(usual, name).mean(), rel=0.05)
 
 
+@pytest.mark.slow
 def test_black_surfaces_send_nothing():
     """In a black room, light after the third reflection has met nothing but target and wall: a few per cent."""
     dark = replace(lit(), room=tuple(replace(m, albedo=np.zeros_like(m.albedo)) for m in lit().room))
@@ -49,6 +52,7 @@ def test_black_surfaces_send_nothing():
     assert abs(made.emitted).mean() < engine._followed("emitters").mean()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("height", [1e-6, 1e-2])
 def test_a_target_at_the_wall(height):
     """Black, beside the picture: it hides a little of the light that reaches its part of the wall, and no more."""
@@ -62,6 +66,7 @@ def test_a_target_at_the_wall(height):
     assert (made.ambient + made.emitted).mean() < 0.0
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("albedo", [0.99, 1.0])
 def test_a_room_that_hardly_takes_light(albedo):
     """With a sky above it, light leaves after some reflections, even if all surfaces are white."""
