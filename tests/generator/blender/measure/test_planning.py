@@ -54,8 +54,8 @@ def add(name, kind="plane", at=(-2.0, 1.0, 0.5), size=0.2, gloss=False):
     return obj
 
 
-def lamp(name):
-    bpy.ops.object.light_add(type="POINT", location=(-2.0, 2.0, 2.0))
+def sun(name):
+    bpy.ops.object.light_add(type="SUN", location=(-2.0, 2.0, 2.0))
     bpy.context.object.name = name
     bpy.context.object.data.energy = 1.0
 
@@ -68,7 +68,7 @@ def test_a_plain_scene_holds_nothing_that_surfel_does_not_model():
     ("edit", "piece"),
     [
         (lambda: add("Mirror", gloss=True), "the material 'of Mirror'"),
-        (lambda: lamp("Bulb"), "the lamp 'Bulb'"),
+        (lambda: sun("Bulb"), "the lamp 'Bulb'"),
         (lambda: add("Ball", "uv_sphere").data.shade_smooth(), "the curved shading of 'Ball'"),
         (lambda: add("Bare").data.materials.clear(), "the default material of 'Bare'"),
     ],
