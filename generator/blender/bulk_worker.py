@@ -131,7 +131,8 @@ def _refuse_gains(scene: bpy.types.Scene, source: Path, world: World, settings: 
     """Raise NlosError if pictures are not proportional to what varies (`generator.transport.Gains`)."""
     names = [variation.name for variation in settings.sweep.variations]
     if names and world.is_followed_on:
-        light = "light that is not the spot's" if world.has_other_light else order_words(world.order)
+        other = "light of other lamps" if world.emitters is not None else order_words(world.order)
+        light = "ambient light" if world.ambient is not None else other
         raise NlosError(
             f"{source}: a bulk set cannot honour that {names[0]} varies under {light}; use nlos-generate sweep"
         )
