@@ -230,14 +230,9 @@ class World:
     emitters: Emitters | None = None
 
     @property
-    def has_other_light(self) -> bool:
-        """Whether there is light that is not the spot's."""
-        return self.ambient is not None or self.emitters is not None
-
-    @property
     def is_followed_on(self) -> bool:
         """Whether there is light besides the spot's first three reflections."""
-        return self.order > 3 or self.has_other_light
+        return self.order > 3 or self.ambient is not None or self.emitters is not None
 
     def seen_by(self, width: int, height: int) -> World:
         """Return the world with a picture of ``width`` by ``height`` pixels."""
