@@ -35,7 +35,7 @@ from generator.transport.light.cells import Cells, summed
 from generator.transport.light.field import LightField, Source
 from generator.transport.light.lines import SETS, Lines, completed, exchanged, fair
 from generator.transport.light.picture_points import PicturePoints, drawn
-from generator.transport.light.spread import hemisphere, lattice, shifted, sobol
+from generator.transport.light.spread import hemisphere, lattice, shifted, sobol, squares
 from generator.transport.light.view import Eye, Pose, Skin, Sums, look, look_arrays, look_at, look_at_arrays
 from generator.transport.prepared import Setting
 
@@ -398,9 +398,7 @@ class LightChange:
         if cuts not in self._skins:
             body, hides = self._body, not self._setting.convex
             cells = np.repeat(body.outer(self._setting.outward), cuts**2)
-            steps = (np.arange(cuts) + 0.5) / cuts
-            spread = np.stack([np.repeat(steps, cuts), np.tile(steps, cuts)], axis=1)
-            places, normals = body.places(cells, np.tile(spread, (len(cells) // cuts**2, 1)))
+            places, normals = body.places(cells, np.tile(squares(cuts), (len(cells) // cuts**2, 1)))
             self._skins[cuts] = Skin(places, normals, cells, body.area[cells] / cuts**2, hides)
         return self._skins[cuts]
 

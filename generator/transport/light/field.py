@@ -29,7 +29,7 @@ from generator.model.quantities import ALL_ORDERS
 from generator.transport.light.beams import Beams, EmitterBeams, PatchBeams, irradiance
 from generator.transport.light.cells import Cells
 from generator.transport.light.picture_points import PicturePoints
-from generator.transport.light.spread import hemisphere, shifted
+from generator.transport.light.spread import hemisphere, shifted, squares
 from generator.transport.light.wall_shadow import WallShadow
 from generator.transport.prepared import Setting
 from generator.transport.rays import Surfaces
@@ -220,7 +220,7 @@ class LightField:
             parts = np.clip(np.ceil(_WITHIN * ratio), _WITHIN, _MOST_WITHIN).astype(np.int64)
             for count in np.unique(parts[self._reached_cells]):
                 cells = self._reached_cells[parts[self._reached_cells] == count]
-                spread = _even(int(count))
+                spread = squares(int(count))
                 places, normals = self.cells.places(np.repeat(cells, count**2), np.tile(spread, (len(cells), 1)))
                 light = irradiance(beams, beams.finest, places, normals)
                 start[cells] = self.tint[cells] * light.reshape(len(cells), count**2, -1).mean(axis=1)
@@ -324,14 +324,8 @@ def _refined(seen: Floats, points: PicturePoints, cells: Cells, setting: Setting
         parts = np.ceil(ratio / _NEAR).astype(np.int64)
         for count in np.unique(parts[ratio < _CLOSE]):
             some = np.flatnonzero((parts == count) & (ratio < _CLOSE))
-            found[k, some] = _share(place, some, _even(int(count)), cells, blockers)
+            found[k, some] = _share(place, some, squares(int(count)), cells, blockers)
     return found
-
-
-def _even(count: int) -> Floats:
-    """Return the centres (count^2, 2) of equal squares of the unit square."""
-    steps = (np.arange(count) + 0.5) / count
-    return np.stack([np.repeat(steps, count), np.tile(steps, count)], axis=1)
 
 
 def _share(place: Floats, some: Numbers, spread: Floats, cells: Cells, blockers: Surfaces) -> Floats:

@@ -76,6 +76,12 @@ def shifted(count: int, dimensions: int, owners: Numbers) -> Floats:
     return points
 
 
+def squares(count: int) -> Floats:
+    """Return the centres (count^2, 2) of equal squares of the unit square."""
+    steps = (np.arange(count) + 0.5) / count
+    return np.stack([np.repeat(steps, count), np.tile(steps, count)], axis=1)
+
+
 def _beside(axis: Floats) -> tuple[Floats, Floats]:
     """Return two unit vectors (n, 3) at right angles to unit vectors (n, 3) (Duff et al. 2017, listing 2)."""
     x, y, z = axis.T

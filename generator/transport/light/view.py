@@ -14,12 +14,13 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from generator.transport.compiled import jit_released
+from generator.transport.compiled import jit_in_place, jit_released
 from generator.transport.light.cells import Cells, Grid, Hits, locate, meet_sphere, summed
 from generator.transport.light.spread import around
 from generator.transport.rays import Surfaces, nearest
 
 Floats = NDArray[Any]
+Numbers = NDArray[np.int64]
 
 _BEFORE = 1.0 - 1e-6
 """Share of the way to a point on which something may hide it."""
@@ -56,7 +57,7 @@ class Skin(NamedTuple):
 
     places: Floats
     normals: Floats
-    part: NDArray[np.int64]
+    part: Numbers
     area: Floats
     hides: bool
 
@@ -79,10 +80,27 @@ class Sums(NamedTuple):
     coefficients: Floats
 
 
+@jit_in_place
+def _nothing(sky: int, corners: Numbers, shares: Floats) -> None:
+    """Write what a ray is interpolated between that meets no surface: the sky alone."""
+    for c in range(4):
+        corners[c], shares[c] = sky, 1.0 if c == 0 else 0.0
+
+
+@jit_in_place
+def _replace(weight: float, cell: int, corners: Numbers, shares: Floats, sums: Sums, light: Floats) -> None:
+    """Add to ``light`` (columns,) that of a cell of the target in place of the room's behind it."""
+    for g in range(light.shape[0]):
+        hidden = 0.0
+        for c in range(4):
+            hidden += shares[c] * sums.room[corners[c], g]
+        light[g] += weight * (sums.body[cell, g] - hidden)
+
+
 @jit_released
 def look(eye: Eye, pose: Pose, body: Grid, room: Grid, sums: Sums, light: Floats) -> None:
     """Add to ``light`` (points, columns) what lines into the cone around the target meet, less what is behind it."""
-    rays, columns = eye.spread.shape[1], light.shape[1]
+    rays = eye.spread.shape[1]
     axis, way, start, turned, moved = np.empty(3), np.empty(3), np.empty(3), np.empty(3), np.empty(3)
     corners, shares = np.zeros(4, dtype=np.int64), np.zeros(4)
     unused, none = np.zeros(4, dtype=np.int64), np.zeros(4)
@@ -126,14 +144,9 @@ def look(eye: Eye, pose: Pose, body: Grid, room: Grid, sums: Sums, light: Floats
             weight = way[2] * 2.0 * (1.0 - cone) / rays
             if wall >= 0:
                 locate(start, way, wall, beyond, room, corners, shares)
-                for g in range(columns):
-                    hidden = 0.0
-                    for c in range(4):
-                        hidden += shares[c] * sums.room[corners[c], g]
-                    light[p, g] += weight * (sums.body[cell, g] - hidden)
             else:
-                for g in range(columns):
-                    light[p, g] += weight * (sums.body[cell, g] - sums.room[sums.room.shape[0] - 1, g])
+                _nothing(sums.room.shape[0] - 1, corners, shares)
+            _replace(weight, cell, corners, shares, sums, light[p])
 
 
 def look_arrays(eye: Eye, pose: Pose, body: Cells, room: Cells, sums: Sums) -> Floats:
@@ -162,7 +175,6 @@ def look_arrays(eye: Eye, pose: Pose, body: Cells, room: Cells, sums: Sums) -> F
 @jit_released
 def look_at(places: Floats, pose: Pose, skin: Skin, body: Grid, room: Grid, sums: Sums, light: Floats) -> None:
     """Add to ``light`` (places, columns) what the target's surface sends to places (n, 3), less what it hides."""
-    columns = light.shape[1]
     way, start, turned, moved = np.empty(3), np.empty(3), np.empty(3), np.empty(3)
     corners, shares = np.zeros(4, dtype=np.int64), np.zeros(4)
     on, facing = np.empty((len(skin.area), 3)), np.empty((len(skin.area), 3))
@@ -200,14 +212,9 @@ def look_at(places: Floats, pose: Pose, skin: Skin, body: Grid, room: Grid, sums
             cell = skin.part[k]
             if wall >= 0:
                 locate(start, way, wall, beyond, room, corners, shares)
-                for g in range(columns):
-                    hidden = 0.0
-                    for c in range(4):
-                        hidden += shares[c] * sums.room[corners[c], g]
-                    light[p, g] += weight * (sums.body[cell, g] - hidden)
             else:
-                for g in range(columns):
-                    light[p, g] += weight * (sums.body[cell, g] - sums.room[sums.room.shape[0] - 1, g])
+                _nothing(sums.room.shape[0] - 1, corners, shares)
+            _replace(weight, cell, corners, shares, sums, light[p])
 
 
 def look_at_arrays(places: Floats, pose: Pose, skin: Skin, target: Surfaces, room: Cells, sums: Sums) -> Floats:
