@@ -12,8 +12,9 @@ Prints tables and writes ``reflections.csv`` and ``reflections-cycles.csv``, or 
   lights, the sky is as bright as makes its whole change as large as the lamp's. Order 120 stands for all.
 - Cycles' ``patch`` at order 6: the slope of its change of the picture on the engine's, over all poses and pixels;
   its standard error from six renders of each, which differ in their noise.
-- Hard poses, for all reflections: against the engine with sixteen times the lines through the target, sixteen times
-  those that look at it from the picture and eight times those from the lamp.
+- Hard poses, for all reflections: against the engine with sixteen times the lines through the target, eight times
+  those from the lamp, a target met by lines from the picture and not summed over its surface, and cells of 0.06 times
+  their distance.
 """
 
 from __future__ import annotations
@@ -22,8 +23,10 @@ import argparse
 import math
 import sys
 from collections.abc import Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from pathlib import Path
+from types import ModuleType
 from typing import Any
 
 import numpy as np
@@ -45,7 +48,7 @@ from generator.model.quantities import ALL_ORDERS
 from generator.model.scene import ROOM_SURFACES, Scene
 from generator.model.settings import Sweep
 from generator.transport import AmbientLight, Mesh, Transport, World
-from generator.transport.light import change
+from generator.transport.light import change, field
 
 Array = NDArray[Any]
 
@@ -82,9 +85,11 @@ ROUNDS = 6
 """Renders of each pose by Cycles, with noise of their own, from which its standard error follows."""
 FINER: tuple[dict[str, Any], ...] = (
     {"_LINES": 1 << 17},
-    {"_LINES": 1 << 17, "_VIEWS": ((48, 1 << 11),), "_LIT": 1 << 14},
+    {"_LINES": 1 << 17, "_VIEWS": ((48, 1 << 11),), "_FIRST_LINES": 0, "_LIT": 1 << 14},
 )
 """Numbers of lines in `change`: through the target; and also from the picture's points to it, and from the lamp."""
+FINE_CELL = 0.06
+"""Size of the cells that the best is found with."""
 
 
 @dataclass(frozen=True)
@@ -297,7 +302,9 @@ def at_hard_poses(count: int) -> Iterator[tuple[str, ...]]:
             world = replace(world_of(replace(spec, resolution=(16, 16))), order=ALL_ORDERS)
             first = Transport(world, accuracy=1e-2)
             # Each keeps its own lines from pose to pose.
-            engines = {first: {}, **{Transport(world, accuracy=1e-2, like=first): finer for finer in FINER}}
+            with patched(field, {"_CELL": FINE_CELL}):
+                best_engine = Transport(world, accuracy=1e-2)
+            engines = {first: {}, Transport(world, accuracy=1e-2, like=first): FINER[0], best_engine: FINER[1]}
             errors: dict[str, list[tuple[float, float]]] = {}
             for kind, *pose in hard_poses(spec, count):
                 try:
@@ -325,15 +332,22 @@ def at_hard_poses(count: int) -> Iterator[tuple[str, ...]]:
 def drawn_with(numbers: dict[str, int], engine: Transport, pose: list[Array]) -> Array:
     """Return an engine's change (parts, height, width) with other numbers of lines: the lamp's up to the third
     reflection, its further ones, and the sky's."""
-    usual = {name: getattr(change, name) for name in numbers}
-    try:
-        for name, number in numbers.items():
-            setattr(change, name, number)
+    with patched(change, numbers):
         made = engine.render(*pose)
         return np.stack([made.added - made.hidden, made.further, made.ambient])[..., 0]
+
+
+@contextmanager
+def patched(module: ModuleType, numbers: dict[str, Any]) -> Iterator[None]:
+    """Set constants of a module for a while."""
+    usual = {name: getattr(module, name) for name in numbers}
+    try:
+        for name, number in numbers.items():
+            setattr(module, name, number)
+        yield
     finally:
         for name, number in usual.items():
-            setattr(change, name, number)
+            setattr(module, name, number)
 
 
 def main() -> None:

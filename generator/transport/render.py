@@ -134,7 +134,7 @@ class Transport:
         if like is not None and like._setting.tint.shape[1] == self._setting.tint.shape[1]:
             self._background, self._field = like._background, like._field
         if world.is_followed_on:
-            self._field = self._field or LightField(self._setting, world.order)
+            self._field = self._field or LightField(self._setting, world.order, accuracy)
         self._change = LightChange(self._setting, self._field, accuracy) if self._field else None
 
     def background(self, *, ambient: bool = True) -> Array:

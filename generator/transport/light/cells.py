@@ -36,8 +36,8 @@ class Hits(NamedTuple):
         Cell that each ray meets; the number of cells where it meets none.
     far : ndarray of shape (n,)
         Distance; infinite where a ray meets nothing.
-    corners, shares : ndarray of shape (n, 4)
-        Four cells and their weights, which interpolate between the cells' middles.
+    corners, shares : ndarray of shape (n, 4) or (n, 5)
+        Four cells and their weights, which interpolate between the cells' middles; and another, if any (`near.Near`).
     """
 
     cell: Numbers
@@ -51,7 +51,8 @@ class Hits(NamedTuple):
 
     def spread(self, values: Floats, count: int) -> Floats:
         """Sum values (n, columns) of rays over the cells between which `of` interpolates, (count, columns)."""
-        parts = (summed(self.corners[:, c], self.shares[:, c, None] * values, count) for c in range(4))
+        each = range(self.corners.shape[1])
+        parts = (summed(self.corners[:, c], self.shares[:, c, None] * values, count) for c in each)
         return sum(parts, start=np.zeros((count, values.shape[1])))
 
 
@@ -219,14 +220,21 @@ class Cells:
         low = np.stack([grid.along.low[i], grid.across.low[j]], axis=1)
         return low, np.stack([grid.along.high[i], grid.across.high[j]], axis=1)
 
-    def blocks(self) -> Numbers:
-        """Return for each cell (cells,) the number of the coarse cell that it is in, of two by two of one side."""
+    def sides(self, cells: Numbers) -> tuple[Numbers, Numbers]:
+        """Return the flat surface that cells (n,) are of, -1 for others, and whether of its back."""
+        flat = cells < 2 * self._half
+        back, inner = np.divmod(np.where(flat, cells, 0), max(1, self._half))
+        return np.where(flat, self._owner[inner] if self._half else -1, -1), back
+
+    def blocks(self, side: int) -> Numbers:
+        """Return for each cell (cells,) the number of the coarse cell that it is in, of ``side`` by ``side`` of one
+        side."""
         grid = self.grid
         inner = np.arange(self._half)
         which = self._owner
         i, j = np.divmod(inner - grid.start[which], np.maximum(grid.across.cells[which], 1))
         piece = grid.along.piece[i + grid.along.first[which]], grid.across.piece[j + grid.across.first[which]]
-        keys = np.stack([which, *piece, i // 2, j // 2], axis=1)
+        keys = np.stack([which, *piece, i // side, j // side], axis=1)
         _, block = np.unique(keys, axis=0, return_inverse=True)
         block = block.reshape(-1)
         flat = int(block.max(initial=-1)) + 1
@@ -584,11 +592,11 @@ def _locate(
 
 
 def _interpolated_loops(values: Floats, corners: Numbers, shares: Floats) -> Floats:
-    """Return the sums (n, columns) of cells' values (cells + 1, columns) at corners (n, 4), weighted by shares."""
+    """Return the sums (n, columns) of cells' values (cells + 1, columns) at corners (n, c), weighted by shares."""
     n, columns = corners.shape[0], values.shape[1]
     found = np.zeros((n, columns))
     for k in range(n):
-        for c in range(4):
+        for c in range(corners.shape[1]):
             share = shares[k, c]
             if share != 0.0:
                 for column in range(columns):

@@ -32,8 +32,9 @@ from generator.model.quantities import ALL_ORDERS
 from generator.transport.compiled import COMPILED
 from generator.transport.light.beams import Beams, arriving
 from generator.transport.light.cells import Cells, summed
-from generator.transport.light.field import LightField, Source
+from generator.transport.light.field import FINEST, LightField, Source
 from generator.transport.light.lines import SETS, Lines, completed, exchanged, fair
+from generator.transport.light.near import near_cells
 from generator.transport.light.picture_points import PicturePoints, drawn
 from generator.transport.light.spread import hemisphere, lattice, shifted, sobol, squares
 from generator.transport.light.view import Eye, Pose, Skin, Sums, look, look_arrays, look_at, look_at_arrays
@@ -42,8 +43,6 @@ from generator.transport.prepared import Setting
 Floats = NDArray[Any]
 Numbers = NDArray[np.int64]
 
-FINEST = 1e-2
-"""Least error that is asked for: cells are no finer."""
 _BODY_CELL = 0.25
 """Size of a target's cell, of the target's radius."""
 _LINES, _MOST_LINES = 1 << 13, 1 << 17
@@ -61,8 +60,8 @@ _FIRST_LINES = 2
 _APART, _ROUND, _MOST_CUTS = 0.15, 3, 4
 """Distance of points on the target, in units of theirs from the picture; and into how many parts along a side cells
 are cut for that, at least on a sphere, whose horizon runs through cells, and at most: else, lines are followed."""
-_LEFT = 1e-4
-"""Share of the change at which further reflections are left out."""
+_LEFT, _LEFT_OF_ALL = 1e-4, 1e-3
+"""Share of the change at which further reflections are left out; where all count, are taken as a geometric series."""
 _STEP = 0.25
 """Step of central differences, radians, and in units of the target's radius."""
 _MOST_PARTS, _PARTS = 512, 4
@@ -187,7 +186,11 @@ class LightChange:
         return found
 
     def _pose(self, turn: Floats, place: Floats) -> Pose:
-        return Pose(turn, place, place + turn @ self._centre, self._radius)
+        centre, (corners, balls) = place + turn @ self._centre, self._corners
+        there = np.concatenate([balls[:, :3] @ turn.T + place, balls[:, 3:]], axis=1)
+        beside = corners @ turn.T + place
+        near = near_cells(self._field.cells, self._setting.around, centre, self._radius, beside, there)
+        return Pose(turn, place, centre, self._radius, near)
 
     def _settled(self, pose: Pose, exact: Floats | None, shadows: bool) -> dict[str, tuple[Floats, _Choice]]:
         """Return the pictures (groups, height, width), and how many lines and points they needed."""
@@ -223,10 +226,10 @@ class LightChange:
         """
         source, samples = self._field.sources[name], self._sampled(choice.lines)
         shade = None if source.beams is None else self._shade(source.beams, samples, pose)
-        sums = self._followed(source, lines, samples, gain * self._tint, shade)
+        sums = self._followed(source, lines, samples, pose, gain * self._tint, shade)
         pictures, view = self._drawn(sums, pose, exact, choice.view)
         if not shadows:  # less what a black target changes
-            dark = self._followed(source, lines, samples, np.zeros_like(self._tint), shade)
+            dark = self._followed(source, lines, samples, pose, np.zeros_like(self._tint), shade)
             pictures = pictures - self._drawn(dark, pose, exact, view)[0]
         elif name == "emitters" and self._field.shadow is not None:
             pictures = pictures - self._field.shadow.hidden(pose, choice.lines)
@@ -267,13 +270,14 @@ class LightChange:
 
     def _through(self, samples: _Samples, pose: Pose) -> Lines:
         places, ways = samples.places @ pose.turn.T + pose.place, samples.ways @ pose.turn.T
-        front, behind = self._field.cells.meet(places, ways), self._field.cells.meet(places, -ways)
+        cells = self._field.cells
+        front, behind = (pose.near.marked(cells.meet(places, way), places, way, cells) for way in (ways, -ways))
         own = np.where(samples.own_far < front.far, samples.own, self._count)
         return Lines(samples.owner, samples.flux, own, front, behind)
 
     def _shade(self, beams: Beams, samples: _Samples, pose: Pose) -> tuple[Floats, Floats]:
         """Return the irradiance by beams of the target's cells, (cells, sets * groups), and of the room's, what the
-        target takes."""
+        target takes, times their area, as `Near` lists them."""
         setting, cells = self._setting, self._field.cells
         size, first = len(samples.owner) // SETS, max(_LIT, len(samples.owner) // 4) // SETS
         # The beginning of each set is spread evenly, too.
@@ -302,41 +306,46 @@ class LightChange:
         area = (self._seen_area(owner)[:, None] * fair(number) / np.maximum(number, 1.0))[owner, part]
         way = places[row] - points.places[node]
         way /= np.linalg.norm(way, axis=1, keepdims=True)
-        met = cells.meet(places[row], way)
+        met = pose.near.marked(cells.meet(places[row], way), places[row], way, cells)
         taken = np.zeros((len(row), SETS, groups))
         taken[np.arange(len(row)), part[row]] = (light[row, column] * area[row])[:, None] * weights[node]
-        return found, -met.spread(taken.reshape(len(row), -1), cells.count) / cells.area[:, None]
+        return found, -met.spread(taken.reshape(len(row), -1), pose.near.length)
 
     def _followed(
         self,
         source: Source,
         lines: Lines,
         samples: _Samples,
+        pose: Pose,
         tint: Floats,
         shade: tuple[Floats, Floats] | None,
     ) -> Sums:
         """Follow a source's light, reflection by reflection, between the target and the room."""
-        field, order, groups = self._field, self._field.order, tint.shape[1]
-        area = field.cells.area[:, None]
+        field, order, groups, near = self._field, self._field.order, tint.shape[1], pose.near
+        area, small_area = field.cells.area[:, None], near.area(self._setting.around)
         tint, room_tint = np.tile(tint, SETS), np.tile(field.tint, SETS)
+        small_tint = np.tile(self._setting.around.tint[near.owner], SETS)
         received = np.repeat(samples.received, groups, axis=1)
         missing = received == 0.0
         empty = np.tile(source.levels[0], SETS)
-        change = np.zeros_like(empty)
+        change, even = np.zeros_like(empty), np.zeros_like(empty)
+        small = np.zeros_like(small_tint)
         body: Floats = np.zeros((self._count, SETS * groups))
         coefficients: Floats = np.zeros((len(field.points.fit), SETS * groups))
         if source.first >= order:  # the wall is lit directly only
-            return Sums(np.zeros_like(empty), body, coefficients)
+            return Sums(near.joined(even, even, even, small), body, coefficients)
         if shade is not None:
             first_received, taken = shade
             body = tint * first_received
-            change[:-1] = room_tint * taken
+            some, beside = near.parted(taken)
+            change[:-1] = room_tint * some / area
+            small = small_tint * beside / small_area
             # Of the lamp's light, what the wall sees directly is exact elsewhere.
             directly = source.first == source.shown
-            coefficients += field.shown(taken, order - 1 - source.first, directly=directly)
-        level, energy = empty + change, np.zeros(SETS * groups)
+            coefficients += field.shown(some / area, order - 1 - source.first, directly=directly)
+        level, energy = near.joined(empty, change, even, small), np.zeros(SETS * groups)
         room_sum, body_sum = np.zeros_like(level), np.zeros_like(body)
-        last = len(source.levels) - 1
+        last, total = len(source.levels) - 1, np.zeros_like(change[:-1])
         for index in range(last + 1):
             reflections = source.first + index
             if reflections >= source.shown:
@@ -344,23 +353,32 @@ class LightChange:
                 body_sum += body
             if reflections == order - 1:
                 break
-            added, arriving = exchanged(lines, level, body, groups)
-            added /= area
-            more = field.shown(added, order - 2 - reflections)
-            coefficients += more
-            before, energy = energy, (level[:-1] * area).sum(axis=0)
-            if index == last or (index > 2 and field.size(more) <= _LEFT * field.size(coefficients)):
+            exchange, arriving = exchanged(lines, level, body, groups)
+            added, beside = near.parted(exchange)
+            added = added / area
+            most = order - 2 - reflections
+            if order == ALL_ORDERS:  # what it is worth is the same each time
+                total += added
+                more, left = added, _LEFT_OF_ALL * np.abs(total).max(initial=0.0)
+            else:
+                more = field.shown(added, most)
+                coefficients += more
+                left = _LEFT * np.abs(coefficients).max(initial=0.0)
+            before, energy = energy, (level[: len(area)] * area).sum(axis=0)
+            if index == last or (index > 2 and np.abs(more).max(initial=0.0) <= left):
                 if order == ALL_ORDERS:
                     rest = _rest(before, energy)
                     room_sum, body_sum = room_sum + rest * level, body_sum + rest * body
-                    coefficients += rest * more
+                    coefficients += field.shown(total + rest * added, most)
                 break
-            smooth = _smooth(field, change[:-1])
-            change[:-1] = room_tint * (added + smooth)
-            level = np.tile(source.levels[index + 1], SETS) + change
-            arriving /= np.maximum(received, 1e-300)
+            even[:-1] = room_tint * _smooth(field, change[:-1])
+            change[:-1] = even[:-1] + room_tint * added
             # What a cell receives along one set's lines it sends along another's: bright places would else light
-            # themselves, by the few lines that lead there.
+            # themselves, by the few lines that lead there, and the more so the smaller cells are.
+            small = small_tint * beside / small_area
+            lit = (np.roll(part, groups, axis=1) for part in (change, even, small))
+            level = near.joined(np.tile(source.levels[index + 1], SETS), *lit)
+            arriving /= np.maximum(received, 1e-300)
             body = tint * np.roll(completed(arriving, missing, groups), groups, axis=1)
         return Sums(room_sum, body_sum, coefficients)
 

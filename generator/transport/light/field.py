@@ -18,6 +18,7 @@ a pose changes costs no more than its own light.
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from typing import Any
 
@@ -27,7 +28,8 @@ from numpy.typing import NDArray
 from generator.model.errors import NlosError
 from generator.model.quantities import ALL_ORDERS
 from generator.transport.light.beams import Beams, EmitterBeams, PatchBeams, irradiance
-from generator.transport.light.cells import Cells
+from generator.transport.light.cells import Cells, summed
+from generator.transport.light.exchange import Exchange
 from generator.transport.light.picture_points import PicturePoints
 from generator.transport.light.spread import hemisphere, shifted, squares
 from generator.transport.light.wall_shadow import WallShadow
@@ -38,23 +40,29 @@ from generator.transport.world import MOST_SURFACES
 Floats = NDArray[Any]
 Numbers = NDArray[np.int64]
 
-_CELL = 0.1
-"""Size of a cell in units of its distance from the watched patch."""
+FINEST = 1e-2
+"""Least error that is asked for: cells are no finer."""
+_CELL, _COARSEST = 0.05, 0.1
+"""Size of a cell in units of its distance from the watched patch, for that error; at most. The error is as its square."""
+_BLOCK = 3
+"""Cells along a side of a coarse one."""
 _ROWS, _WALL = 1024, 4096
 """Number of rays into the room from each cell, and from each point of the picture."""
 _POINTS = 12
 """Points along a side of the picture."""
-_WITHIN, _MOST_WITHIN = 4, 24
-"""Points within a cell, along a side, that the lit patch and emitters light; at most, where these are nearer than the
-cell is large."""
+_WITHIN, _LEAST_WITHIN, _MOST_WITHIN = 4, 2, 24
+"""Points within a cell, along a side, that the lit patch and emitters light: times its size in units of its distance
+from these, at least, and at most."""
 _CHUNK = 1 << 18
-_NEAR, _CLOSE = 0.15, 2.0
+_NEAR, _CLOSE = 0.05, 2.0
 """Size of a part of a cell, in units of its distance, that a sum over a cell's parts allows; and of a whole cell,
 above which rays tell its share instead."""
 _LEFT = 1e-4
 """Share of the light at which further reflections are left out."""
 _MOST_LEVELS = 64
 """Number of reflections that are followed one by one where all count; the rest is a geometric series."""
+_FINE = 3
+"""Reflections on the way to the wall that are followed from cell to cell; further ones, from coarse to coarse."""
 _TOUCH, _FLAT = 1e-9, 1e-6
 _LAMP, _SKY, _EMITTED = 2, 0, 1
 """Reflections of the light that sources begin with: on cells of the lamp's and of emitters', none of the sky's."""
@@ -95,6 +103,8 @@ class LightField:
         Setting of a world with a relay wall, whatever its target.
     order : int
         Largest number of reflections; `ALL_ORDERS` for all.
+    accuracy : float, default=FINEST
+        Error of what a target changes, relative to that; the size of cells follows from it.
 
     Attributes
     ----------
@@ -120,7 +130,7 @@ class LightField:
         There are too many surfaces.
     """
 
-    def __init__(self, setting: Setting, order: int) -> None:
+    def __init__(self, setting: Setting, order: int, accuracy: float = FINEST) -> None:
         self.order = order
         if len(setting.around) > MOST_SURFACES:
             raise NlosError(
@@ -130,16 +140,15 @@ class LightField:
         groups = setting.tint.shape[1]
         beams = None if setting.emission is None else EmitterBeams(setting.emission, setting.around)
         spots = None if beams is None else beams.spots
-        cells = self.cells = Cells(setting.around, _CELL, np.zeros(3), 1.0, np.zeros((0, groups)), spots)
+        size = min(_COARSEST, _CELL * math.sqrt(max(1.0, accuracy / FINEST)))
+        cells = self.cells = Cells(setting.around, size, np.zeros(3), 1.0, np.zeros((0, groups)), spots)
         self.points = PicturePoints(setting.to_wall, _POINTS)
         self._wall_share, wall = self._seen(*_from_wall(self.points, _WALL), _WALL)
         wall = _refined(wall, self.points, cells, setting)
-        reached, share, rows = self._reached(np.flatnonzero(wall.any(axis=0) | self._of_wall()))
-        gather = _reciprocal(rows, cells.area[reached])
+        reached, met = self._reached(np.flatnonzero(wall.any(axis=0) | self._of_wall()))
         self.tint = cells.tint
-        self._reached_cells, self._gather, self._wall = reached, gather, wall[:, reached]
-        self._share = np.zeros(cells.count)
-        self._share[reached] = share
+        self._reached_cells, self._wall = reached, wall[:, reached]
+        self._exchange = Exchange(met, cells.area[reached])
         self.block, self.block_area, self.coarse = self._coarsened()
         self.sources: dict[str, Source] = {}
         if order > 3:
@@ -174,39 +183,38 @@ class LightField:
         front: NDArray[np.bool_] = (np.abs(places[:, 2]) < _FLAT) & (normals[:, 2] > 0.5)
         return front
 
-    def _reached(self, fresh: Numbers) -> tuple[Numbers, Floats, Floats]:
-        """Return the cells (n,) that are seen, directly or by way of others, from some; what each sees of the sky
-        (n,), and of each of these cells (n, n)."""
+    def _reached(self, fresh: Numbers) -> tuple[Numbers, NDArray[np.int32]]:
+        """Return the cells (n,) that are seen, directly or by way of others, from some; and which of these, counted
+        among them, each one's rays meet (n, rays), or n for the sky."""
         is_reached = np.zeros(self.cells.count, dtype=bool)
-        found, shares, rows = [], [], []
+        found, met = [np.zeros(0, dtype=np.int64)], [np.zeros((0, _ROWS), dtype=np.int32)]
+        step = max(1, _CHUNK // _ROWS)
         while len(fresh):
             is_reached[fresh] = True
-            spread = shifted(_ROWS, 4, fresh).reshape(-1, 4)
-            places, normals = self.cells.places(np.repeat(fresh, _ROWS), spread[:, 2:])
-            sky, seen = self._seen(places, normals, spread[:, :2], _ROWS)
-            found.append(fresh)
-            shares.append(sky)
-            rows.append(seen)
-            fresh = np.flatnonzero(seen.any(axis=0) & ~is_reached)
-        if not found:
-            return np.zeros(0, dtype=np.int64), np.zeros(0), np.zeros((0, 0))
-        order = np.argsort(np.concatenate(found))
-        reached = np.concatenate(found)[order]
-        return reached, np.concatenate(shares)[order], np.concatenate(rows)[order][:, reached].astype(np.float64)
+            for start in range(0, len(fresh), step):
+                some = fresh[start : start + step]
+                spread = shifted(_ROWS, 4, some).reshape(-1, 4)
+                places, normals = self.cells.places(np.repeat(some, _ROWS), spread[:, 2:])
+                hits = self.cells.meet(places, hemisphere(normals, spread[:, :2]))
+                found.append(some)
+                met.append(hits.cell.reshape(-1, _ROWS).astype(np.int32))
+            seen = np.unique(np.concatenate([rows.reshape(-1) for rows in met[-math.ceil(len(fresh) / step) :]]))
+            seen = seen[seen < self.cells.count]
+            fresh = seen[~is_reached[seen]]
+        reached = np.concatenate(found)
+        order = np.argsort(reached)
+        number = np.full(self.cells.count + 1, len(reached), dtype=np.int32)
+        number[reached[order]] = np.arange(len(reached))
+        return reached[order], number[np.concatenate(met)[order]]
 
     def _coarsened(self) -> tuple[Numbers, Floats, Floats]:
         reached, area = self._reached_cells, self.cells.area
-        blocks, inner = np.unique(self.cells.blocks()[reached], return_inverse=True)
+        blocks, inner = np.unique(self.cells.blocks(_BLOCK)[reached], return_inverse=True)
         inner = inner.reshape(-1)
-        n = len(blocks)
-        size = np.bincount(inner, area[reached], n)
-        sums = np.zeros((n, len(reached)))
-        np.add.at(sums, inner, area[reached, None] * self._gather)
-        coarse = np.zeros((n, n))
-        np.add.at(coarse.T, inner, sums.T)
-        block = np.full(self.cells.count, n)  # cells that are not reached are in none
+        size = np.bincount(inner, area[reached], len(blocks))
+        block = np.full(self.cells.count, len(blocks))  # cells that are not reached are in none
         block[reached] = inner
-        return block, size, coarse / size[:, None]
+        return block, size, self._exchange.between(inner, size)
 
     def _lit(self, beams: Beams, first: int, shown: int) -> Source:
         """Return the source whose ``first`` reflection is of beams, on cells."""
@@ -217,7 +225,7 @@ class LightField:
             for place in beams.finest.places:
                 near = np.minimum(near, np.linalg.norm(middles - place, axis=1))
             ratio = extent / np.maximum(near - extent / 2.0, 1e-300)
-            parts = np.clip(np.ceil(_WITHIN * ratio), _WITHIN, _MOST_WITHIN).astype(np.int64)
+            parts = np.clip(np.ceil(_WITHIN * ratio), _LEAST_WITHIN, _MOST_WITHIN).astype(np.int64)
             for count in np.unique(parts[self._reached_cells]):
                 cells = self._reached_cells[parts[self._reached_cells] == count]
                 spread = squares(int(count))
@@ -231,10 +239,10 @@ class LightField:
     def _source(self, first: int, shown: int, start: Floats) -> Source:
         levels, last = [start], self.order - 1
         total = start[:-1].copy()
-        reached, gather = self._reached_cells, self._gather
+        reached, exchange = self._reached_cells, self._exchange
         for _ in range(first, last):
             level = np.zeros_like(start)
-            incoming = gather @ levels[-1][reached] + self._share[reached, None] * levels[-1][-1]
+            incoming = exchange.received(levels[-1][reached]) + exchange.open[:, None] * levels[-1][-1]
             level[reached] = self.tint[reached] * incoming
             levels.append(level)
             total += level[:-1]
@@ -244,26 +252,50 @@ class LightField:
                 break
         rest = np.zeros_like(start)
         if self.order == ALL_ORDERS:
+            # What comes after is as good as even over a coarse cell.
+            next_one = self.tint[reached] * exchange.received(levels[-1][reached])
+            area, block = self.cells.area[reached, None], self.block[reached]
+            mean = summed(block, area * next_one, len(self.block_area)) / self.block_area[:, None]
             for group in range(start.shape[1]):
-                tint = self.tint[reached, group]
-                matrix = np.eye(len(reached)) - tint[:, None] * gather
-                after = tint * (gather @ levels[-1][reached, group])
-                rest[reached, group] = np.linalg.solve(matrix, after)
+                matrix = np.eye(len(mean)) - self._block_tint(group)[:, None] * self.coarse
+                rest[reached, group] = np.linalg.solve(matrix, mean[:, group])[block]
         return Source(first, shown, levels, rest)
 
+    def _block_tint(self, group: int) -> Floats:
+        """Return the albedo of the coarse cells (blocks,); each is of one surface."""
+        tint = np.zeros(len(self.block_area))
+        tint[self.block[self._reached_cells]] = self.tint[self._reached_cells, group]
+        return tint
+
     def _response(self, group: int) -> list[Floats]:
-        """Return R_0, R_1, ... as (coefficients, reached cells) each, up to where they change no more."""
-        tint, wall = self.tint[self._reached_cells, group], self.points.fit @ self._wall
-        if self.order == ALL_ORDERS:
-            matrix = np.eye(len(tint)) - tint[:, None] * self._gather
-            return [wall * tint, np.linalg.solve(matrix.T, wall.T).T * tint]
-        found, term = [wall * tint], wall
-        for _ in range(1, self.order - 1):
-            term = (term * tint) @ self._gather
-            found.append(found[-1] + term * tint)
-            if np.abs(term * tint).max(initial=0.0) <= _LEFT * np.abs(found[-1]).max(initial=0.0):
+        """Return R_0, R_1, ... as (coefficients, reached cells) each, up to where they change no more.
+
+        After some reflections what cells send is as good as even over a coarse cell.
+        """
+        tint, block = self.tint[self._reached_cells, group, None], self.block[self._reached_cells]
+        share = self.cells.area[self._reached_cells, None] / self.block_area[block, None]
+        fine, coarse = (self.points.fit @ self._wall).T, np.zeros((0, 0))
+        found, block_tint = [tint * fine], self._block_tint(group)[:, None]
+        last = max(1, self.order - 2)
+        for number in range(1, last + 1):
+            if number <= _FINE:
+                fine = self._exchange.sent(tint * fine)
+                more = fine
+                coarse = summed(block, fine, len(block_tint))
+            elif self.order == ALL_ORDERS:
+                system = np.eye(len(block_tint)) - block_tint * self.coarse
+                more = share * (np.linalg.solve(system.T, coarse) - coarse)[block]
+                found[-1:] = [found[-1] + tint * more]
                 break
-        return found
+            else:
+                coarse = self.coarse.T @ (block_tint * coarse)
+                more = share * coarse[block]
+            found.append(found[-1] + tint * more)
+            if np.abs(tint * more).max(initial=0.0) <= _LEFT * np.abs(found[-1]).max(initial=0.0):
+                break
+        if self.order == ALL_ORDERS:
+            found = [found[0], found[-1]]
+        return [np.ascontiguousarray(one.T) for one in found]
 
     def shown(self, light: Floats, most: int, *, directly: bool = True) -> Floats:
         """Return what light that is added to cells changes of the picture, (coefficients, k * groups).
@@ -286,11 +318,6 @@ class LightField:
             if not directly:
                 coefficients[:, some] -= responses[0] @ arriving[:, some]
         return coefficients
-
-    @staticmethod
-    def size(coefficients: Floats) -> float:
-        """Return the largest of some coefficients, as a measure of the picture's light."""
-        return float(np.abs(coefficients).max(initial=0.0))
 
     def background(self, name: str) -> Floats:
         """Return the coefficients (n, groups) of the light of a source on the wall of the empty scene."""
@@ -317,13 +344,18 @@ def _refined(seen: Floats, points: PicturePoints, cells: Cells, setting: Setting
     reaches the picture by way of these shares. They remain for cells that are as large as their distance.
     """
     found = seen.astype(np.float64)
+    every = np.arange(cells.count)
     extent, middles = cells.extents()
+    _, normals = cells.places(every, np.full((cells.count, 2), 0.5))
     blockers = setting.obstacles.static_blockers
     for k, place in enumerate(points.places):
         ratio = extent / np.maximum(np.linalg.norm(middles - place, axis=1), 1e-300)
         parts = np.ceil(ratio / _NEAR).astype(np.int64)
-        for count in np.unique(parts[ratio < _CLOSE]):
-            some = np.flatnonzero((parts == count) & (ratio < _CLOSE))
+        # A flat cell whose middle faces away has no part that faces the place.
+        faces = np.einsum("ni,ni->n", middles - place, normals) < 0.0
+        found[k, ~faces] = 0.0
+        for count in np.unique(parts[faces & (ratio < _CLOSE)]):
+            some = np.flatnonzero(faces & (parts == count) & (ratio < _CLOSE))
             found[k, some] = _share(place, some, squares(int(count)), cells, blockers)
     return found
 
@@ -342,17 +374,3 @@ def _share(place: Floats, some: Numbers, spread: Floats, cells: Cells, blockers:
     share[lit] = way[lit, 2] * facing[lit] / (np.pi * squared[lit] ** 2)
     found: Floats = share.reshape(n, k).mean(axis=1) * cells.area[some]
     return found
-
-
-def _reciprocal(rows: Floats, area: Floats) -> Floats:
-    """Return shares (n, n) of cells in what others see, made to exchange as much light in one direction as back.
-
-    Each exchange is known from both sides, the better the smaller the cell that it is seen from. What a cell sees in
-    all stays as it was.
-    """
-    exchange = area[:, None] * rows
-    weight = area[None, :] / (area[:, None] + area[None, :])
-    exchange = weight * exchange + (weight * exchange).T if len(area) else exchange
-    seen, found = rows.sum(axis=1), exchange.sum(axis=1)
-    share: Floats = exchange * np.divide(seen, found, out=np.zeros_like(seen), where=found > 0.0)[:, None]
-    return share

@@ -66,22 +66,23 @@ def _exchanged_loops(lines: Lines, level: Floats, body: Floats, groups: int) -> 
     Parameters
     ----------
     lines : Lines
-    level : ndarray of shape (cells + 1, sets * groups)
-        Radiosity of the room's cells, and of the sky.
+    level : ndarray of shape (rows, sets * groups)
+        Radiosity of the room's cells and of the sky, as `near.Near` lists them.
     body : ndarray of shape (target's cells, sets * groups)
         Radiosity of the target's cells.
     groups : int
 
     Returns
     -------
-    added : ndarray of shape (cells, sets * groups)
-        Light that the room's cells gain, times their area.
+    added : ndarray of shape (rows, sets * groups)
+        Light that they gain, times their area.
     arriving : ndarray of shape (target's cells, sets * groups)
         Light on the target's cells, times their area.
     """
-    cells, n = level.shape[0] - 1, len(lines.owner)
-    added, arriving = np.zeros((cells, level.shape[1])), np.zeros(body.shape)
+    n = len(lines.owner)
+    added, arriving = np.zeros(level.shape), np.zeros(body.shape)
     front, behind = lines.front, lines.behind
+    corners = front.corners.shape[1]
     for k in range(n):
         owner, flux, own = lines.owner[k], lines.flux[k], lines.own[k]
         first = groups * (SETS * k // n)
@@ -91,13 +92,12 @@ def _exchanged_loops(lines: Lines, level: Floats, body: Floats, groups: int) -> 
             continue
         for g in range(first, first + groups):
             near, far = 0.0, 0.0
-            for c in range(4):
+            for c in range(corners):
                 near += front.shares[k, c] * level[front.corners[k, c], g]
                 far += behind.shares[k, c] * level[behind.corners[k, c], g]
             arriving[owner, g] += flux * near
-            for c in range(4):
-                if front.corners[k, c] < cells:
-                    added[front.corners[k, c], g] += front.shares[k, c] * flux * (body[owner, g] - far)
+            for c in range(corners):
+                added[front.corners[k, c], g] += front.shares[k, c] * flux * (body[owner, g] - far)
     return added, arriving
 
 
@@ -111,7 +111,7 @@ def exchanged_arrays(lines: Lines, level: Floats, body: Floats, groups: int) -> 
     near = np.where(is_own, padded[lines.own], lines.front.of(level))
     sent = np.where(is_own, 0.0, body[lines.owner] - lines.behind.of(level))
     arriving = summed(lines.owner, flux * near, len(body))
-    return lines.front.spread(flux * sent, len(level) - 1), arriving
+    return lines.front.spread(flux * sent, len(level)), arriving
 
 
 exchanged = jit_released(_exchanged_loops) if COMPILED else exchanged_arrays

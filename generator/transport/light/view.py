@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 
 from generator.transport.compiled import jit_in_place, jit_released
 from generator.transport.light.cells import Cells, Grid, Hits, locate, meet_sphere, summed
+from generator.transport.light.near import Near, mark
 from generator.transport.light.spread import around
 from generator.transport.rays import Surfaces, nearest
 
@@ -27,12 +28,13 @@ _BEFORE = 1.0 - 1e-6
 
 
 class Pose(NamedTuple):
-    """Pose of the target, and the ball around it: centre (3,) and radius."""
+    """Pose of the target, the ball around it, centre (3,) and radius, and small cells of the room near it."""
 
     turn: Floats
     place: Floats
     centre: Floats
     radius: float
+    near: Near
 
 
 class Eye(NamedTuple):
@@ -67,8 +69,8 @@ class Sums(NamedTuple):
 
     Attributes
     ----------
-    room : ndarray of shape (cells + 1, columns)
-        Radiosity of the room's cells and the sky.
+    room : ndarray of shape (rows, columns)
+        Radiosity of the room's cells and the sky, as `near.Near` lists them.
     body : ndarray of shape (target's cells, columns)
         Radiosity of the target's.
     coefficients : ndarray of shape (coefficients, columns)
@@ -83,7 +85,7 @@ class Sums(NamedTuple):
 @jit_in_place
 def _nothing(sky: int, corners: Numbers, shares: Floats) -> None:
     """Write what a ray is interpolated between that meets no surface: the sky alone."""
-    for c in range(4):
+    for c in range(5):
         corners[c], shares[c] = sky, 1.0 if c == 0 else 0.0
 
 
@@ -92,7 +94,7 @@ def _replace(weight: float, cell: int, corners: Numbers, shares: Floats, sums: S
     """Add to ``light`` (columns,) that of a cell of the target in place of the room's behind it."""
     for g in range(light.shape[0]):
         hidden = 0.0
-        for c in range(4):
+        for c in range(5):
             hidden += shares[c] * sums.room[corners[c], g]
         light[g] += weight * (sums.body[cell, g] - hidden)
 
@@ -102,7 +104,7 @@ def look(eye: Eye, pose: Pose, body: Grid, room: Grid, sums: Sums, light: Floats
     """Add to ``light`` (points, columns) what lines into the cone around the target meet, less what is behind it."""
     rays = eye.spread.shape[1]
     axis, way, start, turned, moved = np.empty(3), np.empty(3), np.empty(3), np.empty(3), np.empty(3)
-    corners, shares = np.zeros(4, dtype=np.int64), np.zeros(4)
+    corners, shares = np.zeros(5, dtype=np.int64), np.zeros(5)
     unused, none = np.zeros(4, dtype=np.int64), np.zeros(4)
     for p in range(eye.places.shape[0]):
         far = 0.0
@@ -144,8 +146,9 @@ def look(eye: Eye, pose: Pose, body: Grid, room: Grid, sums: Sums, light: Floats
             weight = way[2] * 2.0 * (1.0 - cone) / rays
             if wall >= 0:
                 locate(start, way, wall, beyond, room, corners, shares)
+                mark(start, way, wall, beyond, room.planes, pose.near, corners, shares)
             else:
-                _nothing(sums.room.shape[0] - 1, corners, shares)
+                _nothing(pose.near.rows - 1, corners, shares)
             _replace(weight, cell, corners, shares, sums, light[p])
 
 
@@ -167,7 +170,8 @@ def look_arrays(eye: Eye, pose: Pose, body: Cells, room: Cells, sums: Sums) -> F
     behind = room.meet(start[met], way[met])
     free = behind.far > front.far[met]
     met = met[free]
-    hidden = Hits(*(part[free] for part in behind)).of(sums.room)
+    behind = pose.near.marked(Hits(*(part[free] for part in behind)), start[met], way[met], room)
+    hidden = behind.of(sums.room)
     weight = way[met, 2] * 2.0 * (1.0 - cone[rows[met]]) / rays
     return summed(owner[met], weight[:, None] * (sums.body[front.cell[met]] - hidden), points)
 
@@ -176,7 +180,7 @@ def look_arrays(eye: Eye, pose: Pose, body: Cells, room: Cells, sums: Sums) -> F
 def look_at(places: Floats, pose: Pose, skin: Skin, body: Grid, room: Grid, sums: Sums, light: Floats) -> None:
     """Add to ``light`` (places, columns) what the target's surface sends to places (n, 3), less what it hides."""
     way, start, turned, moved = np.empty(3), np.empty(3), np.empty(3), np.empty(3)
-    corners, shares = np.zeros(4, dtype=np.int64), np.zeros(4)
+    corners, shares = np.zeros(5, dtype=np.int64), np.zeros(5)
     on, facing = np.empty((len(skin.area), 3)), np.empty((len(skin.area), 3))
     for k in range(len(skin.area)):
         for r in range(3):
@@ -212,8 +216,9 @@ def look_at(places: Floats, pose: Pose, skin: Skin, body: Grid, room: Grid, sums
             cell = skin.part[k]
             if wall >= 0:
                 locate(start, way, wall, beyond, room, corners, shares)
+                mark(start, way, wall, beyond, room.planes, pose.near, corners, shares)
             else:
-                _nothing(sums.room.shape[0] - 1, corners, shares)
+                _nothing(pose.near.rows - 1, corners, shares)
             _replace(weight, cell, corners, shares, sums, light[p])
 
 
@@ -230,8 +235,10 @@ def look_at_arrays(places: Floats, pose: Pose, skin: Skin, target: Surfaces, roo
     way, sent, point, spot = way[some], sent[some], point[some], spot[some]
     squared = np.einsum("ni,ni->n", way, way)
     far = np.sqrt(squared)
-    behind = room.meet(places[point], way / far[:, None])
+    direction = way / far[:, None]
+    behind = room.meet(places[point], direction)
     free = behind.far > far
-    hidden = Hits(*(part[free] for part in behind)).of(sums.room)
+    behind = Hits(*(part[free] for part in behind))
+    hidden = pose.near.marked(behind, places[point[free]], direction[free], room).of(sums.room)
     weight = (way[:, 2] * sent / (math.pi * squared**2) * skin.area[spot])[free]
     return summed(point[free], weight[:, None] * (sums.body[skin.part[spot[free]]] - hidden), len(places))

@@ -12,6 +12,7 @@ from generator.model.quantities import ALL_ORDERS
 from generator.transport import Mesh, Sphere, Transport
 from generator.transport.light import cells, change, spread, view
 from generator.transport.light import lines as light_lines
+from generator.transport.light.exchange import means_arrays
 from generator.transport.light.field import LightField
 from generator.transport.prepared import Setting
 
@@ -89,15 +90,16 @@ def test_a_target_like_the_room_keeps_its_light_too():
     setting = Setting(world)
     field = LightField(setting, 5)
     changes = change.LightChange(setting, field, 1e-2)
-    pose = changes._pose(setting.frame.axes, setting.frame.points(np.array(POSES[0][0])))
+    low = np.array([POSES[0][0][0], POSES[0][0][1], 0.35 - HIGH])
+    pose = changes._pose(setting.frame.axes, setting.frame.points(low))
     samples = changes._sampled(change._LINES)
     lines = changes._through(samples, pose)
     arriving, taken = changes._shade(field.sources["lamp"].beams, samples, pose)
     # What falls on the target is missing behind it.
-    np.testing.assert_allclose(
-        (taken * field.cells.area[:, None]).sum(), -(arriving.T @ changes._area).sum(), rtol=1e-6
-    )
-    level = np.tile(np.append(np.full((field.cells.count, 1), 0.3), [[0.3]], axis=0), light_lines.SETS)
+    np.testing.assert_allclose(taken.sum(), -(arriving.T @ changes._area).sum(), rtol=1e-6)
+    assert pose.near.there
+    even = np.full((field.cells.count + 1, light_lines.SETS), 0.3)
+    level = pose.near.joined(even, 0.0 * even, 0.0 * even, np.zeros((len(pose.near.owner), light_lines.SETS)))
     added, received = light_lines.exchanged(lines, level, np.full((changes._count, light_lines.SETS), 0.3), 1)
     assert abs(added).max() < 1e-12  # as bright as each other: nothing changes
     np.testing.assert_allclose(received, 0.3 * samples.received, rtol=1e-12)
@@ -180,7 +182,8 @@ def test_compiled_and_array_forms_agree():
     changes = change.LightChange(setting, field, 1e-2)
     pose = changes._pose(setting.frame.axes, setting.frame.points(np.array(POSES[1][0])))
     lines = changes._through(changes._sampled(1 << 10), pose)
-    level = rng.random((field.cells.count + 1, light_lines.SETS))
+    assert pose.near.there
+    level = rng.random((pose.near.length, light_lines.SETS))
     body = rng.random((changes._count, light_lines.SETS))
     forms = light_lines.exchanged, light_lines.exchanged_arrays
     for one, other in zip(*(form(lines, level, body, 1) for form in forms), strict=True):
@@ -203,6 +206,28 @@ def test_compiled_and_array_forms_agree():
     np.testing.assert_allclose(
         light, view.look_arrays(eye, pose, changes._body, field.cells, sums), rtol=1e-8, atol=1e-12
     )
+
+
+def test_light_is_exchanged_the_same_in_both_forms():
+    """Loops and arrays; and what irradiance is worth is what radiosity is worth, but for noise."""
+    field = LightField(Setting(room(order=4)), 4)
+    exchange, n = field._exchange, len(field._reached_cells)
+    values = 1.0 + np.random.default_rng(1).random((n, 3))
+    np.testing.assert_allclose(exchange.received(values), means_arrays(values, exchange._met), rtol=1e-12)
+    smooth = 1.0 + field.cells.extents()[1][field._reached_cells]
+    worth = field.cells.area[field._reached_cells, None] * smooth[:, 1:2]
+    one, other = (worth * exchange.received(smooth[:, :1])).sum(), (smooth[:, :1] * exchange.sent(worth)).sum()
+    assert one == pytest.approx(other, rel=2e-3)
+
+
+def test_cells_near_a_surface_keep_the_light_of_a_target_that_lies_on_it():
+    """A sheet of the wall's albedo on the wall changes nothing; its shadow is all behind it, where nobody sees it."""
+    world = room(albedo=0.8, order=5, ceiling=False, target=worlds.sheet(0.6, 0.8))
+    position, rotation = (0.6, 1.0, -HIGH + 0.01), (90.0, 0.0, 0.0)
+    far = Transport(world, accuracy=1e-2).render((0.6, 1.0, 0.0), rotation)
+    on = Transport(world, accuracy=1e-2).render(position, rotation)
+    whole, moved = (part.added - part.hidden + part.further for part in (far, on))
+    assert np.abs(moved).mean() < 0.05 * np.abs(whole).mean()
 
 
 def ball_of_triangles(radius, cuts, albedo):
