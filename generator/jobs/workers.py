@@ -96,6 +96,8 @@ class Worker:
         self._scratch = tempfile.TemporaryDirectory(prefix="nlos-worker-", ignore_cleanup_errors=True)
         home = os.pathsep.join(filter(None, [_HOME, os.environ.get("PYTHONPATH")]))
         scratch = dict.fromkeys(("TMPDIR", "TEMP", "TMP"), self._scratch.name)
+        # Poses are shared among threads and workers already; threads of their small products wait for each other.
+        products = {"OPENBLAS_NUM_THREADS": "1"}
         self._process = subprocess.Popen(
             command,
             stdin=subprocess.PIPE,
@@ -105,7 +107,7 @@ class Worker:
             encoding="utf-8",
             errors="replace",
             start_new_session=True,  # the coordinator handles Ctrl-C
-            env={**os.environ, **scratch, "PYTHONPATH": home},
+            env={**products, **os.environ, **scratch, "PYTHONPATH": home},
         )
         self.pid = self._process.pid
         self.done = 0
