@@ -11,6 +11,10 @@ from pathlib import Path
 
 import pytest
 
+# Tests run on all cores already: threads of matrix products would only wait for each other. The processes of
+# pytest-xdist and those that tests start inherit it.
+os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
+
 from classify.cli.main import main as classify_main
 from generator.cli.main import main as generate_main
 
