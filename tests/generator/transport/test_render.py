@@ -64,13 +64,15 @@ def test_a_fine_mesh_is_the_sphere():
     assert worlds.error(got, expected) < 2e-3
 
 
-def test_sphere_equals_its_own_cells_refined():
-    """At 1e-3 against 1e-5, and turning a sphere changes nothing."""
+@pytest.mark.parametrize(
+    "place", [pytest.param((0.3, 0.9, 0.1), marks=pytest.mark.slow), (0.75, 0.25, 0.1), (0.75, 0.2, 0.1)]
+)
+def test_sphere_equals_its_own_cells_refined(place):
+    """At 1e-2 to 1e-4 against 1e-5, and turning a sphere changes nothing; far away, near the wall, touching it."""
     ball = worlds.world(Sphere(np.zeros(3), 0.2, np.ones(3)))
-    for place in ((0.3, 0.9, 0.1), (0.75, 0.25, 0.1), (0.75, 0.2, 0.1)):
-        fine = Transport(ball, accuracy=1e-5).render(place, (0, 0, 0)).added
-        for accuracy in (1e-2, 1e-3, 1e-4):
-            assert worlds.error(Transport(ball, accuracy=accuracy).render(place, (10, 20, 30)).added, fine) < accuracy
+    fine = Transport(ball, accuracy=1e-5).render(place, (0, 0, 0)).added
+    for accuracy in (1e-2, 1e-3, 1e-4):
+        assert worlds.error(Transport(ball, accuracy=accuracy).render(place, (10, 20, 30)).added, fine) < accuracy
 
 
 @pytest.mark.parametrize("soft", [0.0, 0.6])
