@@ -166,7 +166,9 @@ def test_a_model_of_other_features_is_refused(features, tmp_path):
         models.load(tmp_path / "m.skops")
 
 
-@pytest.mark.parametrize("name", ALL)
+@pytest.mark.parametrize(
+    "name", [pytest.param(n, marks=pytest.mark.slow) if n in ("LR", "LDA", "MLP") else n for n in ALL]
+)
 def test_every_tuned_model_is_saved_and_loaded(features, tmp_path, name):
     model = models.train(features, name, "tuned")
     models.save(tmp_path / "m.skops", model)

@@ -46,7 +46,7 @@ def test_any_level_of_light_gives_the_same_answers(simulated, factor, tmp_path):
         np.testing.assert_allclose(other.position, one.position, atol=2e-2)
 
 
-@pytest.mark.parametrize("scale", [1e-3, 1e3])
+@pytest.mark.parametrize("scale", [1e-3, pytest.param(1e3, marks=pytest.mark.slow)])
 def test_any_size_of_scene_gives_the_same_answers(simulated, scale, tmp_path):
     """A millimetre room and a kilometre room with lamps to match show the same pictures, and places scale along."""
     found = make_bulk(tmp_path / "scaled", pictures=400, scale=scale)

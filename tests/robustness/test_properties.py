@@ -86,7 +86,7 @@ SAMPLE = (
 
 
 QUICK = {
-    *("target_keys_on_location", "spot_power_keyed", "texture_of_floor_follows_target", "cube_hidden_in_viewport"),
+    *("spot_power_keyed", "texture_of_floor_follows_target", "cube_hidden_in_viewport"),
     *("compositor_doubles", "wall_second_output_for_cycles", "target_mirror", "library_gone"),
     *("scale", "visible_camera", "energy", "clip_end", "exclude", "film_exposure"),
 }

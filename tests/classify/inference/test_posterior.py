@@ -70,7 +70,7 @@ def test_stated_uncertainty_is_true(simulated, unseen, sensor):
     assert abs(right.sum() - sure.sum()) < 3.3 * spread + 2.0
 
 
-@pytest.mark.parametrize("turning", [False, pytest.param(True, marks=pytest.mark.slow)])
+@pytest.mark.parametrize("turning", [pytest.param(False, marks=pytest.mark.slow), True])
 def test_the_engines_fit_reaches_the_bound(simulated, unseen, tmp_path, turning):
     """Its error is what Cramer and Rao allow, where pictures are sharp: a ball, and a sheet that turns too."""
     if turning:

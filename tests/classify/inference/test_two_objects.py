@@ -37,7 +37,6 @@ def test_the_pairs_are_weighed_by_their_likelihood():
     np.testing.assert_allclose(answer.evidence, np.log(likely.mean() / single), rtol=1e-3)
 
 
-@pytest.mark.slow
 def test_two_spheres_of_the_engine_are_found(tmp_path):
     simulated = make_bulk(tmp_path / "set", pictures=1200, radius=0.1, ambient=LIGHT)
     found = atlas_build.build(simulated, Sensor(frames=100, background_frames=10000), measured_background=False)

@@ -524,7 +524,11 @@ PROBED = {"samples": 64, "resolution": (16, 16), "poses": 3, "seed": 0}
 
 @pytest.mark.parametrize(
     ("scale", "engine", "missed"),
-    [(0.2, "patch", False), (0.02, "patch", False), (0.2, "path", True), (1.0, "path", False)],
+    [
+        (0.2, "patch", False),
+        (0.2, "path", True),
+        *(pytest.param(*case, marks=pytest.mark.slow) for case in ((0.02, "patch", False), (1.0, "path", False))),
+    ],
 )
 def test_an_object_that_the_noise_hides_changes_what_surfel_says(scale, engine, missed):
     """By 0.4 % to 0.00004 %: never "nothing", though no sample of path meets its light."""

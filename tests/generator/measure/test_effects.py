@@ -102,15 +102,16 @@ def test_digits_and_pixels_are_told_and_kept(plan):
 @pytest.mark.slow
 def test_the_error_is_the_one_at_other_poses_too(plan):
     """What was measured on some poses holds on others, within the interval or a factor of 1.5."""
-    places, turns = poses(20, 1)
+    some = list(zip(*poses(20, 1), strict=True))
     found, all_dropped, together = plan
+    engine = Transport(ball(), accuracy=1e-4)
+    wholes = [engine.difference(*pose) for pose in some]
     for effect in (*(e for e in found if not e.note), together):
         dropped = all_dropped if effect is together else [effect.name]
-        some, shadows = variant(ball(), NAMES)(dropped)
-        error = []
-        for place, turn in zip(places, turns, strict=True):
-            whole = Transport(ball(), accuracy=1e-4).difference(place, turn)
-            less = Transport(some, accuracy=1e-4).difference(place, turn, shadows=shadows)
+        world, shadows = variant(ball(), NAMES)(dropped)
+        other, error = Transport(world, accuracy=1e-4), []
+        for pose, whole in zip(some, wholes, strict=True):
+            less = other.difference(*pose, shadows=shadows)
             error.append(((less - whole) ** 2).mean() / (whole**2).mean())
         low, high = min(effect.share[1], effect.share[0] / 1.5), max(effect.share[2], 1.5 * effect.share[0])
         # Of what is less than the engine's own error nobody knows how much it is.
