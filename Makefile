@@ -20,6 +20,9 @@ DEMO := demo
 # One process a core; each begins with its share of the tests, in order, and then takes over what others have left.
 PARALLEL := -n auto --maxprocesses 8 --dist worksteal
 
+# Tests start hundreds of processes: Python is to keep what it has compiled, whatever the environment says.
+unexport PYTHONDONTWRITEBYTECODE
+
 .PHONY: demo test test-all docs linkcheck lint setup extension package matrix gui slurm results clean
 
 setup: $(READY)
