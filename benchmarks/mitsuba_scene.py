@@ -1,7 +1,8 @@
 """The reference renderer: a `World` in Mitsuba 3, which shares no code and no author with Cycles or the transport.
 
 Radiance is absolute (W/m^2/sr): nothing is fitted. "spot" traces light from the true lamp and connects it to the
-camera; "patch" traces paths from the camera to the lit patch, a disc whose radiance is a texture of the closed form.
+camera; "patch" traces paths from the camera to the lit patch, a disc whose radiance is a texture of the closed form;
+"path" traces them to what else gives light, the sky and emitters.
 Mitsuba is not a dependency of the project; its LLVM variants need LLVM 17 or later (`apt-get install libllvm19`).
 """
 
@@ -18,9 +19,10 @@ import numpy as np
 
 from generator.model.arrays import rotation_matrix
 from generator.model.errors import NlosError
-from generator.transport.world import LitPatch, Sphere, Watched, World
+from generator.model.quantities import ALL_ORDERS
+from generator.transport.world import Emitters, LitPatch, Sphere, Watched, World
 
-METHODS = ("patch", "spot")
+METHODS = ("patch", "spot", "path")
 
 _LANES = 2**22
 """Paths that one call to Mitsuba traces at once: more would not be faster, but take more memory."""
@@ -30,6 +32,12 @@ _PER_PIXEL = 1024
 
 _PINHOLE = 0.5
 """Distance of the pinhole from the wall, in widths of the picture: at 0.1 light tracing is 0.1 % too dark."""
+
+_CERTAIN = 8
+"""Reflections after which a path may end by chance (Russian roulette), where all of them count."""
+
+_APART = 1e-4
+"""Distance, metres, of a glowing triangle from the surface that it lies on, of which rays would meet either."""
 
 _TEXELS = (128, 256)
 """Texels of the patch's radiance, along the radius and the angle: it is smooth, so that these suffice for 1e-6."""
@@ -65,7 +73,9 @@ class Prepared:
         Its watched patch is seen straight on, with square pixels; the lamp's edge is hard.
     position, rotation_degrees : (float, float, float)
         The target's pose, as in `generator.model.poses`; metres and degrees.
-    method : {"patch", "spot"}
+    method : {"patch", "spot", "path"}
+        Of a world whose light takes more than three reflections, "patch" is refused; "spot" renders the lamp's light
+        and "path" all other, which add up.
     target : bool
         Whether to include the target; if not, the picture is the background.
     variant : str, optional
@@ -94,17 +104,29 @@ class Prepared:
         self._mi = mi = mitsuba(variant or ("llvm_ad_mono" if _grey(world) else "llvm_ad_rgb"))
         self.resolution = world.watched.resolution
         # Mitsuba also counts the path segment that starts at the lamp; the patch is one reflection already.
-        depth = world.order + 1 if method == "spot" else world.order
-        kind = "ptracer" if method == "spot" else "path"
+        depth = world.order if method == "patch" else world.order + 1
+        ends = {"max_depth": depth, "rr_depth": 1000}
+        if world.order == ALL_ORDERS:
+            ends = {"max_depth": -1, "rr_depth": _CERTAIN}
         content: dict[str, Any] = {
             "type": "scene",
-            "integrator": {"type": kind, "max_depth": depth, "rr_depth": 1000},
+            "integrator": {"type": "ptracer" if method == "spot" else "path", **ends},
             "sensor": _sensor(mi, world.watched),
         }
+        if method != "patch" and world.wall is not None:
+            content.update(_meshes(mi, "wall", world.wall.triangles, world.wall.albedo))
+        elif method != "patch":
+            content["wall"] = _wall(mi, world, _rectangle(world, patch=True))
         if method == "spot":
             content["lamp"] = _spot(mi, world.patch)
-            content["wall"] = _wall(mi, world, _rectangle(world, patch=True))
+        elif method == "path":
+            if world.ambient is not None:
+                content["sky"] = {"type": "constant", "radiance": _rgb(world.ambient.radiance)}
+            if world.emitters is not None:
+                content.update(_emitters(mi, world.emitters))
         else:
+            if world.is_followed_on:
+                raise NlosError("method 'patch': only the lamp's first three reflections are followed; use 'spot'")
             if _overlap(world):
                 raise NlosError("method 'patch': the camera sees the lit patch; use 'spot'")
             content["lamp"] = _patch(mi, world.patch)
@@ -164,12 +186,17 @@ def render(
 def _grey(world: World) -> bool:
     colours = [world.patch.intensity, world.patch.albedo, world.watched.albedo]
     colours += [b.albedo for b in (*world.target, *world.room)]
+    colours += [] if world.ambient is None else [world.ambient.radiance]
+    colours += [] if world.emitters is None else [world.emitters.radiance, world.emitters.intensity]
     return all(np.ptp(c, axis=-1).max(initial=0.0) == 0.0 for c in colours)
 
 
+def _rgb(colour: np.ndarray) -> dict[str, Any]:
+    return {"type": "rgb", "value": [float(c) for c in colour]}
+
+
 def _diffuse(albedo: np.ndarray) -> dict[str, Any]:
-    colour = {"type": "rgb", "value": [float(a) for a in albedo]}
-    return {"type": "twosided", "bsdf": {"type": "diffuse", "reflectance": colour}}
+    return {"type": "twosided", "bsdf": {"type": "diffuse", "reflectance": _rgb(albedo)}}
 
 
 def _matrix(mi: Any, x: np.ndarray, y: np.ndarray, z: np.ndarray, origin: np.ndarray) -> Any:
@@ -181,7 +208,7 @@ def _matrix(mi: Any, x: np.ndarray, y: np.ndarray, z: np.ndarray, origin: np.nda
 def _axes(watched: Watched) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Return the picture's top left corner on the wall and its edges to the right and down, metres."""
     to_wall = watched.to_wall / watched.to_wall[3, 2]
-    if np.abs(to_wall[3, :2]).max() > 1e-9:
+    if np.abs(to_wall[3, :2]).max() > 1e-6:  # Blender keeps 24 bits
         raise NlosError("watched: the camera must look straight at the wall")
     corner, right, down = to_wall[:3, 2], to_wall[:3, 0], to_wall[:3, 1]
     width, height = (float(np.linalg.norm(v)) for v in (right, down))
@@ -200,6 +227,8 @@ def _sensor(mi: Any, watched: Watched) -> dict[str, Any]:
     corner, right, down = _axes(watched)
     width = float(np.linalg.norm(right))
     distance = _PINHOLE * width
+    if not watched.eye[3]:  # an orthographic camera may stand before the target
+        distance = min(distance, float(np.linalg.norm(watched.eye[:3])))
     eye = corner + right / 2.0 + down / 2.0 + distance * watched.normal
     return {
         "type": "perspective",
@@ -230,7 +259,7 @@ def _spot(mi: Any, patch: LitPatch) -> dict[str, Any]:
     return {
         "type": "spot",
         "to_world": _matrix(mi, across, np.cross(patch.axis, across), patch.axis, patch.lamp),
-        "intensity": {"type": "rgb", "value": [float(i) for i in patch.intensity]},
+        "intensity": _rgb(patch.intensity),
         "cutoff_angle": half,
         "beam_width": half,
     }
@@ -294,14 +323,38 @@ def _wall(mi: Any, world: World, rectangle: tuple[np.ndarray, np.ndarray, np.nda
     }
 
 
-def _meshes(mi: Any, name: str, triangles: np.ndarray, albedo: np.ndarray) -> dict[str, Any]:
-    """Return one mesh for every colour."""
+def _emitters(mi: Any, emitters: Emitters) -> dict[str, Any]:
+    """Return glowing surfaces, which reflect nothing themselves, and lamps without extent."""
+    if emitters.softness.any():
+        raise NlosError("emitters: Mitsuba has no lamp with a soft falloff")
+    sides = emitters.triangles[:, 1:] - emitters.triangles[:, :1]
+    normals = np.cross(sides[:, 0], sides[:, 1])
+    lifted = emitters.triangles + _APART * (normals / np.linalg.norm(normals, axis=1, keepdims=True))[:, None]
+    found = _meshes(mi, "glow", lifted, emitters.radiance, glowing=True)
+    for i, (place, intensity) in enumerate(zip(emitters.places, emitters.intensity, strict=True)):
+        found[f"point{i}"] = {
+            "type": "point",
+            "position": [float(c) for c in place],
+            "intensity": _rgb(intensity),
+        }
+    return found
+
+
+def _meshes(
+    mi: Any, name: str, triangles: np.ndarray, values: np.ndarray, *, glowing: bool = False
+) -> dict[str, Any]:
+    """Return one mesh for every colour: an albedo, or a radiance on the side from which corners run
+    counter-clockwise."""
     meshes = {}
-    colours, colour_index = np.unique(albedo, axis=0, return_inverse=True)
+    colours, colour_index = np.unique(values, axis=0, return_inverse=True)
     for i, colour in enumerate(colours):
         corners = triangles[colour_index.reshape(-1) == i].reshape(-1, 3)
         properties = mi.Properties()
-        properties["bsdf"] = mi.load_dict(_diffuse(colour))
+        if glowing:
+            properties["bsdf"] = mi.load_dict({"type": "diffuse", "reflectance": _rgb(np.zeros(3))})
+            properties["emitter"] = mi.load_dict({"type": "area", "radiance": _rgb(colour)})
+        else:
+            properties["bsdf"] = mi.load_dict(_diffuse(colour))
         mesh = mi.Mesh(f"{name}-{i}", len(corners), len(corners) // 3, props=properties)
         parameters = mi.traverse(mesh)
         parameters["vertex_positions"] = corners.astype(np.float32).ravel()
