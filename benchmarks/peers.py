@@ -2,18 +2,21 @@
 
 python benchmarks/peers.py -o DIR [--only SCENE ...] [--light LIGHT ...] [--order N ...] [--seconds S]
 
-Writes ``peers.csv``. Compared are the light that a hidden target changes and the background, in absolute units: nothing
-is fitted. Each peer renders with the target and without it, with equal noise, until its 95 % intervals are below
-`GOAL` or its seconds of processor time are spent; with 12 of them, some two hours on one core.
+Writes ``peers.csv``. Compared are the light that a hidden target changes and the background, in absolute units:
+nothing is fitted. Each peer renders with the target and without it, with equal noise, until its 95 % intervals are
+below `GOAL` or its seconds of processor time are spent; with 12 of them, some two hours on one core.
 
-- Lights: the lamp; the sky, where the room lacks a ceiling or another side; both; a window in a side of a room that is
-  closed otherwise (in the corridor, in its ceiling), with the sky outside; a glowing panel.
+- Lights: the lamp; the sky, where the room lacks a ceiling or another side; both; a window in a side of a room that
+  is closed otherwise (in the corridor, in its ceiling), with the sky outside; a glowing panel.
 - Cycles reads the Blender scene. It renders by `patch` where the lamp shines, else by `path`, with a portal in the
   window, from which it draws directions.
 - Mitsuba renders the world that `survey` reads: from the true spot by light tracing, other light by path tracing; the
   two add up where both shine. Its window is a surface as bright as the sky; ``--sky`` leaves the sky itself there.
-- Columns: mean of the engine's picture less the peer's, relative to the root mean square of the engine's; its root
-  mean square over the peer's, less 1, where products of pictures with independent noise keep the noise out.
+- Columns: root mean square of the difference relative to that of its parts, what the target adds and what it hides,
+  joined as squares: to these the engine's accuracy is relative, and where they nearly cancel, errors of their
+  difference are larger. Then the mean of the engine's picture less the peer's, relative to the root mean square of
+  the engine's; and its root mean square over the peer's, less 1, where products of pictures of independent noise keep
+  the noise out.
 
 Mitsuba needs what `engines.py` says.
 """
@@ -56,6 +59,7 @@ RESULTS = {
         "light",
         "reflections",
         "peer",
+        "difference of its parts, %",
         "difference, mean, %",
         "difference, RMS, %",
         "background, mean, %",
@@ -63,7 +67,14 @@ RESULTS = {
     ),
 }
 ORDERS = {"4": 4, "6": 6, "10": 10, "all": ALL_ORDERS}
-LIGHTS = ("lamp", "sky", "both", "window", "panel")
+SOURCES = {
+    "lamp": ("lamp",),
+    "sky": ("sky",),
+    "both": ("lamp", "sky"),
+    "window": ("sky",),
+    "panel": ("emitters",),
+}
+"""Lights, and what the engine calls their sources."""
 PIXELS = (16, 16)
 GOAL = 0.01
 """Half width of an interval at which a peer stops."""
@@ -209,18 +220,19 @@ def _portal(case: Case, hole: Array) -> None:
     bpy.context.scene.collection.objects.link(portal)
 
 
-def by_surfel(world: World, light: str, pose: Pair) -> Pair:
-    """Return what the engine says at an accuracy of 1 %."""
+def by_surfel(world: World, light: str, pose: Any) -> tuple[Pair, float]:
+    """Return what the engine says at an accuracy of 1 %, and the change's size relative to its parts'."""
     engine = Transport(world, accuracy=1e-2)
     made = engine.render(*pose)
-    if light == "panel":
-        pair = made.emitted, engine._followed("emitters")
-    elif light in ("sky", "window"):
-        pair = made.ambient, engine._followed("sky")
-    else:
-        background = engine.background()
-        pair = made.pixels - background, background
-    return pair[0].mean(axis=2), pair[1].mean(axis=2)
+    of_source = {"lamp": made.added - made.hidden + made.further, "sky": made.ambient, "emitters": made.emitted}
+    nothing = np.zeros((engine._setting.tint.shape[1], *PIXELS[::-1]))
+    added = engine._changed(*pose, nothing, shadows=False)
+    added["lamp"] = added["lamp"] + made.added
+    seen = SOURCES[light]
+    change, light_added = (np.sum([part[name] for name in seen], axis=0) for part in (of_source, added))
+    background = engine.background() if "lamp" in seen else engine._followed(*seen)
+    sizes = [float((part**2).mean()) for part in (change, light_added, light_added - change)]
+    return (change.mean(axis=2), background.mean(axis=2)), math.sqrt(sizes[0] / (sizes[1] + sizes[2]))
 
 
 class Mitsuba:
@@ -282,12 +294,12 @@ def figures(theirs: Array, ours: Array) -> Iterator[tuple[float, float]]:
 
 
 def brightness(case: Case) -> float:
-    """Return the sky's radiance, W/m^2/sr, by which it changes the picture as much as the lamp does."""
+    """Return the sky's radiance, W/m^2/sr, by which it changes the picture twice as much as the lamp does."""
     scene, _ = lit(case, "both", 1.0)
     world = replace(surfel_world(scene, resolution=PIXELS), order=4)
     made = Transport(world, accuracy=3e-2).render(case.place, TURN)
     lamp, sky = (float(np.sqrt((p**2).mean())) for p in (made.added - made.hidden + made.further, made.ambient))
-    return lamp / sky
+    return 2.0 * lamp / sky
 
 
 def compared(name: str, light: str, options: argparse.Namespace) -> Iterator[tuple[str, ...]]:
@@ -309,7 +321,8 @@ def compared(name: str, light: str, options: argparse.Namespace) -> Iterator[tup
         _portal(case, hole)
     for label in options.order:
         order = ORDERS[label]
-        ours = by_surfel(replace(world, order=order), light, pose)
+        ours, kept = by_surfel(replace(world, order=order), light, pose)
+        start = name, light, label
         roles.limit_reflections(scene, order)
         setting = {**renderers.settings(Sweep()), "resolution": PIXELS, "threads": 1}
         with renderers.opened(scene, engine, **setting) as renderer:
@@ -323,10 +336,10 @@ def compared(name: str, light: str, options: argparse.Namespace) -> Iterator[tup
                 )
                 return seen - empty, empty
 
-            yield name, light, label, "Cycles", *sampled(by_cycles, ours, options.seconds)
+            yield *start, "Cycles", f"{100.0 * kept:.0f}", *sampled(by_cycles, ours, options.seconds)
         if options.mitsuba:
             by_mitsuba = Mitsuba(replace(theirs, order=order), methods, pose)
-            yield name, light, label, "Mitsuba", *sampled(by_mitsuba.draw, ours, options.seconds)
+            yield *start, "Mitsuba", f"{100.0 * kept:.0f}", *sampled(by_mitsuba.draw, ours, options.seconds)
 
 
 def main() -> None:
@@ -334,7 +347,7 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("-o", "--out", type=Path, required=True, help="folder for the table")
     parser.add_argument("--only", nargs="+", metavar="SCENE", choices=list(CASES), default=list(CASES))
-    parser.add_argument("--light", nargs="+", metavar="LIGHT", choices=LIGHTS, default=list(LIGHTS))
+    parser.add_argument("--light", nargs="+", metavar="LIGHT", choices=list(SOURCES), default=list(SOURCES))
     parser.add_argument("--order", nargs="+", choices=list(ORDERS), default=list(ORDERS))
     parser.add_argument("--seconds", type=float, default=12.0, help="for each peer, scene, light and order")
     parser.add_argument("--sky", action="store_true", help="Mitsuba's window is a hole under the sky")

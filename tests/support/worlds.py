@@ -80,6 +80,25 @@ def room(*, albedo=0.8, order=6, ceiling=True, sky=0.0, screen=True, target=None
     return replace(made, watched=watched, patch=patch, order=order, wall=wall, ambient=ambient)
 
 
+def windowed(size, *, albedo=0.8, order=3, target=None):
+    """`room` under a sky that enters by a square window in the side x = WIDE, and the window's corners (4, 3)."""
+    made = room(albedo=albedo, order=order, sky=1.0, target=target)
+    middle, half = np.array([1.1, 0.3]), size / 2.0
+    low, high = middle - half, middle + half
+    pieces = (
+        ((0.0, -HIGH), (low[0], HIGH)),
+        ((high[0], -HIGH), (DEEP, HIGH)),
+        ((low[0], -HIGH), (high[0], low[1])),
+        ((low[0], high[1]), (high[0], HIGH)),
+    )
+    sides = [
+        quad((WIDE, *start), (0.0, end[0] - start[0], 0.0), (0.0, 0.0, end[1] - start[1]), albedo)
+        for start, end in pieces
+    ]
+    corners = np.array([(WIDE, y, z) for y, z in ((low[0], low[1]), (high[0], low[1]), high, (low[0], high[1]))])
+    return replace(made, room=(*made.room[:3], *made.room[4:], *sides)), corners
+
+
 def scaled(world, factor):
     """The same world, larger or smaller, its lamp so much brighter or dimmer that the picture stays the same."""
     patch, view = world.patch, world.watched

@@ -30,6 +30,7 @@ from generator.model.quantities import ALL_ORDERS
 from generator.transport.light.beams import Beams, EmitterBeams, PatchBeams, irradiance
 from generator.transport.light.cells import Cells, summed
 from generator.transport.light.exchange import Exchange
+from generator.transport.light.openings import through_openings
 from generator.transport.light.picture_points import PicturePoints
 from generator.transport.light.spread import hemisphere, shifted, squares
 from generator.transport.light.wall_shadow import WallShadow
@@ -43,7 +44,7 @@ Numbers = NDArray[np.int64]
 FINEST = 1e-2
 """Least error that is asked for: cells are no finer."""
 _CELL, _COARSEST = 0.05, 0.1
-"""Size of a cell in units of its distance from the watched patch, for that error; at most. The error is as its square."""
+"""Size of a cell in units of its distance from the watched patch, for that error, which is as its square; at most."""
 _BLOCK = 3
 """Cells along a side of a coarse one."""
 _ROWS, _WALL = 1024, 4096
@@ -63,6 +64,8 @@ _MOST_LEVELS = 64
 """Number of reflections that are followed one by one where all count; the rest is a geometric series."""
 _FINE = 3
 """Reflections on the way to the wall that are followed from cell to cell; further ones, from coarse to coarse."""
+_OPEN = 0.1
+"""Share of the sky in what the picture's points see, on average, above which rays alone tell it."""
 _TOUCH, _FLAT = 1e-9, 1e-6
 _LAMP, _SKY, _EMITTED = 2, 0, 1
 """Reflections of the light that sources begin with: on cells of the lamp's and of emitters', none of the sky's."""
@@ -145,6 +148,8 @@ class LightField:
         self.points = PicturePoints(setting.to_wall, _POINTS)
         self._wall_share, wall = self._seen(*_from_wall(self.points, _WALL), _WALL)
         wall = _refined(wall, self.points, cells, setting)
+        if setting.sky is not None and 0.0 < self._wall_share.mean() < _OPEN:
+            self._wall_share = self._sky_of_wall(setting)
         reached, met = self._reached(np.flatnonzero(wall.any(axis=0) | self._of_wall()))
         self.tint = cells.tint
         self._reached_cells, self._wall = reached, wall[:, reached]
@@ -176,6 +181,13 @@ class LightField:
                 counts = np.bincount(met, minlength=self.cells.count + 1) / rays
                 seen[k], sky[k] = counts[:-1], counts[-1]
         return sky, seen
+
+    def _sky_of_wall(self, setting: Setting) -> Floats:
+        """Return the share of the sky (points,) in what the picture's points see, where openings are small."""
+        places, normals, spread = _from_wall(self.points, _WALL)
+        ways = hemisphere(normals, spread)
+        out = np.flatnonzero(self.cells.meet(places, ways).cell == self.cells.count)
+        return through_openings(self.points.places, out // _WALL, ways[out], _WALL, setting.around)
 
     def _of_wall(self) -> NDArray[np.bool_]:
         """Return which cells are of the relay wall's front: the picture does not see them, but a target may."""

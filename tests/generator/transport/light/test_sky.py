@@ -2,6 +2,7 @@
 
 from dataclasses import replace
 
+import brute_force
 import numpy as np
 import pytest
 import worlds
@@ -18,7 +19,7 @@ from generator.model.settings import Sweep
 from generator.sets import bulk_set
 from generator.sets import simulated as simulations
 from generator.sets.dataset import Dataset
-from generator.transport import AmbientLight, Mesh, Sphere, Transport
+from generator.transport import AmbientLight, Emitters, Mesh, Sphere, Transport
 from generator.transport.world import MOST_SURFACES
 from generator.transport.world_file import load_world, save_world, world_hash
 
@@ -131,6 +132,37 @@ def test_the_background_is_the_whole_sky_less_what_a_floor_hides():
     hidden = (share(side - points[..., 0]) + share(side + points[..., 0])) @ weights
     background = Transport(world, accuracy=1e-2).background()[..., 0]
     assert worlds.error(background, worlds.WALL * (1.0 - hidden)) < 2e-3
+
+
+@pytest.mark.parametrize("size", [0.3, 1.2])
+def test_a_window_lights_the_wall_as_its_outline_says(size):
+    """Lambert's formula: a polygon of radiance 1 sends 1/2 sum over edges of the angle times the cosine of the edge's
+    plane. A screen hides none of it from the nearest part of the wall."""
+    world, corners = worlds.windowed(size, order=1)
+    world = replace(world, room=world.room[:4] + world.room[5:])
+    points, weights = worlds.picture_points(world.watched, 2)
+    ways = corners - points[..., None, :]
+    ways /= np.linalg.norm(ways, axis=-1, keepdims=True)
+    ahead = np.roll(ways, -1, axis=-2)
+    normal = np.cross(ways, ahead)
+    sine = np.linalg.norm(normal, axis=-1)
+    light = np.abs((np.arctan2(sine, (ways * ahead).sum(axis=-1)) * normal[..., 1] / sine).sum(axis=-1)) / 2.0
+    engine = Transport(world, accuracy=1e-2)
+    assert worlds.error(engine.background()[..., 0], worlds.WALL / np.pi * light @ weights) < 0.01
+
+
+def test_an_object_before_a_window_darkens_the_room():
+    """Against paths at random to a surface in the window, as bright as the sky; four standard errors and 1 %."""
+    world, corners = worlds.windowed(0.6)
+    pose = ((1.1, 1.1, 0.3), (0.0, 0.0, 80.0))
+    triangles = corners[[[0, 2, 1], [0, 3, 2]]]  # towards the room
+    none = np.zeros((0, 3))
+    glow = Emitters(triangles, np.ones((2, 3)), none, none, np.zeros(2))
+    mean, error = brute_force.change(replace(world, ambient=None, emitters=glow), *pose, 2000)
+    made = Transport(world, accuracy=1e-2).render(*pose).ambient[..., 0].mean() * np.pi / worlds.WALL
+    expected, off, level = mean[2].sum(), np.sqrt((error[2] ** 2).sum()), abs(mean[2]).sum()
+    assert 4.0 * off < 0.03 * level  # or the test could not fail
+    assert abs(made - expected) < 4.0 * off + 0.01 * level
 
 
 def test_a_white_body_is_as_bright_as_the_sky_it_hides():
