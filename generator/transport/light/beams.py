@@ -26,8 +26,9 @@ Floats = NDArray[Any]
 Numbers = NDArray[np.int64]
 
 _TOUCH = 1e-9
-_POINTS, _FEW = 256, 16
-"""Number of points of all that glows, at least one for each triangle; and of those near which cells are small."""
+_POINTS, _FEW, _DENSE = 256, 16, 1 << 14
+"""Number of points of all that glows, at least one for each triangle; of those near which cells are small; and of
+those that cast shadows with an edge."""
 _CHUNK = 1 << 18
 
 
@@ -134,11 +135,13 @@ class EmitterBeams:
     ----------
     spots : Spots
         Some of the points.
+    dense : Points
+        Many points: shadows of few would be those of so many lamps without extent.
     """
 
     def __init__(self, emission: Emission, blockers: Surfaces) -> None:
         self.blockers = blockers
-        self.finest = _spread(emission, _POINTS)
+        self.finest, self.dense = _spread(emission, _POINTS), _spread(emission, _DENSE)
         few = _spread(emission, _FEW)
         size = np.sqrt(few.weights.max(axis=1) / np.maximum(1e-300, emission.radiance.max(initial=0.0)))
         self.spots = Spots(few.places, few.normals, np.where(few.normals.any(axis=1), size, 0.0))

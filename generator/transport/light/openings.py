@@ -46,6 +46,7 @@ def through_openings(places: Floats, owner: Numbers, way: Floats, rays: int, sur
         What may be in the way.
     """
     low, high = surfaces.box
+    low, high = np.minimum(low, places.min(axis=0)), np.maximum(high, places.max(axis=0))
     left_by = _cell(places[owner], way, low, high)
     cells = _beside(left_by)
     corner, first, second, normal = _placed(cells, low, high)

@@ -78,7 +78,7 @@ class WallShadow:
             Number of lines through the target that are followed besides; the more, the more pairs.
         """
         width, height = self._setting.resolution
-        pairs = self._paired(max(_FEWEST, lines >> 8))
+        pairs = self._paired(max(_FEWEST, lines >> 7))
         groups = pairs.light.shape[1]
         along = np.einsum("ni,ni->n", pose.centre - pairs.places, pairs.ways)
         along = np.clip(along / np.einsum("ni,ni->n", pairs.ways, pairs.ways), 0.0, 1.0)
@@ -104,7 +104,7 @@ class WallShadow:
         width, height = self._setting.resolution
         number = max(SETS, min(number, _MOST_PAIRS // (width * height)) // SETS * SETS)
         if number not in self._pairs:
-            points, pixels = self._beams.finest, np.arange(width * height)
+            points, pixels = self._beams.dense, np.arange(width * height)
             pixel = np.repeat(pixels, number)
             spread = shifted(number, 3, pixels).reshape(-1, 3)
             corner = np.stack([pixel % width, pixel // width], axis=1)
