@@ -125,6 +125,10 @@ class Target:
         0.9,
     )
     mesh: str = described("file of a mesh target (.obj, .ply or .stl), else empty", "")
+    gloss: float = described(
+        "share of what the target reflects that is glossy, 0 to 1: Blender's Glossy BSDF, Multiscatter GGX", 0.0
+    )
+    roughness: float = described("roughness of the glossy share, 0 to 1, as Blender has it", 0.5)
 
     @classmethod
     def named(cls, name: str, scale: float = 1.0) -> Target:
@@ -199,6 +203,9 @@ class Scene:
             f"camera.location: {self.camera.location} must lie before the relay wall, with y above 0",
         )
         require(self.ambient >= 0, f"ambient: {self.ambient} must not be negative")
+        for name in ("gloss", "roughness"):
+            value = getattr(self.target, name)
+            require(0.0 <= value <= 1.0, f"target.{name}: {value:g} must lie between 0 and 1")
         require(self.target.size >= 0, f"target.size: {self.target.size} must not be negative")
         require(self.target.size > 0 or self.target.kind == "mesh", "target.size: must be above 0")
         check_ranges(self)

@@ -92,6 +92,8 @@ def is_grey(world: World) -> bool:
         light += [world.emitters.radiance, world.emitters.intensity]
     if world.wall is not None:
         light.append(world.wall.albedo)
+    for body in world.target:
+        light += [] if body.gloss is None else [body.gloss.tint, body.gloss.multiple]
     colours = [np.atleast_2d(c) for c in (*light, *(body.albedo for body in (*world.target, *world.room)))]
     return all(bool((c == c[:, :1]).all()) for c in colours)
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, Any
 
-from generator.transport.world import AmbientLight, Emitters, LitPatch, Mesh, Sphere, Watched, World
+from generator.transport.world import AmbientLight, Emitters, Gloss, LitPatch, Mesh, Sphere, Watched, World
 
 if TYPE_CHECKING:
     from generator.transport.render import Gains, Rendered, Transport
@@ -13,6 +13,7 @@ __all__ = [
     "AmbientLight",
     "Emitters",
     "Gains",
+    "Gloss",
     "LitPatch",
     "Mesh",
     "Rendered",

@@ -8,7 +8,7 @@ size. That ratio alone decides how many points a cell gets and when it is cut, s
 from __future__ import annotations
 
 import math
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.polynomial.legendre import leggauss
@@ -21,15 +21,20 @@ Floats = NDArray[Any]
 
 PARALLELOGRAM, TRIANGLE, SPHERE = 0, 1, 2
 
-KIND, SIDED, ORIGIN, FIRST, SECOND, LOW, HIGH, START, END, RADIUS = 0, 1, 2, 5, 8, 11, 12, 13, 14, 15
+KIND, SIDED, ORIGIN, FIRST, SECOND, LOW, HIGH, START, END, RADIUS, SHARP = 0, 1, 2, 5, 8, 11, 12, 13, 14, 15, 16
 """Columns of a cell's row: its kind; whether it has only one side; the corner (3) and two edges (3 + 3) of a flat
 one; of a sphere, the middle (3), the pole (3), a direction across it (3), the extent of the cell (lowest and highest
-cosine to the pole, first and last angle around it), and the radius."""
+cosine to the pole, first and last angle around it), and the radius; of a glossy one, the angle over which its light
+varies (`gloss.Shine.sharp`), else 0."""
 
-WIDTH = 16
+WIDTH = 17
 
 POINT, NORMAL, AREA, CELL, ONE_SIDED = 0, 3, 6, 7, 8
 """Columns of a quadrature point's row: position (3), unit normal (3), area, index of its cell, and `SIDED`."""
+
+GRAZING = 0.25
+"""Least cosine between the facets of a glossy cell and the light on them that points are made for: light that grazes
+more is weak."""
 
 MAX_POINTS = 6
 """Most points along one side of a cell: a cell that needs more is cut."""
@@ -56,7 +61,7 @@ def _gauss() -> Floats:
 GAUSS = _gauss()
 
 
-def cells(bodies: tuple[Body, ...]) -> tuple[Floats, Floats, Floats]:
+def cells(bodies: tuple[Body, ...]) -> tuple[Floats, Floats, Floats, Floats]:
     """Return a target's cells, in its own frame.
 
     Parameters
@@ -69,14 +74,19 @@ def cells(bodies: tuple[Body, ...]) -> tuple[Floats, Floats, Floats]:
     spheres : ndarray of shape (s, WIDTH)
         Whole spheres: where they are cut depends on where the light comes from (`cap_cell`).
     albedo : ndarray of shape (n + s, 3)
+    kept : ndarray of shape (n + s,), int
+        For each, the index of a triangle that it came from, counted over all meshes; spheres follow.
     """
     flat, flat_albedo = [np.zeros((0, WIDTH))], [np.zeros((0, 3))]
     balls, ball_albedo = [np.zeros((0, WIDTH))], [np.zeros((0, 3))]
+    kept, triangles = [np.zeros(0, dtype=np.int64)], 0
     for body in bodies:
         if isinstance(body, Mesh):
-            rows, albedo = _flat_cells(body)
+            rows, of = _flat_cells(body)
             flat.append(rows)
-            flat_albedo.append(albedo)
+            flat_albedo.append(body.albedo[of])
+            kept.append(triangles + of)
+            triangles += len(body.triangles)
         else:
             ball = np.zeros((1, WIDTH))
             ball[0, KIND], ball[0, SIDED], ball[0, ORIGIN:FIRST], ball[0, RADIUS] = (
@@ -87,11 +97,16 @@ def cells(bodies: tuple[Body, ...]) -> tuple[Floats, Floats, Floats]:
             )
             balls.append(ball)
             ball_albedo.append(body.albedo[None])
-    return np.concatenate(flat), np.concatenate(balls), np.concatenate(flat_albedo + ball_albedo)
+    kept.append(triangles + np.arange(len(balls) - 1))
+    albedo = np.concatenate(flat_albedo + ball_albedo)
+    return np.concatenate(flat), np.concatenate(balls), albedo, np.concatenate(kept)
 
 
 def _flat_cells(mesh: Mesh) -> tuple[Floats, Floats]:
-    origin, first, second, kind, kept = merge_parallelograms(mesh.triangles, mesh.albedo)
+    gloss, look = mesh.gloss, mesh.albedo
+    if gloss is not None:
+        look = np.column_stack([look, gloss.tint, gloss.roughness, gloss.multiple])
+    origin, first, second, kind, kept = merge_parallelograms(mesh.triangles, look)
     rows = np.zeros((len(origin), WIDTH))
     rows[:, KIND] = kind
     rows[:, ORIGIN:FIRST], rows[:, FIRST:SECOND], rows[:, SECOND:LOW] = origin, first, second
@@ -103,11 +118,11 @@ def _flat_cells(mesh: Mesh) -> tuple[Floats, Floats]:
         inward = ((origin - centre) * normal).sum(axis=1) < 0.0
         # Swapping the edges reverses a normal: a mesh's own orientation may be inside out.
         rows[inward, FIRST:SECOND], rows[inward, SECOND:LOW] = second[inward], first[inward]
-    return rows, mesh.albedo[kept]
+    return rows, kept
 
 
-def merge_parallelograms(triangles: Floats, albedo: Floats) -> tuple[Floats, Floats, Floats, Floats, Floats]:
-    """Join consecutive triangles that form a parallelogram of one colour; drop those without area.
+def merge_parallelograms(triangles: Floats, look: Floats) -> tuple[Floats, Floats, Floats, Floats, Floats]:
+    """Join consecutive triangles that form a parallelogram of one look (n, k); drop those without area.
 
     Returns
     -------
@@ -128,7 +143,7 @@ def merge_parallelograms(triangles: Floats, albedo: Floats) -> tuple[Floats, Flo
         i = valid[index]
         index += 1
         parallelogram = None
-        if index < len(valid) and (albedo[i] == albedo[valid[index]]).all():
+        if index < len(valid) and (look[i] == look[valid[index]]).all():
             parallelogram = _parallelogram(triangles[i], triangles[valid[index]])
         if parallelogram is None:
             rows.append((a[i], b[i] - a[i], c[i] - a[i], TRIANGLE, i))
@@ -297,6 +312,68 @@ def points_wanted(width: float, distance: float, digits: float) -> int:
     return MAX_POINTS + 1
 
 
+class Between(NamedTuple):
+    """The half vector of the ways from a point of a glossy surface to two discs on the wall, around x, y.
+
+    Attributes
+    ----------
+    near, far : float
+        Distances of their centres.
+    cosine : float
+        Between the half vector and the ways, but at least `GRAZING`.
+    lean : float
+        Least angle between the half vector and the normal, for any two points of the discs.
+    """
+
+    near: float
+    far: float
+    cosine: float
+    lean: float
+
+
+@jit_in_place
+def half_way(
+    point: Floats, normal: Floats, one: tuple[float, float, float], two: tuple[float, float, float]
+) -> Between:
+    """Return the half vector of the ways from a point to two discs (x, y, radius)."""
+    u, v, s, t, h = one[0] - point[0], one[1] - point[1], two[0] - point[0], two[1] - point[1], point[2]
+    near, far = math.sqrt(u * u + v * v + h * h), math.sqrt(s * s + t * t + h * h)
+    length = math.sqrt(max(0.0, 2.0 + 2.0 * (u * s + v * t + h * h) / (near * far)))
+    along = (
+        normal[0] * (u / near + s / far) + normal[1] * (v / near + t / far) - normal[2] * h * (1.0 / near + 1.0 / far)
+    )
+    cosine = max(length / 2.0, GRAZING)
+    lean = math.acos(min(1.0, abs(along) / max(length, 1e-12)))
+    return Between(near, far, cosine, max(0.0, lean - (one[2] / near + two[2] / far) / (2.0 * cosine)))
+
+
+@jit_in_place
+def varies_over(cell: Floats, width: float, between: Between) -> tuple[float, float]:
+    """Return over which distance a glossy cell's light varies, and the share of all that cells like it send.
+
+    The reflectance has poles where the half vector leans to the normal by `SHARP`, an imaginary angle. From place to
+    place it turns by half of what the two ways do, over the cosine between it and them; on a sphere the normal turns
+    as well, so that some other cell is in the middle of the highlight.
+
+    Parameters
+    ----------
+    cell : ndarray of shape (WIDTH,)
+    width : float
+        The cell's half width.
+    between : Between
+        Of its middle.
+    """
+    rate = (1.0 / between.near + 1.0 / between.far) / (2.0 * between.cosine)
+    if cell[KIND] == SPHERE:
+        rate += 1.0 / cell[RADIUS]
+    sharp, lean = cell[SHARP], max(0.0, between.lean - rate * width)
+    squared = sharp * sharp + lean * lean
+    share = 1.0
+    if cell[KIND] == SPHERE:
+        share = sharp * sharp / squared
+    return math.sqrt(squared) / rate, share
+
+
 @jit_in_place
 def middle_of(cell: Floats, middle: Floats) -> tuple[float, float]:
     """Write a cell's middle; return half of its widths along its two directions."""
@@ -319,6 +396,22 @@ def middle_of(cell: Floats, middle: Floats) -> tuple[float, float]:
     if cell[KIND] == PARALLELOGRAM:
         return math.sqrt(first) / 2.0, math.sqrt(second) / 2.0
     return math.sqrt(max(first, second)) / 2.0, math.sqrt(across) / 2.0
+
+
+@jit_in_place
+def normal_of(cell: Floats, middle: Floats, normal: Floats) -> None:
+    """Write a cell's unit normal at its middle."""
+    if cell[KIND] == SPHERE:
+        for r in range(3):
+            normal[r] = (middle[r] - cell[ORIGIN + r]) / cell[RADIUS]
+        return
+    squared = 0.0
+    for r in range(3):
+        s, t = (r + 1) % 3, (r + 2) % 3
+        normal[r] = cell[FIRST + s] * cell[SECOND + t] - cell[FIRST + t] * cell[SECOND + s]
+        squared += normal[r] ** 2
+    for r in range(3):
+        normal[r] /= math.sqrt(squared)
 
 
 @jit_in_place

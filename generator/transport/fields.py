@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from generator.model.errors import NlosError
-from generator.transport import compiled, elements, integral, picture, shaded, traced
+from generator.transport import compiled, elements, gloss, integral, picture, shaded, traced
 from generator.transport.lit import Rules
 from generator.transport.prepared import Setting
 from generator.transport.rays import Placed
@@ -135,7 +135,33 @@ class Fields:
             | {"precision": "float32" if single else "float64", "visibility": "free"}
             for k in range(n)
         ]
-        return pixels.reshape(n, groups, channels, *pixels.shape[2:]), reports
+        pixels = pixels.reshape(n, groups, channels, *pixels.shape[2:])
+        if setting.shine is not None:
+            self._add_gloss(turns, places, pixels[:, :, 0], reports)
+        return pixels, reports
+
+    def _add_gloss(self, turns: Floats, places: Floats, pixels: Floats, reports: list[dict[str, Any]]) -> None:
+        """Add to pixels (n, groups, height, width) what a glossy target sends where nothing is in the way."""
+        setting, rule, n = self._setting, self._free_rule, len(places)
+        assert setting.shine is not None
+        most, like = np.zeros((n, 2)), np.zeros(0)
+        parts, wanted = setting.faces.parts(turns, places)
+        part_poses = Parts(turns, places, parts.picture, wanted)
+        arguments = (self._sharp(), setting.shine, part_poses, self._rules(_SPARE))
+
+        def evaluate(owner: Floats, boxes: Floats) -> tuple[Floats, Floats]:
+            values, found = np.empty((len(owner), pixels.shape[1], len(rule.places))), np.empty((len(owner), 4))
+            panel_boxes = Boxes(owner, boxes, rule.places, setting.to_wall, like)
+            compiled.in_parts(gloss.panels, len(owner), panel_boxes, *arguments, values, found)
+            np.maximum.at(most, parts.picture[owner], found[:, :2])
+            return values, found[:, 3] / found[:, 2]
+
+        shape = self._shape(n, pixels.shape[1])
+        light, panels = picture.draw(evaluate, rule, parts, shape, self._accuracy / 2.0)
+        pixels += light
+        for k, report in enumerate(reports):
+            report |= {"gloss_panels": int(panels.count[k]), "gloss_elements": int(most[k, 0])}
+            report["patch_points"] = max(report["patch_points"], int(most[k, 1]))
 
     def behind(self, turns: Floats, places: Floats) -> tuple[Floats, list[dict[str, Any]]]:
         """Return the light that a target adds if it may be partly hidden, by itself or by the room.
@@ -151,7 +177,7 @@ class Fields:
         """
         setting, n = self._setting, len(places)
         poses = self._shaded_poses(turns, places)
-        cut = self.few and not len(setting.balls)
+        cut = self.few and not len(setting.balls) and setting.shine is None
         if cut:
             pixels, panels, lost = self._received(self._target(), poses)
             pixels = pixels[:, :, 0]
@@ -162,7 +188,7 @@ class Fields:
         remaining = np.flatnonzero(lost)
         if len(remaining):
             evaluate = self._reflected_loops if self.few else self._reflected_arrays
-            reflected = evaluate(self._target(), Poses(*(field[remaining] for field in poses)))
+            reflected = evaluate(self._sharp(), Poses(*(field[remaining] for field in poses)))
             pixels[remaining], panels, most = self._refined(
                 reflected, len(remaining), setting.tint.shape[1], setting.target.extent
             )
@@ -314,6 +340,15 @@ class Fields:
         setting = self._setting
         return Target(setting.flat, setting.balls, setting.tint, setting.faces.of, self._rings[moving])
 
+    def _sharp(self) -> Target:
+        """Return the target with cells as fine as its gloss requires."""
+        shine, target = self._setting.shine, self._target()
+        if shine is None:
+            return target
+        flat, balls = target.flat.copy(), target.balls.copy()
+        flat[:, elements.SHARP], balls[:, elements.SHARP] = np.split(shine.sharp, [len(flat)])
+        return target._replace(flat=flat, balls=balls)
+
     def _shaded_poses(self, turns: Floats, places: Floats) -> Poses:
         return Poses(turns, places, self._hiders(turns, places), self._orders(places))
 
@@ -336,9 +371,11 @@ class Fields:
         obstacles = traced.Obstacles(room, target, setting.target.spheres, setting.convex)
         widest = self._widest * setting.target.extent
 
+        shine = setting.shine or gloss.none(*shape.albedo.shape)
+
         def evaluate(owner: Floats, walls: Floats, finest: Floats) -> tuple[Floats, Floats]:
             values = np.empty((len(owner), shape.albedo.shape[1] + 1))
-            arguments = (traced.Points(owner, walls, finest, widest), shape, poses, obstacles, self._rules())
+            arguments = (traced.Points(owner, walls, finest, widest), shape, shine, poses, obstacles, self._rules())
             compiled.in_parts(traced.reflected_points, len(owner), *arguments, values)
             return values[:, :-1], values[:, -1]
 
@@ -356,7 +393,10 @@ class Fields:
                 hiders.append(Placed(setting.target, turn, place))
             seen = integral.Seen(faced, _around(wall), rules, finest)
             points = integral.cover(shape, turn, place, seen, wanted)
-            return shaded.reflected(wall, points, shape.albedo, self._light, hiders), len(points)
+            values = shaded.reflected(wall, points, shape.albedo, self._light, hiders)
+            if setting.shine is not None and not is_room:
+                values += shaded.shone(wall, points, setting.shine, self._light, hiders)
+            return values, len(points)
 
         return _arrays(at_pose, shape.albedo.shape[1])
 

@@ -44,7 +44,7 @@ class Seen(NamedTuple):
 
 
 class Covering(NamedTuple):
-    """Scratch space: cells to be cut, a cell, a point, a sphere; and rows of quadrature points.
+    """Scratch space: cells to be cut, a cell, a point, a normal, a sphere; and rows of quadrature points.
 
     The rows have the columns that `elements.POINT` and so on name.
     """
@@ -52,6 +52,7 @@ class Covering(NamedTuple):
     stack: Floats
     cell: Floats
     middle: Floats
+    normal: Floats
     ball: Floats
     points: Floats
 
@@ -59,7 +60,9 @@ class Covering(NamedTuple):
 def room_to_cover(rows: int) -> Covering:
     """Return scratch space for a number of quadrature points."""
     width = elements.WIDTH
-    return Covering(np.empty((_STACK, width)), np.empty(width), np.empty(3), np.empty(width), np.empty((rows, 9)))
+    return Covering(
+        np.empty((_STACK, width)), np.empty(width), np.empty(3), np.empty(3), np.empty(width), np.empty((rows, 9))
+    )
 
 
 @jit_in_place
@@ -87,10 +90,18 @@ def _cover_cell(owner: int, seen: Seen, space: Covering, count: int) -> tuple[in
         distance = min(to_panel, to_patch)
         if cell[elements.KIND] == elements.SPHERE:  # its normal varies over a length of its radius
             distance = min(distance, cell[elements.RADIUS])
-        ku = elements.points_wanted(first, distance, rules.digits)
-        kv = elements.points_wanted(second, distance, rules.digits)
         # The light of a cell smaller than this is uniform over the panel, or the patch's light over the cell.
         least = 0.02 * (view.radius if to_panel < to_patch else radius)
+        digits = rules.digits
+        if cell[elements.SHARP] > 0.0:
+            elements.normal_of(cell, middle, space.normal)
+            lit, faced = (rules.patch.x, rules.patch.y, radius), (view.centre[0], view.centre[1], view.radius)
+            between = elements.half_way(middle, space.normal, lit, faced)
+            varies, share = elements.varies_over(cell, max(first, second), between)
+            distance, least = min(distance, varies), min(least, 0.2 * varies)
+            digits += math.log(share)
+        ku = elements.points_wanted(first, distance, digits)
+        kv = elements.points_wanted(second, distance, digits)
         cut_first = (ku > elements.MAX_POINTS and first > least) or first > widest
         cut_second = (kv > elements.MAX_POINTS and second > least) or second > widest
         if (cut_first or cut_second) and top + 4 <= stack.shape[0]:
@@ -108,7 +119,7 @@ def _cover_cell(owner: int, seen: Seen, space: Covering, count: int) -> tuple[in
 
 
 @jit_in_place
-def _cover(
+def cover_in(
     target: Target, turn: Floats, at: Floats, seen: Seen, wanted: Floats, space: Covering
 ) -> tuple[int, float]:
     """As `cover`; write the points to ``space`` and return their number, negative if there are more than rows."""
@@ -164,7 +175,7 @@ def cover(target: Target, turn: Floats, at: Floats, seen: Seen, wanted: Floats) 
 @jit_parts
 def _covered(target: Target, turn: Floats, at: Floats, seen: Seen, wanted: Floats, space: Covering) -> int:
     """Write the points of `cover`, for a call from Python; return their number, negative if there are too many."""
-    return _cover(target, turn, at, seen, wanted, space)[0]
+    return cover_in(target, turn, at, seen, wanted, space)[0]
 
 
 def around_patch(patch: Patch) -> Disc:
@@ -304,16 +315,24 @@ def _evaluate(start: int, stop: int, job: _Job, space: _Space, values: Floats, r
         for k in range(target.faces.shape[0]):
             space.sides[k] = parts.wanted[part, target.faces[k]]
         turn, at = parts.turns[pose], parts.places[pose]
-        view = Disc(space.centre, _panel_at(boxes.boxes[item], boxes, space))
+        view = Disc(space.centre, panel_at(boxes.boxes[item], boxes, space.wall, space.centre))
+        for r in range(2):
+            elements.copy_row(space.wall[r], space.near[r])
         if not _target_panel(target, turn, at, job.rules, view, space, values[item], reports[item]):
             return item
     return stop
 
 
 @jit_within
-def _panel_at(box: Floats, boxes: Boxes, space: _Space) -> float:
-    """Write the panel that a box (4,) of the picture shows, and its centre; return the radius of a disc around it."""
-    places, to_wall, wall, centre = boxes.places, boxes.to_wall, space.wall, space.centre
+def panel_at(box: Floats, boxes: Boxes, wall: Floats, centre: Floats) -> float:
+    """Write the panel that a box (4,) of the picture shows, its points (2, k) relative to its centre (3,).
+
+    Returns
+    -------
+    float
+        Radius of a disc around it.
+    """
+    places, to_wall = boxes.places, boxes.to_wall
     n = places.shape[0]
     for k in range(n):
         u = box[0] + places[k, 0] * (box[1] - box[0])
@@ -331,7 +350,6 @@ def _panel_at(box: Floats, boxes: Boxes, space: _Space) -> float:
     for r in range(2):
         for k in range(n):
             wall[r, k] -= centre[r]
-        elements.copy_row(wall[r], space.near[r])
     return radius
 
 
@@ -349,7 +367,7 @@ def _target_panel(
     centre, radius, wanted, nodes = view.centre, view.radius, space.sides, space.nodes
     points, normal, gradient = space.covering.points, space.normal, space.gradient
     seen = Seen(Disc(space.faced, radius_of(rules.patch)), view, rules, np.inf)
-    rows, nearest = _cover(target, turn, at, seen, wanted, space.covering)
+    rows, nearest = cover_in(target, turn, at, seen, wanted, space.covering)
     if rows < 0:
         return False
     groups, moving = target.albedo.shape[1], values.shape[1] > 1

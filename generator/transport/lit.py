@@ -153,8 +153,13 @@ def chord_rules() -> Floats:
 @jit_in_place
 def order_at(x: Floats, patch: Patch, digits: float) -> int:
     """Return the number of points along the patch's diameter that a surface point needs: fewer at larger distance."""
-    radius = radius_of(patch)
-    ratio = distance_to(x, patch) / radius
+    return order_for(distance_to(x, patch), patch, digits)
+
+
+@jit_in_place
+def order_for(distance: float, patch: Patch, digits: float) -> int:
+    """Return the number of points along the patch's diameter for light that varies over a distance."""
+    ratio = distance / radius_of(patch)
     rate = 2.0 * math.log(ratio + math.sqrt(1.0 + ratio * ratio))
     order = 1 if patch.cos_width == 0.0 else 12  # a soft edge is smooth only piecewise
     # As for cells (`elements.points_wanted`), but with the pole above the disc's middle instead of outside its rim.
@@ -236,8 +241,13 @@ def seen_from(x: Floats, n: Floats, rules: Rules, nodes: Floats) -> tuple[int, i
         are written to ``nodes``.
     number : int
     """
+    return seen_with(x, n, rules, order_at(x, rules.patch, rules.digits), nodes)
+
+
+@jit_in_place
+def seen_with(x: Floats, n: Floats, rules: Rules, order: int, nodes: Floats) -> tuple[int, int]:
+    """As `seen_from`, with ``order`` points along the patch's diameter."""
     patch = rules.patch
-    order = order_at(x, patch, rules.digits)
     level = n[0] * (patch.x - x[0]) + n[1] * (patch.y - x[1]) - n[2] * x[2]
     across, along = n[0] * patch.major_x + n[1] * patch.major_y, n[0] * patch.minor_x + n[1] * patch.minor_y
     steep = math.sqrt(across**2 + along**2)

@@ -11,12 +11,12 @@ from numpy.typing import NDArray
 
 from generator.model.arrays import Array
 from generator.model.errors import NlosError
-from generator.transport import elements
+from generator.transport import elements, gloss
 from generator.transport.faces import Faces
 from generator.transport.lit import Patch, chord_rules, whole_rules
 from generator.transport.obstacles import Obstacles
 from generator.transport.rays import Surfaces
-from generator.transport.world import Emitters, Mesh, Sphere, Watched, World
+from generator.transport.world import SMOOTHEST, Emitters, Mesh, Sphere, Watched, World
 
 Floats = NDArray[Any]
 
@@ -99,6 +99,8 @@ class Setting:
         The target's cells, in its own frame.
     tint : ndarray of shape (cells, groups)
         Albedo of the target's cells.
+    shine : gloss.Shine or None
+        Glossy reflection of the target's cells; None if none is glossy.
     faces : Faces
     target : Surfaces
         Surfaces of the target that rays can meet, in its own frame.
@@ -145,7 +147,8 @@ class Setting:
         self.wall_radiance = lit.albedo * lit.intensity / (math.pi * lit.height**2)
         self.factor = self.wall_radiance * watched.albedo / math.pi**2
 
-        self.flat, self.balls, tint = elements.cells(world.target)
+        _refuse_gloss(world)
+        self.flat, self.balls, tint, kept = elements.cells(world.target)
         self.flat[:, elements.ORIGIN : elements.LOW] /= frame.unit
         self.balls[:, elements.ORIGIN : elements.FIRST] /= frame.unit
         self.balls[:, elements.RADIUS] /= frame.unit
@@ -158,13 +161,17 @@ class Setting:
                 raise NlosError("world: lacks the relay wall, which light of the sky or of a fourth reflection needs")
             around.append(Mesh(frame.points(world.wall.triangles), world.wall.albedo))
         self.sky = None if world.ambient is None else world.ambient.radiance * watched.albedo
-        albedos = np.concatenate([tint, *(m.albedo for m in around)])
+        glosses = [gloss.rows_of(body) for body in world.target]
+        albedos = np.concatenate(
+            [tint, *(m.albedo for m in around), *(g.tint for g in glosses), *(g.multiple for g in glosses)]
+        )
         is_grey = (albedos == albedos[:, :1]).all()
         emitters = world.emitters
         self.channel = [0, 0, 0] if is_grey and (emitters is None or _of_one_colour(emitters)) else [0, 1, 2]
         channels = sorted(set(self.channel))
         self.emission = None if emitters is None else _emission(emitters, frame, watched.albedo, channels)
         self.tint = np.ascontiguousarray(tint[:, channels])
+        self.shine = gloss.shine(world.target, kept, channels) if world.is_glossy else None
         self.faces = Faces(self.flat, len(self.balls), self.to_wall, self.patch)
         self.room = Surfaces(room.triangles, room.albedo[:, channels])
         joined = _joined(around)
@@ -192,6 +199,25 @@ class Setting:
             self.to_wall,
             self.patch,
             np.append(frame.points(eye[:3]) if eye[3] else frame.directions(eye[:3]) / frame.unit, eye[3]),
+        )
+
+
+def _refuse_gloss(world: World) -> None:
+    """Raise NlosError if something is glossy whose light is not followed."""
+    if any(mesh.gloss is not None for mesh in (*world.room, *([world.wall] if world.wall else []))):
+        raise NlosError("world: only the target may be glossy, not the room or the relay wall; leave their gloss out")
+    if not world.is_glossy:
+        return
+    if world.is_followed_on:
+        raise NlosError(
+            "world: a glossy target's light is followed over three reflections of the spot's light; with more "
+            "reflections, a sky or other lamps, make it diffuse"
+        )
+    least = min(float(body.gloss.roughness.min()) for body in world.target if body.gloss is not None)
+    if least < SMOOTHEST:
+        raise NlosError(
+            f"world: the target has a glossy roughness of {least:g}, below {SMOOTHEST:g}, where quadrature "
+            "cannot follow its reflections"
         )
 
 

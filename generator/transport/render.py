@@ -398,6 +398,8 @@ class Transport:
                 added = free
             for k, report in zip(clear, pose_reports, strict=True):
                 reports[k] = report
+        if setting.shine is not None and moving:
+            raise NlosError("derivatives: are known only of a diffuse target, and this one is glossy")
         if len(behind):
             if moving:
                 raise NlosError(

@@ -13,8 +13,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from generator.transport.elements import AREA, CELL, NORMAL, ONE_SIDED, POINT
-from generator.transport.lit import Patch, order_at
+from generator.transport.elements import AREA, CELL, GRAZING, NORMAL, ONE_SIDED, POINT
+from generator.transport.facets import pairs
+from generator.transport.gloss import Shine, missing_at
+from generator.transport.lit import Patch, distance_to, order_at, order_for
 from generator.transport.rays import Placed, Surfaces
 
 Floats = NDArray[Any]
@@ -50,9 +52,16 @@ class Light:
         # More points than this do not resolve the edges of shadows better.
         return min(12, order_at(above, self._patch, self._digits))
 
-    def nodes(self, points: Floats) -> Floats:
-        """Return the patch's points (3, n) that receivers (k, 3) need: position on the wall, radiance times area."""
+    def nodes(self, points: Floats, sharp: float = math.inf) -> Floats:
+        """Return the patch's points (3, n) that receivers (k, 3) need: position on the wall, radiance times area.
+
+        ``sharp`` is the angle over which the receivers' reflectance varies (`gloss.Shine.sharp`).
+        """
         order = self.order(points)
+        if sharp < math.inf and len(points):
+            distance = min(distance_to(point, self._patch) for point in points)
+            turn = min(1.0, 2.0 * sharp * GRAZING)
+            order = max(order, order_for(turn * distance, self._patch, self._digits))
         chosen: Floats = self._whole[order, :, : order * order]
         return chosen
 
@@ -116,6 +125,44 @@ def reflected(wall: Floats, found: Floats, albedo: Floats, light: Light, hidden_
         term[k[blocked], j[blocked]] = 0.0
         strength = lit[start : start + step, None] * albedo[part[:, CELL].astype(int)]
         total += (term @ strength).T
+    return total
+
+
+def shone(wall: Floats, found: Floats, shine: Shine, light: Light, hidden_by: Sequence[Hider]) -> Floats:
+    """Return the light that wall points receive by way of glossy surface elements, as far as nothing hides it.
+
+    Parameters and result are those of `reflected`, with the elements' gloss for their albedo.
+    """
+    total = np.zeros((shine.tint.shape[1], len(wall)))
+    both = np.concatenate([found, _turned(found[found[:, ONE_SIDED] == 0.0])])
+    both = both[shine.alpha[both[:, CELL].astype(int)] > 0.0]
+    step = max(1, _AT_ONCE // max(1, len(wall)))
+    for start in range(0, len(both), step):
+        part = both[start : start + step]
+        points, normals, cell = part[:, POINT:NORMAL], part[:, NORMAL:AREA], part[:, CELL].astype(int)
+        term = _exchange(wall, points, normals) * part[:, AREA]
+        k, j = np.nonzero(term)
+        clear = ~any_blocks(hidden_by, points[j], wall[k])
+        k, j = k[clear], j[clear]
+        way = wall[k] - points[j]
+        way /= np.linalg.norm(way, axis=1, keepdims=True)
+        cosine = (way * normals[j]).sum(axis=1)
+        alpha, sent = shine.alpha[cell[j]], np.zeros(len(k))
+        for x, y, power in light.nodes(points, float(shine.sharp[cell].min())).T:
+            source = np.array([x, y, 0.0]) - points
+            far = np.linalg.norm(source, axis=1)
+            facing = (source * normals).sum(axis=1) / far
+            lit = power * np.maximum(facing, 0.0) * points[:, 2] / far**3
+            rows = np.flatnonzero(lit)
+            lit[rows[any_blocks(hidden_by, points[rows] + source[rows], points[rows])]] = 0.0
+            seen = np.flatnonzero(lit[j])
+            i = j[seen]
+            between = (way[seen] * source[i]).sum(axis=1) / far[i]
+            sent[seen] += lit[i] * pairs(alpha[seen], facing[i], cosine[seen], between)
+        again = missing_at(cosine, cell[j], shine)
+        for g in range(len(total)):
+            factor = shine.tint[cell[j], g] * (1.0 + shine.multiple[cell[j], g] * again)
+            total[g] += np.bincount(k, weights=term[k, j] * sent * factor, minlength=len(wall))
     return total
 
 

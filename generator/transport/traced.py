@@ -16,8 +16,9 @@ from numpy.typing import NDArray
 from generator.transport import elements
 from generator.transport.compiled import jit_in_place, jit_parts, jit_within
 from generator.transport.elements import AREA, CELL, ONE_SIDED, POINT
+from generator.transport.gloss import Shine, more, pair, turns_over
 from generator.transport.integral import Covering, room_to_cover
-from generator.transport.lit import Rules, distance_to, order_at, radius_of
+from generator.transport.lit import Rules, distance_to, order_at, order_for, radius_of
 from generator.transport.rays import Surfaces
 from generator.transport.records import Poses, Target
 
@@ -84,6 +85,7 @@ class _Job(NamedTuple):
 
     points: Points
     target: Target
+    shine: Shine
     poses: Poses
     obstacles: Obstacles
     rules: Rules
@@ -214,8 +216,16 @@ def _cover_cell(
         )
         if cell[elements.KIND] == elements.SPHERE:
             distance = min(distance, cell[elements.RADIUS])
-        ku = elements.points_wanted(first, distance, rules.digits)
-        kv = elements.points_wanted(second, distance, rules.digits)
+        digits = rules.digits
+        if cell[elements.SHARP] > 0.0:
+            elements.normal_of(cell, middle, space.covering.normal)
+            lit, faced = (origins[1, 0], origins[1, 1], radius_of(rules.patch)), (origins[0, 0], origins[0, 1], 0.0)
+            between = elements.half_way(middle, space.covering.normal, lit, faced)
+            varies, share = elements.varies_over(cell, max(first, second), between)
+            distance = min(distance, varies)
+            digits += math.log(share)
+        ku = elements.points_wanted(first, distance, digits)
+        kv = elements.points_wanted(second, distance, digits)
         cut_first = (ku > elements.MAX_POINTS and first > finest) or first > widest
         cut_second = (kv > elements.MAX_POINTS and second > finest) or second > widest
         if not cut_first and not cut_second and max(first, second) > finest and _disagree(cell, scene, space):
@@ -280,6 +290,7 @@ def reflected_points(
     stop: int,
     points: Points,
     target: Target,
+    shine: Shine,
     poses: Poses,
     obstacles: Obstacles,
     rules: Rules,
@@ -292,13 +303,14 @@ def reflected_points(
     start, stop : int
     points : Points
     target : Target
+    shine : gloss.Shine
     poses : Poses
     obstacles : Obstacles
     rules : Rules
     values : ndarray of shape (n, groups + 1), written
         The last column is the number of elements that each point took.
     """
-    job, rows = _Job(points, target, poses, obstacles, rules), _ROWS
+    job, rows = _Job(points, target, shine, poses, obstacles, rules), _ROWS
     while start < stop:
         start = _evaluate(start, stop, job, _space(job, rows), values)
         rows *= 2
@@ -317,17 +329,20 @@ def _evaluate(start: int, stop: int, job: _Job, space: _Space, values: Floats) -
         if count < 0:
             return item
         values[item] = 0.0
-        _reflect(wall, space.covering.points[:count], target.albedo, scene, rules, space.work, values[item])
+        found, looks = space.covering.points[:count], (target.albedo, job.shine)
+        _reflect(wall, found, looks, scene, rules, space.work, values[item])
         values[item, values.shape[1] - 1] = count
     return stop
 
 
 @jit_within
 def _reflect(
-    wall: Floats, found: Floats, albedo: Floats, scene: _Scene, rules: Rules, work: Floats, total: Floats
+    wall: Floats, found: Floats, looks: tuple[Floats, Shine], scene: _Scene, rules: Rules, work: Floats, total: Floats
 ) -> None:
     """Add to ``total`` (groups + 1,) the light that a wall point receives by way of elements."""
     way, step, start, scratch = work[0:3], work[3:6], work[6:9], work[9:15]
+    albedo, shine = looks
+    patch = rules.patch
     start[2] = 0.0
     for j in range(found.shape[0]):
         element = found[j]
@@ -336,13 +351,28 @@ def _reflect(
             continue
         # Only light on the side of the element that faces the wall point counts.
         side = _along(element, way)
-        order = order_at(element, rules.patch, rules.digits)
-        light = 0.0
+        cell = int(element[CELL])
+        alpha, order, far = shine.alpha[cell], order_at(element, patch, rules.digits), 1.0
+        if alpha > 0.0:
+            lit, faced = (patch.x, patch.y, radius_of(patch)), (wall[0], wall[1], 0.0)
+            between_them = elements.half_way(element, element[elements.NORMAL : AREA], lit, faced)
+            angle = turns_over(shine.sharp[cell], between_them)
+            order = max(order, order_for(angle * distance_to(element, patch), patch, rules.digits))
+            far = math.sqrt(way[0] ** 2 + way[1] ** 2 + way[2] ** 2)
+        light, shone = 0.0, 0.0
         for q in range(order * order):
             start[0], start[1] = rules.whole[order, 0, q], rules.whole[order, 1, q]
             share = rules.whole[order, 2, q] * _facing(element, start, step)
             if share == 0.0 or side * _along(element, step) <= 0.0 or _hidden(scene, start, step, scratch):
                 continue
             light += share / element[AREA]
+            if alpha > 0.0:
+                near = math.sqrt(step[0] ** 2 + step[1] ** 2 + step[2] ** 2)
+                between = (way[0] * step[0] + way[1] * step[1] + way[2] * step[2]) / (near * far)
+                cosine = abs(_along(element, step)) / near
+                shone += share / element[AREA] * pair(alpha, cosine, abs(side) / far, between)
         for g in range(albedo.shape[1]):
-            total[g] += term * light * albedo[int(element[CELL]), g]
+            total[g] += term * light * albedo[cell, g]
+            if alpha > 0.0:
+                again = shine.multiple[cell, g] * more(abs(side) / far, shine.missing[shine.table[cell]])
+                total[g] += term * shone * shine.tint[cell, g] * (1.0 + again)

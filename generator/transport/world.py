@@ -1,7 +1,8 @@
-"""Scenes of diffuse surfaces as plain arrays: lit patch, watched patch, target, room.
+"""Scenes as plain arrays: lit patch, watched patch, target, room.
 
 Lengths are metres in the world's frame (any right-handed frame: nothing here assumes that the wall is y = 0), colours
-are three channels, albedos 0 to 1. All surfaces are Lambertian and reflect from both sides.
+are three channels, albedos 0 to 1. All surfaces reflect from both sides, and all are Lambertian; a target may be
+glossy as well.
 """
 
 from __future__ import annotations
@@ -15,6 +16,9 @@ from generator.model.errors import NlosError
 
 MOST_SURFACES = 2000
 """Most surfaces of room and wall over which light is followed besides the spot's first three reflections."""
+
+SMOOTHEST = 0.2
+"""Least roughness of a glossy target: quadrature points grow with its inverse fourth power."""
 
 MOST_EMITTERS = 1000
 """Most triangles that give light."""
@@ -97,6 +101,36 @@ class Watched:
 
 
 @dataclass(frozen=True)
+class Gloss:
+    """Glossy reflection by microfacets (`facets.pairs`), which a surface has beside its diffuse reflection.
+
+    Attributes
+    ----------
+    tint : ndarray of shape (n, 3)
+        Reflectivity of the facets, of each triangle, or of the one sphere, and per colour channel.
+    roughness : ndarray of shape (n,)
+        Blender's roughness, 0 to 1, the square root of the width of the facets' slopes.
+    multiple : ndarray of shape (n, 3)
+        Mean reflectivity of the further facets that light meets before it leaves (`facets.multiple`); 0 leaves that
+        light out.
+    """
+
+    tint: Array
+    roughness: Array
+    multiple: Array
+
+    def __post_init__(self) -> None:
+        n = len(self.roughness)
+        if self.tint.shape != (n, 3) or self.multiple.shape != (n, 3) or self.roughness.shape != (n,):
+            shapes = ", ".join(str(values.shape) for values in (self.tint, self.roughness, self.multiple))
+            raise NlosError(
+                f"gloss: tint, roughness and multiple must have shapes (n, 3), (n,) and (n, 3), not {shapes}"
+            )
+        if not ((self.roughness >= 0.0) & (self.roughness <= 1.0)).all():
+            raise NlosError("gloss: roughness must lie between 0 and 1")
+
+
+@dataclass(frozen=True)
 class Sphere:
     """A sphere of a target.
 
@@ -107,11 +141,17 @@ class Sphere:
     radius : float
         Radius, metres.
     albedo : ndarray of shape (3,)
+    gloss : Gloss of one row, optional
     """
 
     centre: Array
     radius: float
     albedo: Array
+    gloss: Gloss | None = None
+
+    def __post_init__(self) -> None:
+        if self.gloss is not None and len(self.gloss.roughness) != 1:
+            raise NlosError(f"sphere: gloss must have one row, not {len(self.gloss.roughness)}")
 
 
 @dataclass(frozen=True)
@@ -124,10 +164,13 @@ class Mesh:
         Corner by corner, metres. Orientation does not matter.
     albedo : ndarray of shape (n, 3)
         Per triangle and colour channel.
+    gloss : Gloss of n rows, optional
+        Of a target.
     """
 
     triangles: Array
     albedo: Array
+    gloss: Gloss | None = None
 
     def __post_init__(self) -> None:
         if self.triangles.ndim != 3 or self.triangles.shape[1:] != (3, 3):
@@ -136,6 +179,8 @@ class Mesh:
             raise NlosError(f"mesh: albedo must have shape ({len(self.triangles)}, 3), not {self.albedo.shape}")
         if not np.isfinite(self.triangles).all():
             raise NlosError("mesh: a corner is not finite")
+        if self.gloss is not None and len(self.gloss.roughness) != len(self.triangles):
+            raise NlosError(f"mesh: gloss must have {len(self.triangles)} rows, not {len(self.gloss.roughness)}")
 
 
 Body = Sphere | Mesh
@@ -201,7 +246,7 @@ class Emitters:
 
 @dataclass(frozen=True)
 class World:
-    """All of a scene that is relevant to diffuse reflections.
+    """All of a scene that is relevant to its light.
 
     Attributes
     ----------
@@ -233,6 +278,11 @@ class World:
     def is_followed_on(self) -> bool:
         """Whether there is light besides the spot's first three reflections."""
         return self.order > 3 or self.ambient is not None or self.emitters is not None
+
+    @property
+    def is_glossy(self) -> bool:
+        """Whether any part of the target is glossy."""
+        return any(body.gloss is not None for body in self.target)
 
     def seen_by(self, width: int, height: int) -> World:
         """Return the world with a picture of ``width`` by ``height`` pixels."""

@@ -15,7 +15,7 @@ from generator.files.limits import check_archive
 from generator.files.writing import atomic
 from generator.model.errors import NlosError
 from generator.model.quantities import ALL_ORDERS
-from generator.transport.world import Emitters, Mesh, World
+from generator.transport.world import Emitters, Gloss, Mesh, World
 
 Arrays = dict[str, NDArray[Any]]
 
@@ -57,23 +57,24 @@ def load_world(path: Path) -> World:
     return world
 
 
-_SHAPES = {"to_wall": (4, 3), "eye": (4,), "triangles": (-1, 3, 3), "softness": (-1,)}
+_SHAPES = {"to_wall": (4, 3), "eye": (4,), "triangles": (-1, 3, 3), "softness": (-1,), "roughness": (-1,)}
 """Shapes of the arrays that are neither vector nor colour; -1 stands for any length."""
 
 
 def _check(world: World) -> None:
     """Raise ValueError unless all arrays have the shapes that compiled code, which checks no bounds, expects."""
     lit = tuple(part for part in (world.ambient, world.wall, world.emitters) if part is not None)
-    for body in (world.patch, world.watched, *world.target, *world.room, *lit):
+    glosses = [body.gloss for body in world.target if body.gloss is not None]
+    for body in (world.patch, world.watched, *world.target, *world.room, *lit, *glosses):
         for field in fields(body):
             value = getattr(body, field.name)
-            if field.name == "resolution":
+            if field.name in ("resolution", "gloss"):
                 continue
             if isinstance(value, float):
                 if not math.isfinite(value):
                     raise ValueError(f"{field.name} must be finite")
                 continue
-            expected = _SHAPES.get(field.name, (-1, 3) if isinstance(body, Emitters | Mesh) else (3,))
+            expected = _SHAPES.get(field.name, (-1, 3) if isinstance(body, Emitters | Gloss | Mesh) else (3,))
             shape = value.shape if isinstance(value, np.ndarray) and value.dtype.kind == "f" else ()
             if len(shape) != len(expected) or any(w not in (-1, n) for n, w in zip(shape, expected, strict=True)):
                 raise ValueError(f"{field.name} must be numbers of shape {expected}")

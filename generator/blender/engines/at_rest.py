@@ -112,6 +112,7 @@ def _changed(before: Sequence[Surface], after: Sequence[Surface], slack: float) 
         if counterpart is None or not (
             _alike(counterpart.triangles, surface.triangles, slack)
             and _alike(counterpart.albedo, surface.albedo, _SHADE)
+            and _alike(counterpart.gloss, surface.gloss, _SHADE)
         ):
             labels.append(surface.label)
     return [*labels, *(surface.label for remaining in unmatched.values() for surface in remaining)]

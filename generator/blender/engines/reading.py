@@ -135,6 +135,8 @@ class _Reader:
         label = self._label(obj, role)
         triangles = shape.corners @ matrix[:3, :3].T + matrix[:3, 3]
         flaws = [*shape.flaws, *_visibility_flaws(instance, role, self._layer)]
+        if role != "target" and shape.gloss.any():
+            flaws.append("has a glossy material, which only the target may have")
         if role in ("relay_wall", "target") and shape.radiance.any():
             flaws.append("has a material that gives light of its own")
         if not np.isfinite(triangles).all():
@@ -148,6 +150,7 @@ class _Reader:
                 triangles=triangles,
                 albedo=shape.albedo,
                 radiance=shape.radiance,
+                gloss=shape.gloss,
                 closed=shape.closed,
                 smooth=shape.lean > SMOOTH,
                 faces=shape.faces,

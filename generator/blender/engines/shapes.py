@@ -11,6 +11,7 @@ import numpy as np
 from generator.blender.engines.surface import Shape
 from generator.blender.scene import nodes
 from generator.model.arrays import Array
+from generator.transport import facets
 
 SMOOTH = 1e-3
 """Angle between a corner's normal and its face's, radians, above which the shading differs visibly."""
@@ -18,6 +19,11 @@ SMOOTH = 1e-3
 
 COARSE = 0.1
 """The same angle, radians, above which shadows differ too: as for an icosphere of 320 faces or fewer."""
+
+
+TINT, ROUGHNESS, MULTIPLE, GLOSS = 0, 3, 4, 7
+"""Columns of gloss, as in `world.Gloss`: tint (3), black where a face is not glossy; roughness; `multiple` (3). And
+their number."""
 
 
 def shape_of(obj: Any) -> Shape:
@@ -33,12 +39,13 @@ def shape_of(obj: Any) -> Shape:
         sides = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
         solid = sides.any(axis=1)  # a triangle without area neither reflects nor hides anything
         edges = np.bincount(_values(mesh.loops, "edge_index", 1, np.int32)[:, 0])
-        colours, radiance, flaws = _colours(obj, slot[solid])
+        colours, radiance, gloss, flaws = _colours(obj, slot[solid])
         kinds, glowing, fire = _makings(obj, slot[solid])
         return Shape(
             corners=corners[solid],
             albedo=colours,
             radiance=radiance,
+            gloss=gloss,
             closed=bool((edges[edges > 0] == 2).all()),
             lean=_lean(mesh),
             faces=len(mesh.polygons),
@@ -91,23 +98,38 @@ def _makings(obj: Any, slots: Any) -> tuple[frozenset[str], Any, bool]:
     return kinds, np.isin(slots, glowing), fire
 
 
-def _colours(obj: Any, slots: Any) -> tuple[Array, Array, tuple[str, ...]]:
-    """Return albedo and radiance (n, 3) of faces with given material slots, and the flaws of their materials."""
+def _colours(obj: Any, slots: Any) -> tuple[Array, Array, Array, tuple[str, ...]]:
+    """Return albedo and radiance (n, 3) and gloss (n, GLOSS) of faces with given material slots, and their flaws."""
     materials, slots = _slots(obj, slots)
     albedo, radiance = np.zeros((2, len(materials), 3))
+    gloss = np.zeros((len(materials), GLOSS))
     flaws = []
     for index in np.unique(slots):
         material = materials[index]
-        found = None if material is None else nodes.lambertian(material)
+        found = None if material is None else nodes.reflector(material)
         if found is None:
             flaws.append(_material_flaw(material))
-        elif min(found.albedo) < 0.0 or max(found.albedo) > 1.0:
+        elif min(found.albedo) < 0.0 or max(found.albedo) > 1.0 or (found.glossy and not _is_colour(found.glossy)):
             flaws.append(f"has a material ({material.name!r}) whose colour is not between 0 and 1")
         elif min(found.radiance) < 0.0:
             flaws.append(f"has a material ({material.name!r}) that gives negative light")
         else:
             albedo[index], radiance[index] = found.albedo, found.radiance
-    return albedo[slots], radiance[slots], tuple(dict.fromkeys(flaws))
+            if found.glossy is not None and found.glossy.share > 0.0 and any(found.glossy.colour):
+                gloss[index] = _gloss(found.glossy)
+    return albedo[slots], radiance[slots], gloss[slots], tuple(dict.fromkeys(flaws))
+
+
+def _is_colour(glossy: nodes.Glossy) -> bool:
+    """Whether a glossy reflection's colour, with its share and without, lies between 0 and 1."""
+    low, high = min(glossy.colour), max(glossy.colour)
+    return low >= 0.0 and max(1.0, glossy.share) * high <= 1.0 and glossy.share >= 0.0
+
+
+def _gloss(glossy: nodes.Glossy) -> Array:
+    """Return a row of gloss (GLOSS,)."""
+    again = facets.multiple(glossy.colour, glossy.roughness) if glossy.multiple else (0.0, 0.0, 0.0)
+    return np.array([*(glossy.share * c for c in glossy.colour), glossy.roughness, *again])
 
 
 def _material_flaw(material: Any) -> str:
@@ -120,7 +142,7 @@ def _material_flaw(material: Any) -> str:
         return "has a material that displaces it"
     if nodes.glows(material):
         return "has a material that may give light of its own, which is not constant, or not all"
-    return "has a material that is not one constant diffuse colour"
+    return "has a material that is not one constant colour, diffuse and with at most one gloss (GGX)"
 
 
 def softening(obj: bpy.types.Object) -> float:

@@ -24,8 +24,8 @@ FLAT = 1e-5
 
 @dataclass(frozen=True)
 class Surface:
-    """A rendered surface: its triangles (n, 3, 3) in the world, metres; their albedos (n, 3), and the radiance (n, 3)
-    of their own light, W/m^2/sr."""
+    """A rendered surface: its triangles (n, 3, 3) in the world, metres; their albedos (n, 3), the radiance (n, 3) of
+    their own light, W/m^2/sr, and their gloss (n, 7) (`shapes.TINT` and so on)."""
 
     name: str
     label: str
@@ -33,6 +33,7 @@ class Surface:
     triangles: Array
     albedo: Array
     radiance: Array
+    gloss: Array
     closed: bool
     smooth: bool
     faces: int
@@ -149,6 +150,7 @@ class Shape:
     corners: Array
     albedo: Array
     radiance: Array
+    gloss: Array
     closed: bool
     lean: float
     faces: int

@@ -13,6 +13,7 @@ import numpy as np
 from generator.blender.engines import coincident
 from generator.blender.engines.at_rest import refuse_moving
 from generator.blender.engines.lit_patch import other_lights, read_lit_patch
+from generator.blender.engines.shapes import MULTIPLE, ROUGHNESS, TINT
 from generator.blender.engines.surface import Light, Reading, Surface
 from generator.blender.engines.watched import read_watched
 from generator.blender.scene import geometry, nodes, posing, roles
@@ -22,8 +23,10 @@ from generator.model.errors import NlosError
 from generator.transport.world import (
     MOST_EMITTERS,
     MOST_SURFACES,
+    SMOOTHEST,
     AmbientLight,
     Emitters,
+    Gloss,
     LitPatch,
     Mesh,
     Sphere,
@@ -135,6 +138,7 @@ def survey(scene: bpy.types.Scene, *, resolution: tuple[int, int] | None = None)
     smooth += [part for sphere, part in zip(spheres, parts, strict=True) if part.smooth and sphere is None]
     reasons += [f"{s.label} is shaded smooth, so that it reflects as if it were curved" for s in smooth]
     reasons += _coincident(reading, patch)
+    reasons += _gloss_reasons(reading, parts, order)
     emitters = _emitters(reading)
     if order > 3 or sky is not None or emitters is not None:
         reasons += _too_many([*room, *([_mesh(walls)] if walls else [])])
@@ -163,6 +167,29 @@ def survey(scene: bpy.types.Scene, *, resolution: tuple[int, int] | None = None)
         lights=reading.lights,
         kinds=frozenset().union(*reading.kinds.values()),
     )
+
+
+def _gloss_reasons(reading: Reading, parts: Sequence[Surface], order: int) -> list[str]:
+    """Why the light of a glossy target cannot be followed."""
+    glossy = [(part, part.gloss[part.gloss[:, TINT:ROUGHNESS].any(axis=1), ROUGHNESS]) for part in parts]
+    glossy = [(part, roughness) for part, roughness in glossy if len(roughness)]
+    if not glossy:
+        return []
+    label = glossy[0][0].label
+    reasons = []
+    smoothest, roughness = min(glossy, key=lambda pair: float(pair[1].min()))
+    if roughness.min() < SMOOTHEST:
+        reasons.append(
+            f"{smoothest.label} has a glossy roughness of {roughness.min():.3g}, and reflections are followed from "
+            f"{SMOOTHEST:g} on"
+        )
+    if order > 3:
+        reasons.append(f"{label} is glossy, which is followed up to a reflection order of 3, not {order}")
+    for light in other_lights(reading.lights)[:1]:
+        reasons.append(f"{label} is glossy, which is followed in the spot's light, and {light.name!r} shines too")
+    unseen = [s for s in reading.surfaces if s.role in ("room", "target") and "glossy" in s.unseen_by]
+    reasons += [f"{s.label} is not visible to glossy rays, and {label} is glossy" for s in unseen]
+    return reasons
 
 
 def _emitters(reading: Reading) -> Emitters | None:
@@ -288,12 +315,25 @@ def _mesh(surfaces: Sequence[Surface], origin: Any = 0.0) -> Mesh:
     return Mesh(
         triangles=np.concatenate([s.triangles for s in surfaces]) - origin,
         albedo=np.concatenate([s.albedo for s in surfaces]),
+        gloss=_gloss(np.concatenate([s.gloss for s in surfaces])),
     )
+
+
+def _gloss(rows: Array) -> Gloss | None:
+    """Return gloss (n, GLOSS) as the engine takes it; None if nothing is glossy."""
+    if not rows[:, TINT:ROUGHNESS].any():
+        return None
+    return Gloss(rows[:, TINT:ROUGHNESS], rows[:, ROUGHNESS], rows[:, MULTIPLE:])
 
 
 def _sphere(surface: Surface, origin: Array) -> Sphere | None:
     """Return the sphere that a finely tessellated ball approximates, with the mesh's own area; else None."""
-    if not surface.closed or surface.faces < _SPHERE_FACES or np.ptp(surface.albedo, axis=0).any():
+    look = np.column_stack([surface.albedo, surface.gloss])
+    if not surface.closed or surface.faces < _SPHERE_FACES or np.ptp(look, axis=0).any():
+        return None
+    gloss = _gloss(surface.gloss[:1])
+    # Faces that turn the light by more than the facets' slopes spread it are seen one by one.
+    if gloss is not None and math.sqrt(4.0 * math.pi / surface.faces) > gloss.roughness[0] ** 2:
         return None
     corners = np.unique((surface.triangles - origin).reshape(-1, 3), axis=0)
     middle = corners.mean(axis=0)
@@ -316,4 +356,4 @@ def _sphere(surface: Surface, origin: Array) -> Sphere | None:
     radius = math.sqrt(doubled.sum() / 2.0 / (4.0 * math.pi))
     if not 0.85 * mean < radius < (1.0 + _SPHERE_ROUND) * mean:  # larger, for example: two balls in one
         return None
-    return Sphere(centre=centre, radius=radius, albedo=surface.albedo[0])
+    return Sphere(centre=centre, radius=radius, albedo=surface.albedo[0], gloss=gloss)

@@ -179,6 +179,24 @@ def _material(name: str, reflectance: float | None) -> bpy.types.Material:
     return material
 
 
+def _polish(target: bpy.types.Object, wanted: Target) -> None:
+    """Make a share of what a target reflects glossy."""
+    if wanted.gloss == 0.0:
+        return
+    tree = target.data.materials[0].node_tree
+    by_type = {node.type: node for node in tree.nodes}
+    diffuse, output = by_type["BSDF_DIFFUSE"], by_type["OUTPUT_MATERIAL"]
+    glossy, mix = tree.nodes.new("ShaderNodeBsdfGlossy"), tree.nodes.new("ShaderNodeMixShader")
+    glossy.distribution = "MULTI_GGX"
+    glossy.inputs["Color"].default_value = diffuse.inputs["Color"].default_value
+    glossy.inputs["Roughness"].default_value = wanted.roughness
+    glossy.location.y, mix.location.x, output.location.x = -150.0, 250.0, 500.0
+    mix.inputs[0].default_value = wanted.gloss
+    for shader, socket in ((diffuse, mix.inputs[1]), (glossy, mix.inputs[2])):
+        tree.links.new(shader.outputs[0], socket)
+    tree.links.new(mix.outputs[0], output.inputs["Surface"])
+
+
 def _mesh(name: str, vertices: list[Vector], faces: list[tuple[int, ...]], reflectance: float | None) -> Any:
     mesh = bpy.data.meshes.new(name)
     mesh.from_pydata(vertices, [], faces)
@@ -252,6 +270,7 @@ def build_target(wanted: Target) -> bpy.types.Object:
     else:
         target = _import_mesh(wanted)
     target[KIND] = wanted.kind
+    _polish(target, wanted)
     return target
 
 

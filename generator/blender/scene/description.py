@@ -10,7 +10,7 @@ import numpy as np
 from mathutils import Matrix
 
 from generator.blender.scene.geometry import Snapshot, box_of, hull, in_frame, shape_pictures, snapshot, view
-from generator.blender.scene.materials import albedo, ambient
+from generator.blender.scene.materials import albedo, ambient, reflection
 from generator.blender.scene.quiet import Overrides
 from generator.blender.scene.roles import (
     KIND,
@@ -70,7 +70,7 @@ def _read(scene: bpy.types.Scene, size: tuple[int, int]) -> Scene:
         target=Target(
             kind=kind if kind in ("sheet", "sphere") else "mesh",
             size=short(max(np.ptp(hull(scene, seen), axis=0))),
-            albedo=albedo(target),
+            **reflection(target),
         ),
         ambient=ambient(scene),
         reflection_order=reflection_order(scene),

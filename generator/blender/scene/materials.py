@@ -10,6 +10,9 @@ import bpy
 from generator.blender.scene import nodes
 from generator.blender.scene.words import short
 
+_ROUNDING = 1e-5
+"""Difference of colours that Blender's float32 makes."""
+
 
 def albedo(obj: bpy.types.Object) -> float | None:
     """Return the mean albedo of an object's material if it is purely Lambertian, else None."""
@@ -23,6 +26,20 @@ def diffuse_colour(obj: bpy.types.Object) -> tuple[float, float, float] | None:
     if len(materials) != 1 or None in materials:
         return None
     return nodes.diffuse(next(iter(materials)))
+
+
+def reflection(obj: bpy.types.Object) -> dict[str, Any]:
+    """Return albedo, gloss and roughness of an object as `model.scene.Target` has them; albedo None otherwise."""
+    plain = {"albedo": albedo(obj)}
+    materials = {slot.material for slot in obj.material_slots}
+    found = nodes.reflector(next(iter(materials))) if len(materials) == 1 and None not in materials else None
+    if found is None or found.glossy is None or not found.glossy.multiple or any(found.radiance):
+        return plain
+    share, colour = found.glossy.share, found.glossy.colour
+    if any(abs(a - (1.0 - share) * c) > _ROUNDING for a, c in zip(found.albedo, colour, strict=True)):
+        return plain
+    values = {"albedo": sum(colour) / 3.0, "gloss": share, "roughness": found.glossy.roughness}
+    return {name: short(value) for name, value in values.items()}
 
 
 def make_lambertian(material: Any, colour: Sequence[float]) -> Any:

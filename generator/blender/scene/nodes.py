@@ -46,7 +46,7 @@ class Part:
     linked : frozenset of str
         Names of the inputs whose value comes from a link rather than from the node.
     component : str
-        Selected component of a node that has several, else empty.
+        Selected component, or distribution, of a node that has several, else empty.
     images : mapping of str to bpy.types.Image
         Images that are linked directly into the node, by socket name.
     weight : float or None
@@ -124,27 +124,52 @@ def uses_nodes(block: Any) -> bool:
 
 
 @dataclass(frozen=True)
-class Lambertian:
-    """A surface that sends equal radiance in all directions.
+class Glossy:
+    """Glossy reflection of one roughness, by microfacets of the distribution GGX.
+
+    Attributes
+    ----------
+    colour : (float, float, float)
+        Reflectivity of the facets, per colour channel.
+    share : float
+        Factor on its light.
+    roughness : float
+    multiple : bool
+        Whether light leaves after more than one facet, too ("Multiscatter GGX").
+    """
+
+    colour: tuple[float, float, float]
+    share: float
+    roughness: float
+    multiple: bool
+
+
+@dataclass(frozen=True)
+class Reflector:
+    """A surface that reflects and sends light alike at every point, and in directions that are known.
 
     Attributes
     ----------
     albedo : (float, float, float)
-        Per colour channel.
+        Of its Lambertian reflection, per colour channel.
     radiance : (float, float, float)
         Of its own light, per colour channel, W/m^2/sr.
+    glossy : Glossy or None
+        What it reflects besides.
     """
 
     albedo: tuple[float, float, float]
     radiance: tuple[float, float, float]
+    glossy: Glossy | None = None
 
 
-def lambertian(material: Any) -> Lambertian | None:
-    """Return what a material reflects and emits, if that is constant and Lambertian and all there is, else None."""
+def reflector(material: Any) -> Reflector | None:
+    """Return what a material reflects and emits, if that is constant and known and all there is, else None."""
     shader = read(material)
     if shader.displaced or shader.volume:
         return None
     albedo, radiance = [0.0] * 3, [0.0] * 3
+    glossy: Glossy | None = None
     for part in shader.surface:
         if part.kind == "EMISSION" and not _shines(part):
             continue
@@ -155,6 +180,11 @@ def lambertian(material: Any) -> Lambertian | None:
             reflected = part.colour("Color")
         elif part.kind == "BSDF_PRINCIPLED" and _only_diffuse(part):
             reflected = part.colour("Base Color")
+        elif part.kind == "BSDF_GLOSSY":
+            found = _glossy(part)
+            if found is None or glossy is not None:
+                return None
+            glossy = found
         elif part.kind != "EMISSION":
             return None
         sent = _radiance(part) if _shines(part) else (0.0, 0.0, 0.0)
@@ -162,13 +192,23 @@ def lambertian(material: Any) -> Lambertian | None:
             return None
         albedo = [a + part.weight * c for a, c in zip(albedo, reflected, strict=True)]
         radiance = [r + part.weight * c for r, c in zip(radiance, sent, strict=True)]
-    return Lambertian((albedo[0], albedo[1], albedo[2]), (radiance[0], radiance[1], radiance[2]))
+    return Reflector((albedo[0], albedo[1], albedo[2]), (radiance[0], radiance[1], radiance[2]), glossy)
 
 
 def diffuse(material: Any) -> tuple[float, float, float] | None:
     """Return the RGB albedo of a material that is a constant Lambertian reflector and nothing else, else None."""
-    found = lambertian(material)
-    return None if found is None or any(found.radiance) else found.albedo
+    found = reflector(material)
+    return None if found is None or any(found.radiance) or found.glossy is not None else found.albedo
+
+
+def _glossy(part: Part) -> Glossy | None:
+    """Return a glossy shader's reflection if it is constant, alike around the normal, and of a known distribution."""
+    colour, roughness, share = part.colour("Color"), part.inputs.get("Roughness"), part.weight
+    if colour is None or not isinstance(roughness, float) or share is None:
+        return None
+    if not part.is_zero("Anisotropy") or part.component not in ("GGX", "MULTI_GGX"):
+        return None
+    return Glossy(colour, share, min(1.0, max(0.0, roughness)), part.component == "MULTI_GGX")
 
 
 def glows(block: Any) -> bool:
@@ -456,7 +496,7 @@ class _Reader:
             kind=node.type,
             inputs={s.name: self.value(s, path) for s in inputs},
             linked=frozenset(name for name, origin in origins.items() if origin is not None),
-            component=str(getattr(node, "component", "")),
+            component=str(getattr(node, "component", getattr(node, "distribution", ""))),
             images={name: image for name, image in images.items() if image is not None},
         )
 

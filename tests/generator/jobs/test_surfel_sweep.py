@@ -82,6 +82,7 @@ def test_auto_says_what_asks_for_a_dearer_engine(command, tmp_path):
     target = roles.find(scene, "target")
     tree = target.material_slots[0].material.node_tree
     shader = tree.nodes.new("ShaderNodeBsdfGlossy")
+    shader.inputs["Roughness"].default_value = 0.0
     output = next(n for n in tree.nodes if n.type == "OUTPUT_MATERIAL")
     tree.links.new(shader.outputs[0], output.inputs["Surface"])
     file = tmp_path / "mirror.blend"

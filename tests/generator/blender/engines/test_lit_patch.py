@@ -333,6 +333,20 @@ def test_what_bends_or_throws_light_is_seen(kind, order):
     agree(scene, "patch")
 
 
+@pytest.mark.parametrize(("distribution", "roughness"), [("GGX", 0.6), slow("MULTI_GGX", 1.0), slow("GGX", 0.4)])
+def test_a_glossy_target_reflects_as_in_cycles(distribution, roughness):
+    """Beside a diffuse part, in a picture by the integral, by path tracing, and by that from the lit patch."""
+    scene = bare()
+    tree = tree_of(bpy.data.materials.new("Glossy"))
+    mix = node(tree, "MixShader", output(tree).inputs["Surface"])
+    mix.inputs[0].default_value = 0.75
+    node(tree, "BsdfDiffuse", mix.inputs[1], Color=WHITE, Roughness=0.0)
+    node(tree, "BsdfGlossy", mix.inputs[2], Color=WHITE, Roughness=roughness).distribution = distribution
+    target(scene).data.materials[0] = bpy.data.materials["Glossy"]
+    agree(scene, "patch", "surfel")
+    assert renderers.choose(scene)[0] == "surfel"
+
+
 def test_a_mirror_alone_reflects_what_the_closed_form_says():
     """The lit patch seen in a plane mirror: w2 gets its light as from behind the mirror, at twice the distance."""
     scene = bare()

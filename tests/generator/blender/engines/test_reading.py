@@ -376,6 +376,19 @@ def made_of(name, node, socket="Surface"):
     return edit
 
 
+def glossy_target(*edits, **inputs):
+    def edit(blender):
+        made_of("Target", "ShaderNodeBsdfGlossy")(blender)
+        tree = bpy.data.objects["Target"].data.materials[0].node_tree
+        shader = next(n for n in tree.nodes if n.type == "BSDF_GLOSSY")
+        for name, value in inputs.items():
+            shader.inputs[name].default_value = value
+        for more in edits:
+            more(blender)
+
+    return edit
+
+
 def textured_wall(blender):
     tree = wall_of(blender).data.materials[0].node_tree
     noise = tree.nodes.new("ShaderNodeTexNoise")
@@ -543,13 +556,31 @@ OBSTACLES = {
     "other lamp": (other_lamp, "the lamp 'Bulb' shines too, and is a sun lamp"),
     "textured world": (textured_world, "the world '[^']+' gives ambient light"),
     "foggy world": (foggy_world, "the world '[^']+' is filled with a volume"),
-    "glossy target": (made_of("Target", "ShaderNodeBsdfGlossy"), "the target 'Target' .* not one constant diffuse"),
+    "toon target": (
+        made_of("Target", "ShaderNodeBsdfToon"),
+        "the target 'Target' .* not one constant colour, diffuse and with at most one gloss",
+    ),
+    "glossy floor": (
+        made_of("Floor", "ShaderNodeBsdfGlossy"),
+        "'Floor' has a glossy material, which only the target",
+    ),
+    "polished target": (
+        glossy_target(Roughness=0.1),
+        "the target 'Target' has a glossy roughness of 0.1, .* from 0.2",
+    ),
+    "glossy, order 4": (glossy_target(order_4), "the target 'Target' is glossy, .* order of 3, not 4"),
+    "glossy, sky": (glossy_target(ambient), "the target 'Target' is glossy, .* and 'NLOS world' shines too"),
+    "glossy, unseen": (
+        glossy_target(flag("Back", "visible_glossy", False)),
+        "'Back' is not visible to glossy rays, and the target 'Target' is glossy",
+    ),
+    "too glossy": (glossy_target(Color=(1.2, 0.5, 0.5, 1.0)), "the target 'Target' .* not between 0 and 1"),
     "patchy floor": (glowing("Floor", "ShaderNodeTexNoise"), "'Floor' .* may give light of its own, which is not"),
     "glowing target": (glowing("Target"), "the target 'Target' .* gives light of its own"),
     "glowing wall": (glowing("Relay wall"), "the relay wall 'Relay wall' .* gives light of its own"),
     "floor of fog": (made_of("Floor", "ShaderNodeVolumeScatter", "Volume"), "'Floor' .* volume"),
     "displaced floor": (made_of("Floor", "ShaderNodeDisplacement", "Displacement"), "'Floor' .* displaces it"),
-    "textured wall": (textured_wall, "the relay wall 'Relay wall' .* not one constant diffuse"),
+    "textured wall": (textured_wall, "the relay wall 'Relay wall' .* not one constant colour"),
     "bright target": (too_bright, "the target 'Target' .* not between 0 and 1"),
     "no material": (no_material, "'Floor' has no material"),
     "smooth cube": (smooth_cube, "'Pillow' is shaded smooth"),
@@ -629,7 +660,8 @@ def test_all_reasons_are_told():
 @pytest.mark.parametrize(
     ("edit", "engine", "words"),
     [
-        (made_of("Target", "ShaderNodeBsdfGlossy"), "patch", "'Target'"),
+        (made_of("Target", "ShaderNodeBsdfToon"), "patch", "'Target'"),
+        (made_of("Target", "ShaderNodeBsdfGlossy"), "surfel", ""),
         (order_4, "surfel", ""),
         (ambient, "surfel", ""),
         (light("shadow_soft_size", 0.1), "path", "'Spot' has a radius"),

@@ -10,7 +10,7 @@ import pytest
 import radiometry
 from conftest import ROOT
 
-from generator.blender.engines import renderers
+from generator.blender.engines import renderers, survey
 from generator.blender.engines.cycles import use_gpu
 from generator.blender.scene import blend_file, build, geometry, posing, roles
 from generator.blender.scene.clearance import clearance
@@ -22,6 +22,7 @@ from generator.model.errors import NlosError
 from generator.model.grid import VoxelGrid
 from generator.model.presets import preset
 from generator.model.scene import Scene, Target, _leaves
+from generator.transport import Sphere
 
 PRESETS = ["room", "tabletop", "corridor"]
 
@@ -297,6 +298,26 @@ def textured_wall(blender):
     tree.links.new(noise.outputs[0], tree.nodes["Diffuse BSDF"].inputs[0])
 
 
+@pytest.mark.parametrize("gloss", [0.4, 1.0])
+def test_a_glossy_target_reads_back(gloss):
+    target = Target(kind="sphere", albedo=0.7, gloss=gloss, roughness=0.3)
+    blender = built(replace(preset("room"), target=target))
+    got = read_scene(blender).target
+    assert (got.albedo, got.gloss, got.roughness) == (0.7, gloss, 0.3)
+    [body] = survey.surfel_world(blender).target
+    np.testing.assert_allclose(body.albedo, 0.7 * (1.0 - gloss), rtol=1e-6)
+    np.testing.assert_allclose(body.gloss.tint, 0.7 * gloss, rtol=1e-6)
+    assert isinstance(body, Sphere)
+    glossy = next(
+        n for n in roles.find(blender, "target").data.materials[0].node_tree.nodes if n.type == "BSDF_GLOSSY"
+    )
+    glossy.inputs["Color"].default_value = (0.1, 0.2, 0.3, 1.0)
+    other = read_scene(blender).target
+    assert (other.albedo, other.gloss) == (None, 0.0) or gloss == 1.0
+    with pytest.raises(NlosError, match=r"target\.roughness: 1\.2 must lie between 0 and 1"):
+        replace(preset("room"), target=replace(target, roughness=1.2))
+
+
 def wide_lamp(blender):
     roles.find(blender, "spot").data.spot_size = 3.0
 
@@ -305,7 +326,7 @@ def wide_lamp(blender):
     ("spoil", "words"),
     [
         (something_in_the_beam, "'Cube' stands in the cone"),
-        (textured_wall, "not one constant diffuse colour"),
+        (textured_wall, "not one constant colour, diffuse"),
         (wide_lamp, "grazes the wall|misses the plane|stands in the cone"),
     ],
 )

@@ -216,7 +216,7 @@ def test_what_shines_is_what_cycles_renders(studio, build, kind):
     np.testing.assert_allclose(nodes.radiance(block), rendered, rtol=1e-3)  # luminance differs in the fourth digit
     assert nodes.level(block) == pytest.approx(rendered.mean(), rel=1e-3)
     if kind == "Material":
-        np.testing.assert_allclose(nodes.lambertian(block).radiance, rendered, rtol=1e-3)
+        np.testing.assert_allclose(nodes.reflector(block).radiance, rendered, rtol=1e-3)
 
 
 def test_a_mixture_reflects_what_its_parts_do_by_their_shares():
@@ -228,10 +228,51 @@ def test_a_mixture_reflects_what_its_parts_do_by_their_shares():
     assert nodes.diffuse(made) == pytest.approx((0.6, 0.3, 0.15))
     emission(tree, mix.inputs[2], 2.0)
     assert nodes.diffuse(made) is None
-    assert nodes.lambertian(made).albedo == pytest.approx((0.6, 0.3, 0.15))
-    assert nodes.lambertian(made).radiance == pytest.approx((0.5, 0.5, 0.5))
+    assert nodes.reflector(made).albedo == pytest.approx((0.6, 0.3, 0.15))
+    assert nodes.reflector(made).radiance == pytest.approx((0.5, 0.5, 0.5))
     node(tree, "TexNoise", mix.inputs[0])
-    assert nodes.lambertian(made) is None
+    assert nodes.reflector(made) is None
+
+
+def test_a_mixture_of_a_diffuse_and_a_glossy_shader():
+    made = bpy.data.materials.new("Glossy")
+    tree = tree_of(made)
+    mix = node(tree, "MixShader", output(tree).inputs["Surface"])
+    mix.inputs[0].default_value = 0.25
+    node(tree, "BsdfDiffuse", mix.inputs[1], Color=(0.8, 0.4, 0.2, 1.0))
+    shader = node(tree, "BsdfGlossy", mix.inputs[2], Color=(0.5, 0.6, 0.7, 1.0), Roughness=0.4)
+    found = nodes.reflector(made)
+    assert nodes.diffuse(made) is None
+    assert found.albedo == pytest.approx((0.6, 0.3, 0.15))
+    assert found.glossy.colour == pytest.approx((0.5, 0.6, 0.7))
+    assert (found.glossy.share, found.glossy.roughness) == pytest.approx((0.25, 0.4))
+    assert found.glossy.multiple, "Blender's own distribution"
+    shader.distribution = "GGX"
+    assert not nodes.reflector(made).glossy.multiple
+    shader.distribution = "BECKMANN"
+    assert nodes.reflector(made) is None
+    shader.distribution = "GGX"
+    shader.inputs["Anisotropy"].default_value = 0.2
+    assert nodes.reflector(made) is None
+
+
+@pytest.mark.parametrize("socket", ["Color", "Roughness", "Normal", "Anisotropy"])
+def test_a_glossy_shader_that_varies_is_not_constant(socket):
+    made = bpy.data.materials.new("Varying")
+    tree = tree_of(made)
+    shader = node(tree, "BsdfGlossy", output(tree).inputs["Surface"])
+    assert nodes.reflector(made) is not None
+    node(tree, "TexNoise", shader.inputs[socket])
+    assert nodes.reflector(made) is None
+
+
+def test_two_glossy_shaders_have_two_roughnesses():
+    made = bpy.data.materials.new("Two")
+    tree = tree_of(made)
+    both = node(tree, "AddShader", output(tree).inputs["Surface"])
+    node(tree, "BsdfGlossy", both.inputs[0])
+    node(tree, "BsdfGlossy", both.inputs[1])
+    assert nodes.reflector(made) is None
 
 
 def test_the_default_of_old_files_is_dark():
