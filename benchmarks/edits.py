@@ -1085,6 +1085,47 @@ def target_rough_metal(scene, folder):
     _metal(material(scene, "target"), 0.5)
 
 
+def _partly_glossy(scene: Any, distribution: str, **inputs: Any) -> None:
+    """Make the target's material a mixture of a diffuse shader and of a glossy one of a distribution."""
+    tree = fresh(material(scene, "target"))
+    mix, glossy = tree.nodes.new("ShaderNodeMixShader"), tree.nodes.new("ShaderNodeBsdfAnisotropic")
+    diffuse, end = tree.nodes.new("ShaderNodeBsdfDiffuse"), tree.nodes.new("ShaderNodeOutputMaterial")
+    diffuse.inputs["Roughness"].default_value = 0.0
+    glossy.distribution = distribution
+    for name, value in inputs.items():
+        glossy.inputs[name].default_value = value
+    mix.inputs[0].default_value = 0.6
+    tree.links.new(diffuse.outputs[0], mix.inputs[1])
+    tree.links.new(glossy.outputs[0], mix.inputs[2])
+    tree.links.new(mix.outputs[0], end.inputs["Surface"])
+
+
+@case(8)
+def target_partly_glossy(scene, folder):
+    _partly_glossy(scene, "GGX", Roughness=0.6, Color=(0.9, 0.6, 0.3, 1.0))
+
+
+@case(8)
+def target_partly_glossy_multiscatter(scene, folder):
+    _partly_glossy(scene, "MULTI_GGX", Roughness=1.0, Color=(0.9, 0.6, 0.3, 1.0))
+
+
+@case(8)
+def target_glossy_beckmann(scene, folder):
+    _partly_glossy(scene, "BECKMANN", Roughness=0.6)
+
+
+@case(8)
+def target_glossy_anisotropic(scene, folder):
+    _partly_glossy(scene, "GGX", Roughness=0.6, Anisotropy=0.7)
+
+
+@case(8)
+def target_glossy_room_unseen_by_glossy(scene, folder):
+    _partly_glossy(scene, "GGX", Roughness=0.6)
+    next(o for o in scene.objects if o.get("nlos_role") == "room").visible_glossy = False
+
+
 @case(8)
 def target_principled_mirror(scene, folder):
     shaded(

@@ -147,7 +147,8 @@ class Fields:
         most, like = np.zeros((n, 2)), np.zeros(0)
         parts, wanted = setting.faces.parts(turns, places)
         part_poses = Parts(turns, places, parts.picture, wanted)
-        arguments = (self._sharp(), setting.shine, part_poses, self._rules(_SPARE))
+        # A pole of the second order, where the rules of cells allow for one of the fourth, is spare enough.
+        arguments = (self._sharp(), setting.shine, part_poses, self._rules())
 
         def evaluate(owner: Floats, boxes: Floats) -> tuple[Floats, Floats]:
             values, found = np.empty((len(owner), pixels.shape[1], len(rule.places))), np.empty((len(owner), 4))

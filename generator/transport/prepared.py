@@ -213,7 +213,8 @@ def _refuse_gloss(world: World) -> None:
             "world: a glossy target's light is followed over three reflections of the spot's light; with more "
             "reflections, a sky or other lamps, make it diffuse"
         )
-    least = min(float(body.gloss.roughness.min()) for body in world.target if body.gloss is not None)
+    rows = [body.gloss for body in world.target if body.gloss is not None]
+    least = min(float(row.roughness[row.tint.any(axis=1)].min(initial=1.0)) for row in rows)
     if least < SMOOTHEST:
         raise NlosError(
             f"world: the target has a glossy roughness of {least:g}, below {SMOOTHEST:g}, where quadrature "

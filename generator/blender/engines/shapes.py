@@ -12,6 +12,7 @@ from generator.blender.engines.surface import Shape
 from generator.blender.scene import nodes
 from generator.model.arrays import Array
 from generator.transport import facets
+from generator.transport.world import SMOOTHEST
 
 SMOOTH = 1e-3
 """Angle between a corner's normal and its face's, radians, above which the shading differs visibly."""
@@ -128,7 +129,8 @@ def _is_colour(glossy: nodes.Glossy) -> bool:
 
 def _gloss(glossy: nodes.Glossy) -> Array:
     """Return a row of gloss (GLOSS,)."""
-    again = facets.multiple(glossy.colour, glossy.roughness) if glossy.multiple else (0.0, 0.0, 0.0)
+    followed = glossy.multiple and glossy.roughness >= SMOOTHEST
+    again = facets.multiple(glossy.colour, glossy.roughness) if followed else (0.0, 0.0, 0.0)
     return np.array([*(glossy.share * c for c in glossy.colour), glossy.roughness, *again])
 
 

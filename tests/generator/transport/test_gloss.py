@@ -88,15 +88,12 @@ def test_colours_and_materials_of_parts():
     tint = np.array([0.9, 0.5, 0.1])
     shine = Gloss(np.tile(tint, (2, 1)), np.full(2, 0.6), np.zeros((2, 3)))
     left = replace(left, albedo=np.zeros((2, 3)), gloss=shine)
+    black = Gloss(np.zeros((2, 3)), np.zeros(2), np.zeros((2, 3)))
     joined = Mesh(
         np.concatenate([left.triangles, right.triangles]),
         np.concatenate([left.albedo, right.albedo]),
-        Gloss(
-            *(np.concatenate([getattr(shine, k), 0.5 + 0.0 * getattr(shine, k)]) for k in ("tint", "roughness")),
-            np.zeros((4, 3)),
-        ),
+        Gloss(*(np.concatenate([getattr(g, k) for g in (shine, black)]) for k in ("tint", "roughness", "multiple"))),
     )
-    joined.gloss.tint[2:] = 0.0
     one, two, both = (
         Transport(worlds.world(body, view=small())).render(*POSE).added for body in (left, right, joined)
     )

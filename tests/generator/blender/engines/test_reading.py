@@ -564,6 +564,7 @@ OBSTACLES = {
         made_of("Floor", "ShaderNodeBsdfGlossy"),
         "'Floor' has a glossy material, which only the target",
     ),
+    "mirror": (glossy_target(Roughness=0.0), "the target 'Target' has a glossy roughness of 0, .* from 0.2 on"),
     "polished target": (
         glossy_target(Roughness=0.1),
         "the target 'Target' has a glossy roughness of 0.1, .* from 0.2",
