@@ -21,6 +21,10 @@ ROOT = Path(__file__).parents[3]
 POSE = ((0.75, 0.9, 0.1), (0.0, 0.0, -5.0))
 
 
+def slow(case):
+    return pytest.param(case, marks=pytest.mark.slow)
+
+
 def shiny(body, roughness, *, tint=0.8, albedo=0.0, multiple=0.0):
     """A body of one gloss."""
     n = len(body.triangles) if isinstance(body, Mesh) else 1
@@ -36,7 +40,7 @@ def small(pixels=8):
     return worlds.watched(resolution=(pixels, pixels))
 
 
-@pytest.mark.parametrize("roughness", [0.3, 0.5, 1.0])
+@pytest.mark.parametrize("roughness", [0.3, slow(0.5), slow(1.0)])
 def test_sheet_against_a_sum_over_its_points(roughness):
     scene = worlds.world(shiny(worlds.sheet(), roughness), view=small(4))
     points = glossy.sheet_points(*POSE, n=24)
@@ -46,7 +50,7 @@ def test_sheet_against_a_sum_over_its_points(roughness):
     assert worlds.error(Transport(scene, accuracy=1e-2).render(*POSE).added[..., 0], expected) < 1e-2
 
 
-@pytest.mark.parametrize("roughness", [0.4, 0.8])
+@pytest.mark.parametrize("roughness", [0.4, slow(0.8)])
 def test_sphere_against_a_sum_over_its_points(roughness):
     scene = worlds.world(shiny(ball(), roughness), view=small(4))
     expected = glossy.picture(
@@ -101,7 +105,7 @@ def test_colours_and_materials_of_parts():
     assert worlds.error(both, one + two) < 1e-3
 
 
-@pytest.mark.parametrize("body", ["sheet", "ball"])
+@pytest.mark.parametrize("body", ["sheet", slow("ball")])
 def test_behind_a_screen(body):
     """Shadows on both legs, by brute force over pairs."""
     screen = worlds.quad((0.05, 0.5, -0.4), (0.35, 0.0, 0.0), (0.0, 0.0, 0.5), 0.0)
