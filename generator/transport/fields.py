@@ -148,7 +148,7 @@ class Fields:
         parts, wanted = setting.faces.parts(turns, places)
         part_poses = Parts(turns, places, parts.picture, wanted)
         # A pole of the second order, where the rules of cells allow for one of the fourth, is spare enough.
-        arguments = (self._sharp(), setting.shine, part_poses, self._rules())
+        arguments = (gloss.Glossy(self._sharp(), setting.shine), part_poses, self._rules())
 
         def evaluate(owner: Floats, boxes: Floats) -> tuple[Floats, Floats]:
             values, found = np.empty((len(owner), pixels.shape[1], len(rule.places))), np.empty((len(owner), 4))
@@ -372,11 +372,11 @@ class Fields:
         obstacles = traced.Obstacles(room, target, setting.target.spheres, setting.convex)
         widest = self._widest * setting.target.extent
 
-        shine = setting.shine or gloss.none(*shape.albedo.shape)
+        glossy = gloss.Glossy(shape, setting.shine or gloss.none(*shape.albedo.shape))
 
         def evaluate(owner: Floats, walls: Floats, finest: Floats) -> tuple[Floats, Floats]:
             values = np.empty((len(owner), shape.albedo.shape[1] + 1))
-            arguments = (traced.Points(owner, walls, finest, widest), shape, shine, poses, obstacles, self._rules())
+            arguments = (traced.Points(owner, walls, finest, widest), glossy, poses, obstacles, self._rules())
             compiled.in_parts(traced.reflected_points, len(owner), *arguments, values)
             return values[:, :-1], values[:, -1]
 

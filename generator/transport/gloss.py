@@ -55,6 +55,13 @@ class Shine(NamedTuple):
     missing: Floats
 
 
+class Glossy(NamedTuple):
+    """A target whose cells are as fine as its gloss requires (`elements.SHARP`), and its gloss."""
+
+    target: Target
+    shine: Shine
+
+
 def shine(bodies: Sequence[Body], kept: Floats, channels: list[int]) -> Shine:
     """Return the glossy reflection of a target's cells.
 
@@ -326,8 +333,7 @@ def panels(
     start: int,
     stop: int,
     boxes: Boxes,
-    target: Target,
-    shine: Shine,
+    glossy: Glossy,
     parts: Parts,
     rules: Rules,
     values: Floats,
@@ -339,16 +345,14 @@ def panels(
     ----------
     start, stop : int
     boxes : Boxes
-    target : Target
-        Its cells have `elements.SHARP`.
-    shine : Shine
+    glossy : Glossy
     parts : Parts
     rules : Rules
     values : ndarray of shape (n, groups, k), written
     reports : ndarray of shape (n, 4), written
         As for `integral.panels`; the distance is also one over which the light on the wall varies.
     """
-    job, rows = _Job(boxes, target, shine, parts, rules), _ROWS
+    job, rows = _Job(boxes, glossy.target, glossy.shine, parts, rules), _ROWS
     while start < stop:
         start = _evaluate(start, stop, job, _space(job, rows), values, reports)
         rows *= 2

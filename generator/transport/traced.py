@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from generator.transport import elements
 from generator.transport.compiled import jit_in_place, jit_parts, jit_within
 from generator.transport.elements import AREA, CELL, ONE_SIDED, POINT
-from generator.transport.gloss import Shine, more, pair, turns_over
+from generator.transport.gloss import Glossy, Shine, more, pair, turns_over
 from generator.transport.integral import Covering, room_to_cover
 from generator.transport.lit import Rules, distance_to, order_at, order_for, radius_of
 from generator.transport.rays import Surfaces
@@ -289,8 +289,7 @@ def reflected_points(
     start: int,
     stop: int,
     points: Points,
-    target: Target,
-    shine: Shine,
+    glossy: Glossy,
     poses: Poses,
     obstacles: Obstacles,
     rules: Rules,
@@ -302,15 +301,14 @@ def reflected_points(
     ----------
     start, stop : int
     points : Points
-    target : Target
-    shine : gloss.Shine
+    glossy : gloss.Glossy
     poses : Poses
     obstacles : Obstacles
     rules : Rules
     values : ndarray of shape (n, groups + 1), written
         The last column is the number of elements that each point took.
     """
-    job, rows = _Job(points, target, shine, poses, obstacles, rules), _ROWS
+    job, rows = _Job(points, glossy.target, glossy.shine, poses, obstacles, rules), _ROWS
     while start < stop:
         start = _evaluate(start, stop, job, _space(job, rows), values)
         rows *= 2
