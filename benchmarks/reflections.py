@@ -13,8 +13,8 @@ Prints tables and writes ``reflections.csv`` and ``reflections-cycles.csv``, or 
 - Cycles' ``patch`` at order 6: the slope of its change of the picture on the engine's, over all poses and pixels;
   its standard error from six renders of each, which differ in their noise.
 - Hard poses, for all reflections: against the engine with sixteen times the lines through the target, eight times
-  those from the lamp, a target met by lines from the picture and not summed over its surface, and cells of 0.06 times
-  their distance.
+  those from the lamp, a target met by lines from the picture and not summed over its surface, cells of 0.035 times
+  their distance, and near surfaces of a fourth of the gap.
 """
 
 from __future__ import annotations
@@ -48,7 +48,7 @@ from generator.model.quantities import ALL_ORDERS
 from generator.model.scene import ROOM_SURFACES, Scene
 from generator.model.settings import Sweep
 from generator.transport import AmbientLight, Mesh, Transport, World
-from generator.transport.light import change, field
+from generator.transport.light import change, field, near
 
 Array = NDArray[Any]
 
@@ -88,8 +88,8 @@ FINER: tuple[dict[str, Any], ...] = (
     {"_LINES": 1 << 17, "_VIEWS": ((48, 1 << 11),), "_FIRST_LINES": 0, "_LIT": 1 << 14},
 )
 """Numbers of lines in `change`: through the target; and also from the picture's points to it, and from the lamp."""
-FINE_CELL = 0.06
-"""Size of the cells that the best is found with."""
+FINE_CELLS: tuple[dict[str, Any], ...] = ({"_CELL": 0.035, "_BLOCK": 2}, {"_SHARP": 0.25, "_FINEST": 1.0 / 48.0})
+"""Sizes of the cells that the best is found with: in `field`, and in `near`."""
 
 
 @dataclass(frozen=True)
@@ -197,7 +197,7 @@ def _lit(world: World, seen: tuple[float, float]) -> World:
 
 
 def _scaled(runs: Array, engine: Transport, seen: tuple[float, float]) -> Array:
-    scaled: Array = runs * (units(engine) * [seen[0], 1.0])[:, None]
+    scaled: Array = runs[:, :2] * (units(engine) * [seen[0], 1.0])[:, None]
     return scaled
 
 
@@ -302,13 +302,16 @@ def at_hard_poses(count: int) -> Iterator[tuple[str, ...]]:
             world = replace(world_of(replace(spec, resolution=(16, 16))), order=ALL_ORDERS)
             first = Transport(world, accuracy=1e-2)
             # Each keeps its own lines from pose to pose.
-            with patched(field, {"_CELL": FINE_CELL}):
+            with patched(field, FINE_CELLS[0]):
                 best_engine = Transport(world, accuracy=1e-2)
             engines = {first: {}, Transport(world, accuracy=1e-2, like=first): FINER[0], best_engine: FINER[1]}
             errors: dict[str, list[tuple[float, float]]] = {}
             for kind, *pose in hard_poses(spec, count):
                 try:
-                    *found, best = (drawn_with(finer, engine, pose) for engine, finer in engines.items())
+                    *found, best = (
+                        drawn_with(finer, engine, pose, FINE_CELLS[1] if engine is best_engine else {})
+                        for engine, finer in engines.items()
+                    )
                 except NlosError as error:
                     print(f"  refused: {name}, {kind}: {error}", flush=True)
                     continue
@@ -329,10 +332,10 @@ def at_hard_poses(count: int) -> Iterator[tuple[str, ...]]:
                 yield name, light, kind, str(len(both)), *figures
 
 
-def drawn_with(numbers: dict[str, int], engine: Transport, pose: list[Array]) -> Array:
+def drawn_with(numbers: dict[str, Any], engine: Transport, pose: list[Array], cells: dict[str, Any]) -> Array:
     """Return an engine's change (parts, height, width) with other numbers of lines: the lamp's up to the third
     reflection, its further ones, and the sky's."""
-    with patched(change, numbers):
+    with patched(change, numbers), patched(near, cells):
         made = engine.render(*pose)
         return np.stack([made.added - made.hidden, made.further, made.ambient])[..., 0]
 

@@ -22,6 +22,7 @@ were drawn by chance, and by more as they are: lines are doubled until that is s
 
 from __future__ import annotations
 
+import functools
 import math
 from typing import Any, NamedTuple
 
@@ -371,7 +372,9 @@ class LightChange:
                     room_sum, body_sum = room_sum + rest * level, body_sum + rest * body
                     coefficients += field.shown(total + rest * added, most)
                 break
-            even[:-1] = room_tint * _smooth(field, change[:-1])
+            # A lamp's shadow is small and sharp; what comes after is not.
+            is_sharp = index == 0 and shade is not None
+            even[:-1] = room_tint * (field.spread if is_sharp else functools.partial(_smooth, field))(change[:-1])
             change[:-1] = even[:-1] + room_tint * added
             # What a cell receives along one set's lines it sends along another's: bright places would else light
             # themselves, by the few lines that lead there, and the more so the smaller cells are.
@@ -482,6 +485,6 @@ def _smooth(field: LightField, change: Floats) -> Floats:
     What a target adds to it is a small part of a small change, so coarse cells are enough.
     """
     sent = summed(field.block, change * field.cells.area[:, None], len(field.coarse)) / field.block_area[:, None]
-    received = np.append(field.coarse @ sent, np.zeros((1, change.shape[1])), axis=0)
+    received = np.append(field.coarse @ sent.astype(np.float32), np.zeros((1, change.shape[1])), axis=0)
     smooth: Floats = received[field.block]
     return smooth

@@ -54,6 +54,16 @@ class Exchange:
         found: Floats = self._area * self.received(worth / self._area)
         return found
 
+    def spread(self, radiosity: Floats) -> Floats:
+        """Return the irradiance as `received` does, by the rays of the cells that have any radiosity, which are few.
+
+        Cells count the rays that meet them: each for itself is noisy, but not many together.
+        """
+        some = np.flatnonzero(radiosity.any(axis=1))
+        sent = radiosity[some] * (self._area[some] / self._met.shape[1])
+        found: Floats = _counted(sent, self._met[some], len(self._met)) / self._area
+        return found
+
     def between(self, block: Numbers, area: Floats) -> Floats:
         """Return the irradiance of blocks of cells by the radiosity of each other, (blocks, blocks).
 
@@ -101,4 +111,28 @@ def means_arrays(values: Floats, met: Numbers) -> Floats:
     return found
 
 
+def _counted_loops(values: Floats, met: Numbers, count: int) -> Floats:
+    """Return the sums (count, columns) of the values (n, columns) of the rays (n, rays) that meet each cell."""
+    n, rays = met.shape
+    columns = values.shape[1]
+    found = np.zeros((count, columns))
+    for i in range(n):
+        for k in range(rays):
+            j = met[i, k]
+            if j < count:
+                for column in range(columns):
+                    found[j, column] += values[i, column]
+    return found
+
+
+def counted_arrays(values: Floats, met: Numbers, count: int) -> Floats:
+    """NumPy form of `_counted_loops`."""
+    found = np.empty((count, values.shape[1]))
+    for column in range(values.shape[1]):
+        each = np.repeat(values[:, column], met.shape[1])
+        found[:, column] = np.bincount(met.reshape(-1), each, count + 1)[:count]
+    return found
+
+
+_counted = jit_released(_counted_loops) if COMPILED else counted_arrays
 _means = jit_released(_means_loops) if COMPILED else means_arrays

@@ -120,7 +120,7 @@ class LightField:
         Coarse cell that each cell is part of.
     block_area : ndarray of shape (blocks,)
         Area of each coarse cell.
-    coarse : ndarray of shape (blocks, blocks)
+    coarse : ndarray of shape (blocks, blocks), float32
         Irradiance of coarse cells per radiosity of each other.
     sources : dict of str to Source
         "lamp" if light of it is followed, "sky" if there is one, and "emitters" likewise.
@@ -167,6 +167,7 @@ class LightField:
             self.shadow = WallShadow(setting, beams)
             self.sources["emitters"] = self._lit(beams, _EMITTED, _EMITTED)
         self._responses = [self._response(g) for g in range(groups)]
+        self.coarse = self.coarse.astype(np.float32)  # read whole for every reflection of every pose
 
     def _seen(self, places: Floats, normals: Floats, spread: Floats, rays: int) -> tuple[Floats, Floats]:
         """Return what receivers see: the share of the sky (n,), and of each cell (n, cells), by ``rays`` for each."""
@@ -330,6 +331,12 @@ class LightField:
             if not directly:
                 coefficients[:, some] -= responses[0] @ arriving[:, some]
         return coefficients
+
+    def spread(self, radiosity: Floats) -> Floats:
+        """Return the irradiance of cells by the radiosity of a few, (cells, columns) both."""
+        found = np.zeros_like(radiosity)
+        found[self._reached_cells] = self._exchange.spread(radiosity[self._reached_cells])
+        return found
 
     def background(self, name: str) -> Floats:
         """Return the coefficients (n, groups) of the light of a source on the wall of the empty scene."""

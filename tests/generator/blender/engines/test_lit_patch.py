@@ -343,7 +343,7 @@ def test_a_glossy_target_reflects_as_in_cycles(distribution, roughness):
     node(tree, "BsdfDiffuse", mix.inputs[1], Color=WHITE, Roughness=0.0)
     node(tree, "BsdfGlossy", mix.inputs[2], Color=WHITE, Roughness=roughness).distribution = distribution
     target(scene).data.materials[0] = bpy.data.materials["Glossy"]
-    agree(scene, "patch", "surfel", samples=8192)
+    agree(scene, "patch", "surfel", samples=32768)
     assert renderers.choose(scene)[0] == "surfel"
 
 

@@ -12,7 +12,7 @@ from generator.model.quantities import ALL_ORDERS
 from generator.transport import Mesh, Sphere, Transport
 from generator.transport.light import cells, change, spread, view
 from generator.transport.light import lines as light_lines
-from generator.transport.light.exchange import means_arrays
+from generator.transport.light.exchange import _counted, counted_arrays, means_arrays
 from generator.transport.light.field import LightField
 from generator.transport.prepared import Setting
 
@@ -218,6 +218,12 @@ def test_light_is_exchanged_the_same_in_both_forms():
     worth = field.cells.area[field._reached_cells, None] * smooth[:, 1:2]
     one, other = (worth * exchange.received(smooth[:, :1])).sum(), (smooth[:, :1] * exchange.sent(worth)).sum()
     assert one == pytest.approx(other, rel=2e-3)
+    lit = np.flatnonzero(field.cells.extents()[1][field._reached_cells][:, 2] < 0.5)[:200]
+    few = np.zeros((n, 1))
+    few[lit] = 1.0
+    assert (worth * exchange.spread(few)).sum() == pytest.approx((worth * exchange.received(few)).sum(), rel=1e-2)
+    counted = counted_arrays(values[:50], exchange._met[:50], n)
+    np.testing.assert_allclose(_counted(values[:50], exchange._met[:50], n), counted, rtol=1e-12)
 
 
 def test_cells_near_a_surface_keep_the_light_of_a_target_that_lies_on_it():
