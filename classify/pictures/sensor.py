@@ -242,7 +242,11 @@ def _identity(dataset: PictureSet, background: Picture) -> int:
         first = dataset.records[0]
         empty = dataset.background_of(first) if dataset.own_backgrounds else background
         change = f"{float((dataset.picture(first) - empty).mean(dtype=np.float64)):.1e}"
-    content = json.dumps([settings, dataset.meta.get("scene"), change], sort_keys=True, default=str)
+    scene = dataset.meta.get("scene")
+    if isinstance(scene, dict) and isinstance(scene.get("target"), dict) and not scene["target"].get("gloss"):
+        # Sets from before targets could be glossy keep their noise.
+        scene = {**scene, "target": {k: v for k, v in scene["target"].items() if k not in ("gloss", "roughness")}}
+    content = json.dumps([settings, scene, change], sort_keys=True, default=str)
     return int.from_bytes(hashlib.sha256(content.encode()).digest()[:8], "big")
 
 
