@@ -22,7 +22,6 @@ were drawn by chance, and by more as they are: lines are doubled until that is s
 
 from __future__ import annotations
 
-import functools
 import math
 from typing import Any, NamedTuple
 
@@ -63,6 +62,8 @@ _APART, _ROUND, _MOST_CUTS = 0.15, 3, 4
 are cut for that, at least on a sphere, whose horizon runs through cells, and at most: else, lines are followed."""
 _LEFT, _LEFT_OF_ALL = 1e-4, 1e-3
 """Share of the change at which further reflections are left out; where all count, are taken as a geometric series."""
+_BESIDE = 2.0
+"""Distance from the target's middle within which light goes from cell to cell, in units of the target's radius."""
 _STEP = 0.25
 """Step of central differences, radians, and in units of the target's radius."""
 _MOST_PARTS, _PARTS = 512, 4
@@ -331,6 +332,9 @@ class LightChange:
         empty = np.tile(source.levels[0], SETS)
         change, even = np.zeros_like(empty), np.zeros_like(empty)
         small = np.zeros_like(small_tint)
+        # Where the target is near a surface, its shadow stays sharp.
+        away = np.linalg.norm(field.middles - pose.centre, axis=1)
+        beside_it = (near.there & (away < _BESIDE * pose.radius))[:, None]
         body: Floats = np.zeros((self._count, SETS * groups))
         coefficients: Floats = np.zeros((len(field.points.fit), SETS * groups))
         if source.first >= order:  # the wall is lit directly only
@@ -372,9 +376,12 @@ class LightChange:
                     room_sum, body_sum = room_sum + rest * level, body_sum + rest * body
                     coefficients += field.shown(total + rest * added, most)
                 break
-            # A lamp's shadow is small and sharp; what comes after is not.
-            is_sharp = index == 0 and shade is not None
-            even[:-1] = room_tint * (field.spread if is_sharp else functools.partial(_smooth, field))(change[:-1])
+            if index == 0 and shade is not None:  # a lamp's shadow is small and sharp
+                even[:-1] = room_tint * field.spread(change[:-1])
+            else:
+                sharp = np.where(beside_it, change[:-1], 0.0)
+                light = _smooth(field, change[:-1] - sharp)
+                even[:-1] = room_tint * (light + field.spread(sharp) if near.there else light)
             change[:-1] = even[:-1] + room_tint * added
             # What a cell receives along one set's lines it sends along another's: bright places would else light
             # themselves, by the few lines that lead there, and the more so the smaller cells are.

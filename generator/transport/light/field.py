@@ -116,6 +116,8 @@ class LightField:
         others (a room's outer sides), are given no light.
     tint : ndarray of shape (cells, groups)
         Albedo.
+    extent, middles : ndarray of shape (cells,) and (cells, 3)
+        The cells' diagonals, and their middles.
     block : ndarray of shape (cells,), int
         Coarse cell that each cell is part of.
     block_area : ndarray of shape (blocks,)
@@ -145,9 +147,10 @@ class LightField:
         spots = None if beams is None else beams.spots
         size = min(_COARSEST, _CELL * math.sqrt(max(1.0, accuracy / FINEST)))
         cells = self.cells = Cells(setting.around, size, np.zeros(3), 1.0, np.zeros((0, groups)), spots)
+        self.extent, self.middles = cells.extents()
         self.points = PicturePoints(setting.to_wall, _POINTS)
         self._wall_share, wall = self._seen(*_from_wall(self.points, _WALL), _WALL)
-        wall = _refined(wall, self.points, cells, setting)
+        wall = _refined(wall, self, setting)
         if setting.sky is not None and 0.0 < self._wall_share.mean() < _OPEN:
             self._wall_share = self._sky_of_wall(setting)
         reached, met = self._reached(np.flatnonzero(wall.any(axis=0) | self._of_wall()))
@@ -233,7 +236,7 @@ class LightField:
         """Return the source whose ``first`` reflection is of beams, on cells."""
         start = np.zeros((self.cells.count + 1, self.tint.shape[1]))
         if first < self.order:
-            extent, middles = self.cells.extents()
+            extent, middles = self.extent, self.middles
             near = np.full(len(extent), np.inf)
             for place in beams.finest.places:
                 near = np.minimum(near, np.linalg.norm(middles - place, axis=1))
@@ -356,18 +359,17 @@ def _from_wall(points: PicturePoints, rays: int) -> tuple[Floats, Floats, Floats
     return np.repeat(points.places, rays, axis=0), np.tile([0.0, 0.0, 1.0], (len(spread), 1)), spread
 
 
-def _refined(seen: Floats, points: PicturePoints, cells: Cells, setting: Setting) -> Floats:
+def _refined(seen: Floats, field: LightField, setting: Setting) -> Floats:
     """Return the share of each cell in what the picture's points see, (points, cells), by sums over parts of cells.
 
     Rays, by which ``seen`` was found, meet distant cells too seldom, and everything that a target does to the room
     reaches the picture by way of these shares. They remain for cells that are as large as their distance.
     """
     found = seen.astype(np.float64)
-    every = np.arange(cells.count)
-    extent, middles = cells.extents()
-    _, normals = cells.places(every, np.full((cells.count, 2), 0.5))
+    cells, extent, middles = field.cells, field.extent, field.middles
+    _, normals = cells.places(np.arange(cells.count), np.full((cells.count, 2), 0.5))
     blockers = setting.obstacles.static_blockers
-    for k, place in enumerate(points.places):
+    for k, place in enumerate(field.points.places):
         ratio = extent / np.maximum(np.linalg.norm(middles - place, axis=1), 1e-300)
         parts = np.ceil(ratio / _NEAR).astype(np.int64)
         # A flat cell whose middle faces away has no part that faces the place.
