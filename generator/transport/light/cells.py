@@ -288,11 +288,13 @@ class Cells:
         points[~flat], normals[~flat] = balls[:, :3] + balls[:, 3:] * outward, outward
         return points, normals
 
-    def extents(self) -> tuple[Floats, Floats]:
-        """Return the diagonals (cells,) of the cells, and their middles (cells, 3)."""
+    def extents(self) -> tuple[Floats, Floats, Floats]:
+        """Return the diagonals (cells,) of the cells, their middles (cells, 3), and the normals there (cells, 3)."""
         every = np.arange(self.count)
-        middles, low, high = (self.places(every, np.full((self.count, 2), at))[0] for at in (0.5, 0.0, 1.0))
-        return np.linalg.norm(high - low, axis=1), middles
+        (middles, normals), (low, _), (high, _) = (
+            self.places(every, np.full((self.count, 2), at)) for at in (0.5, 0.0, 1.0)
+        )
+        return np.linalg.norm(high - low, axis=1), middles, normals
 
     def outer(self, outward: NDArray[np.bool_] | None) -> Numbers:
         """Return the cells that are not inside a solid; ``outward`` as for `scattered`."""

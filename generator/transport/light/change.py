@@ -332,9 +332,7 @@ class LightChange:
         empty = np.tile(source.levels[0], SETS)
         change, even = np.zeros_like(empty), np.zeros_like(empty)
         small = np.zeros_like(small_tint)
-        # Where the target is near a surface, its shadow stays sharp.
-        away = np.linalg.norm(field.middles - pose.centre, axis=1)
-        beside_it = (near.there & (away < _BESIDE * pose.radius))[:, None]
+        beside_it = self._beside(pose)
         body: Floats = np.zeros((self._count, SETS * groups))
         coefficients: Floats = np.zeros((len(field.points.fit), SETS * groups))
         if source.first >= order:  # the wall is lit directly only
@@ -377,11 +375,13 @@ class LightChange:
                     coefficients += field.shown(total + rest * added, most)
                 break
             if index == 0 and shade is not None:  # a lamp's shadow is small and sharp
-                even[:-1] = room_tint * field.spread(change[:-1])
+                spread = field.spread(change[:-1])
+            elif beside_it is None:
+                spread = _smooth(field, change[:-1])
             else:
                 sharp = np.where(beside_it, change[:-1], 0.0)
-                light = _smooth(field, change[:-1] - sharp)
-                even[:-1] = room_tint * (light + field.spread(sharp) if near.there else light)
+                spread = field.spread(sharp) + _smooth(field, change[:-1] - sharp)
+            even[:-1] = room_tint * spread
             change[:-1] = even[:-1] + room_tint * added
             # What a cell receives along one set's lines it sends along another's: bright places would else light
             # themselves, by the few lines that lead there, and the more so the smaller cells are.
@@ -391,6 +391,14 @@ class LightChange:
             arriving /= np.maximum(received, 1e-300)
             body = tint * np.roll(completed(arriving, missing, groups), groups, axis=1)
         return Sums(room_sum, body_sum, coefficients)
+
+    def _beside(self, pose: Pose) -> NDArray[np.bool_] | None:
+        """Return which cells (cells, 1) are by a target that is near a surface: its shadow stays sharp there."""
+        if not pose.near.there:
+            return None
+        away = np.linalg.norm(self._field.middles - pose.centre, axis=1)
+        is_beside: NDArray[np.bool_] = (away < _BESIDE * pose.radius)[:, None]
+        return is_beside
 
     def _drawn(self, sums: Sums, pose: Pose, exact: Floats | None, view: int) -> tuple[Floats, int]:
         """Return the pictures (sets, groups, height, width) of sums, with the target seen directly by one of

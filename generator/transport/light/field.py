@@ -147,13 +147,13 @@ class LightField:
         spots = None if beams is None else beams.spots
         size = min(_COARSEST, _CELL * math.sqrt(max(1.0, accuracy / FINEST)))
         cells = self.cells = Cells(setting.around, size, np.zeros(3), 1.0, np.zeros((0, groups)), spots)
-        self.extent, self.middles = cells.extents()
+        self.extent, self.middles, self._normals = cells.extents()
         self.points = PicturePoints(setting.to_wall, _POINTS)
-        self._wall_share, wall = self._seen(*_from_wall(self.points, _WALL), _WALL)
-        wall = _refined(wall, self, setting)
-        if setting.sky is not None and 0.0 < self._wall_share.mean() < _OPEN:
-            self._wall_share = self._sky_of_wall(setting)
-        reached, met = self._reached(np.flatnonzero(wall.any(axis=0) | self._of_wall()))
+        self._wall_share, wall = self._seen_by_wall(setting)
+        wall = self._refined(wall, setting)
+        # The picture does not see the relay wall's front, but a target may.
+        front = (np.abs(self.middles[:, 2]) < _FLAT) & (self._normals[:, 2] > 0.5)
+        reached, met = self._reached(np.flatnonzero(wall.any(axis=0) | front))
         self.tint = cells.tint
         self._reached_cells, self._wall = reached, wall[:, reached]
         self._exchange = Exchange(met, cells.area[reached])
@@ -172,37 +172,43 @@ class LightField:
         self._responses = [self._response(g) for g in range(groups)]
         self.coarse = self.coarse.astype(np.float32)  # read whole for every reflection of every pose
 
-    def _seen(self, places: Floats, normals: Floats, spread: Floats, rays: int) -> tuple[Floats, Floats]:
-        """Return what receivers see: the share of the sky (n,), and of each cell (n, cells), by ``rays`` for each."""
-        n = len(places) // rays
-        sky, seen = np.empty(n), np.zeros((n, self.cells.count), dtype=np.float32)
-        step = max(1, _CHUNK // rays)
-        for start in range(0, n, step):
-            some = slice(start * rays, (start + step) * rays)
-            hits = self.cells.meet(places[some], hemisphere(normals[some], spread[some]))
-            cell = hits.cell.reshape(-1, rays)
-            for k, met in enumerate(cell, start=start):
-                counts = np.bincount(met, minlength=self.cells.count + 1) / rays
-                seen[k], sky[k] = counts[:-1], counts[-1]
-        return sky, seen
+    def _seen_by_wall(self, setting: Setting) -> tuple[Floats, Floats]:
+        """Return what the picture's points see: the share of the sky (points,), and of each cell (points, cells)."""
+        places, n, rays, count = self.points.places, len(self.points.places), _WALL, self.cells.count
+        spread = shifted(rays, 2, np.arange(n)).reshape(-1, 2)
+        ways = hemisphere(np.tile([0.0, 0.0, 1.0], (len(spread), 1)), spread)
+        cell = self.cells.meet(np.repeat(places, rays, axis=0), ways).cell
+        seen = np.array([np.bincount(met, minlength=count + 1) / rays for met in cell.reshape(n, rays)])
+        sky = seen[:, -1]
+        if setting.sky is not None and 0.0 < sky.mean() < _OPEN:
+            out = np.flatnonzero(cell == count)
+            sky = through_openings(places, out // rays, ways[out], rays, setting.around)
+        return sky, seen[:, :-1]
 
-    def _sky_of_wall(self, setting: Setting) -> Floats:
-        """Return the share of the sky (points,) in what the picture's points see, where openings are small."""
-        places, normals, spread = _from_wall(self.points, _WALL)
-        ways = hemisphere(normals, spread)
-        out = np.flatnonzero(self.cells.meet(places, ways).cell == self.cells.count)
-        return through_openings(self.points.places, out // _WALL, ways[out], _WALL, setting.around)
+    def _refined(self, seen: Floats, setting: Setting) -> Floats:
+        """Return the share of each cell in what the picture's points see, (points, cells), by sums over cells' parts.
 
-    def _of_wall(self) -> NDArray[np.bool_]:
-        """Return which cells are of the relay wall's front: the picture does not see them, but a target may."""
-        places, normals = self.cells.places(np.arange(self.cells.count), np.full((self.cells.count, 2), 0.5))
-        front: NDArray[np.bool_] = (np.abs(places[:, 2]) < _FLAT) & (normals[:, 2] > 0.5)
-        return front
+        Rays, by which ``seen`` was found, meet distant cells too seldom, and everything that a target does to the
+        room reaches the picture by way of these shares. They remain for cells that are as large as their distance.
+        """
+        found = seen.copy()
+        extent, middles = self.extent, self.middles
+        blockers = setting.obstacles.static_blockers
+        for k, place in enumerate(self.points.places):
+            ratio = extent / np.maximum(np.linalg.norm(middles - place, axis=1), 1e-300)
+            parts = np.ceil(ratio / _NEAR).astype(np.int64)
+            # A flat cell whose middle faces away has no part that faces the place.
+            faces = np.einsum("ni,ni->n", middles - place, self._normals) < 0.0
+            found[k, ~faces] = 0.0
+            for count in np.unique(parts[faces & (ratio < _CLOSE)]):
+                some = np.flatnonzero(faces & (parts == count) & (ratio < _CLOSE))
+                found[k, some] = _share(place, some, squares(int(count)), self.cells, blockers)
+        return found
 
     def _reached(self, fresh: Numbers) -> tuple[Numbers, NDArray[np.int32]]:
         """Return the cells (n,) that are seen, directly or by way of others, from some; and which of these, counted
         among them, each one's rays meet (n, rays), or n for the sky."""
-        is_reached = np.zeros(self.cells.count, dtype=bool)
+        is_reached, is_met = np.zeros((2, self.cells.count + 1), dtype=bool)
         found, met = [np.zeros(0, dtype=np.int64)], [np.zeros((0, _ROWS), dtype=np.int32)]
         step = max(1, _CHUNK // _ROWS)
         while len(fresh):
@@ -214,9 +220,8 @@ class LightField:
                 hits = self.cells.meet(places, hemisphere(normals, spread[:, :2]))
                 found.append(some)
                 met.append(hits.cell.reshape(-1, _ROWS).astype(np.int32))
-            seen = np.unique(np.concatenate([rows.reshape(-1) for rows in met[-math.ceil(len(fresh) / step) :]]))
-            seen = seen[seen < self.cells.count]
-            fresh = seen[~is_reached[seen]]
+                is_met[hits.cell] = True
+            fresh = np.flatnonzero(is_met[:-1] & ~is_reached[:-1])
         reached = np.concatenate(found)
         order = np.argsort(reached)
         number = np.full(self.cells.count + 1, len(reached), dtype=np.int32)
@@ -350,35 +355,6 @@ class LightField:
         light = self._wall @ total[self._reached_cells] + self._wall_share[:, None] * total[-1]
         coefficients: Floats = self.points.fit @ light
         return coefficients
-
-
-def _from_wall(points: PicturePoints, rays: int) -> tuple[Floats, Floats, Floats]:
-    """Return places, normals, and points of the unit square for directions, of rays from the picture's points."""
-    owner = np.arange(len(points.places))
-    spread = shifted(rays, 2, owner).reshape(-1, 2)
-    return np.repeat(points.places, rays, axis=0), np.tile([0.0, 0.0, 1.0], (len(spread), 1)), spread
-
-
-def _refined(seen: Floats, field: LightField, setting: Setting) -> Floats:
-    """Return the share of each cell in what the picture's points see, (points, cells), by sums over parts of cells.
-
-    Rays, by which ``seen`` was found, meet distant cells too seldom, and everything that a target does to the room
-    reaches the picture by way of these shares. They remain for cells that are as large as their distance.
-    """
-    found = seen.astype(np.float64)
-    cells, extent, middles = field.cells, field.extent, field.middles
-    _, normals = cells.places(np.arange(cells.count), np.full((cells.count, 2), 0.5))
-    blockers = setting.obstacles.static_blockers
-    for k, place in enumerate(field.points.places):
-        ratio = extent / np.maximum(np.linalg.norm(middles - place, axis=1), 1e-300)
-        parts = np.ceil(ratio / _NEAR).astype(np.int64)
-        # A flat cell whose middle faces away has no part that faces the place.
-        faces = np.einsum("ni,ni->n", middles - place, normals) < 0.0
-        found[k, ~faces] = 0.0
-        for count in np.unique(parts[faces & (ratio < _CLOSE)]):
-            some = np.flatnonzero(faces & (parts == count) & (ratio < _CLOSE))
-            found[k, some] = _share(place, some, squares(int(count)), cells, blockers)
-    return found
 
 
 def _share(place: Floats, some: Numbers, spread: Floats, cells: Cells, blockers: Surfaces) -> Floats:

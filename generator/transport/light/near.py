@@ -137,10 +137,8 @@ def near_cells(
     first, number = np.full(n, -1), np.zeros((n, 2), dtype=np.int64)
     low, step = np.zeros((n, 2)), np.ones((n, 2))
     long = np.stack([np.linalg.norm(surfaces.first, axis=1), np.linalg.norm(surfaces.second, axis=1)], axis=1)
-    side = (centre - surfaces.origin) * surfaces.normal
-    away = side.sum(axis=1)
-    back = (away < 0.0).astype(np.int64)
-    toward = np.where(back == 1, -1.0, 1.0)[:, None] * surfaces.normal
+    is_behind = ((centre - surfaces.origin) * surfaces.normal).sum(axis=1) < 0.0
+    toward = np.where(is_behind, -1.0, 1.0)[:, None] * surfaces.normal
     level = (toward * surfaces.origin).sum(axis=1)
     ends = [toward @ corners.T - level[:, None], toward @ balls[:, :3].T - balls[:, 3] - level[:, None]]
     gap = np.maximum(np.concatenate(ends, axis=1).min(axis=1, initial=np.inf), 0.0)
@@ -158,9 +156,8 @@ def near_cells(
         step[i] = (highest[i] - lowest[i]) / count[i]
         owner.append(np.full(count[i].prod(), i))
         start += int(count[i].prod())
-    return Near(
-        first, back, low, step, number, np.concatenate([np.zeros(0, dtype=np.int64), *owner]), cells.count + 1
-    )
+    owners = np.concatenate([np.zeros(0, dtype=np.int64), *owner])
+    return Near(first, is_behind.astype(np.int64), low, step, number, owners, cells.count + 1)
 
 
 @jit_in_place

@@ -155,7 +155,7 @@ def test_points_of_the_target_and_lines_to_it_show_the_same():
         setting = Setting(room(order=5, target=target))
         changes = change.LightChange(setting, field, 1e-2)
         pose = changes._pose(setting.frame.axes, setting.frame.points(np.array(POSE[0])))
-        smooth = np.append(1.0 + np.repeat(field.cells.extents()[1][:, :1], 4, axis=1), np.ones((1, 4)), axis=0)
+        smooth = np.append(1.0 + np.repeat(field.middles[:, :1], 4, axis=1), np.ones((1, 4)), axis=0)
         small = np.full((len(pose.near.owner), 4), 0.1)
         sums = view.Sums(
             pose.near.joined(smooth, np.zeros_like(smooth), np.zeros_like(smooth), small),
