@@ -2,15 +2,13 @@
 
 from __future__ import annotations
 
-import os
-import subprocess
-import sys
 from dataclasses import replace
 from pathlib import Path
 
 import glossy
 import numpy as np
 import pytest
+import uncompiled
 import worlds
 
 from generator.model.errors import NlosError
@@ -203,17 +201,8 @@ def test_refusals(made, words):
 
 
 WITHOUT_NUMBA = """
-import sys
-class NoNumba:
-    def find_spec(self, name, *_):
-        if name.split(".")[0] == "numba":
-            raise ImportError(name)
-sys.meta_path.insert(0, NoNumba())
-sys.path[:0] = [{root!r}, {tests!r}]
 import numpy as np
-from generator.transport import compiled
 from test_gloss import for_the_twin
-assert not compiled.COMPILED
 np.savez({out!r}, *for_the_twin())
 """
 
@@ -229,13 +218,7 @@ def for_the_twin():
 
 def test_without_a_compiler_the_picture_is_the_same(tmp_path):
     out = tmp_path / "plain.npz"
-    folders = {"root": str(ROOT), "tests": str(ROOT / "tests" / "support"), "out": str(out)}
-    script = WITHOUT_NUMBA.format(**folders)
-    environment = os.environ | {"PYTHONPATH": str(Path(__file__).parent)}
-    done = subprocess.run(
-        [sys.executable, "-c", script], capture_output=True, text=True, check=False, env=environment
-    )
-    assert done.returncode == 0, done.stderr
+    uncompiled.run(WITHOUT_NUMBA.format(out=str(out)), ROOT, ROOT / "tests" / "support", Path(__file__).parent)
     (free, behind), (free_there, behind_there) = for_the_twin(), np.load(out).values()
     np.testing.assert_allclose(free_there, free, rtol=1e-9)
     assert worlds.error(behind_there, behind) < 0.1

@@ -4,12 +4,11 @@ from __future__ import annotations
 
 import functools
 import itertools
-import subprocess
-import sys
 from dataclasses import replace
 
 import numpy as np
 import pytest
+import uncompiled
 import worlds
 from conftest import ROOT
 from scipy.spatial.transform import Rotation
@@ -394,16 +393,8 @@ def test_loops_and_arrays_are_one_kernel():
 
 
 WITHOUT_NUMBA = """
-import sys
-class NoNumba:
-    def find_spec(self, name, *_):
-        if name.split(".")[0] == "numba":
-            raise ImportError(name)
-sys.meta_path.insert(0, NoNumba())
-sys.path[:0] = [{root!r}, {tests!r}]
 import numpy as np, worlds
-from generator.transport import Transport, compiled
-assert not compiled.COMPILED
+from generator.transport import Transport
 panel = worlds.quad((-1.5, 1.5, -1.5), (3.5, 0.0, 0.0), (0.0, 0.0, 3.0), 0.8)
 scene = worlds.world(worlds.sheet(), room=[panel], view=worlds.watched(resolution=(4, 4)))
 made = Transport(scene, accuracy=1e-2).render((0.15, 0.9, 0.1), (0.0, 0.0, 10.0))
@@ -413,9 +404,7 @@ np.savez({out!r}, added=made.added, hidden=made.hidden)
 
 def test_without_a_compiler_the_picture_is_the_same(tmp_path):
     out = str(tmp_path / "plain.npz")
-    script = WITHOUT_NUMBA.format(root=str(ROOT), tests=str(ROOT / "tests" / "support"), out=out)
-    done = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, check=False)
-    assert done.returncode == 0, done.stderr
+    uncompiled.run(WITHOUT_NUMBA.format(out=out), ROOT, ROOT / "tests" / "support")
     panel = worlds.quad((-1.5, 1.5, -1.5), (3.5, 0.0, 0.0), (0.0, 0.0, 3.0), 0.8)
     scene = worlds.world(worlds.sheet(), room=[panel], view=worlds.watched(resolution=(4, 4)))
     here = Transport(scene, accuracy=1e-2).render((0.15, 0.9, 0.1), (0.0, 0.0, 10.0))
