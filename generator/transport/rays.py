@@ -149,6 +149,25 @@ class Surfaces:
         places: Floats = self.origin[which] + u[:, None] * self.first[which] + v[:, None] * self.second[which]
         return places
 
+    def distance(self, points: Floats) -> Floats:
+        """Return the distance (n,) of points (n, 3) from the nearest of the surfaces."""
+        offset = points[:, None] - self.spheres[:, :3]
+        gaps = np.maximum(np.linalg.norm(offset, axis=2) - self.spheres[:, 3], 0.0)
+        found: Floats = gaps.min(axis=1, initial=np.inf)
+        if not len(self.origin):
+            return found
+        offset = points[:, None] - self.origin
+        u, v = np.einsum("mij,nmj->inm", self.dual, offset)
+        inside = (u >= 0.0) & (v >= 0.0) & np.where(self.triangle, u + v <= 1.0, (u <= 1.0) & (v <= 1.0))
+        above = np.where(inside, np.abs(np.einsum("nmj,mj->nm", offset, self.normal)), np.inf)
+        last = np.where(self.triangle[:, None], self.second - self.first, self.second)
+        across = np.where(self.triangle[:, None], 0.0, self.second)
+        for start, edge in ((0.0, self.first), (0.0, self.second), (self.first, last), (across, self.first)):
+            way = offset - start
+            along = np.clip(np.einsum("nmj,mj->nm", way, edge) / (edge * edge).sum(axis=1), 0.0, 1.0)
+            above = np.minimum(above, np.linalg.norm(way - along[..., None] * edge, axis=2))
+        return np.minimum(found, above.min(axis=1))
+
     def subset(self, keep: Flags) -> Surfaces:
         """Return the flat surfaces selected by ``keep``, and all spheres."""
         part = object.__new__(Surfaces)

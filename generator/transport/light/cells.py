@@ -473,7 +473,11 @@ def _on_axis(x: float, which: int, axis: _Axis) -> tuple[int, int, int, float]:
     one = here if x >= centre else here - 1
     two = one + 1
     if one < first or two >= first + n or axis.piece[one] != axis.piece[two]:
-        return here - first, here - first, here - first, 0.0
+        # At an end of a part: what its last two lead on to.
+        one = here if one < here else here - 1
+        two = one + 1
+        if one < first or two >= first + n or axis.piece[one] != axis.piece[two]:
+            return here - first, here - first, here - first, 0.0
     below, above = 0.5 * (axis.low[one] + axis.high[one]), 0.5 * (axis.low[two] + axis.high[two])
     return here - first, one - first, two - first, (x - below) / (above - below)
 
@@ -556,13 +560,20 @@ def _on_axis_arrays(x: Floats, which: Numbers, axis: _Axis) -> tuple[Numbers, Nu
     here = np.clip(here, first, last)
     middle = 0.5 * (axis.low + axis.high)
     one = np.where(x >= middle[here], here, here - 1)
-    two = one + 1
-    inside = (one >= first) & (two <= last)
-    one, two = np.where(inside, one, here), np.where(inside, two, here)
-    inside &= axis.piece[one] == axis.piece[two]
-    one, two = np.where(inside, one, here), np.where(inside, two, here)
+    inside = _is_between(one, first, last, axis.piece)
+    # At an end of a part: what its last two lead on to.
+    one = np.where(inside, one, np.where(one < here, here, here - 1))
+    inside = _is_between(one, first, last, axis.piece)
+    one, two = np.where(inside, one, here), np.where(inside, one + 1, here)
     gap = np.where(inside, middle[two] - middle[one], 1.0)
     return here - first, one - first, two - first, np.where(inside, (x - middle[one]) / gap, 0.0)
+
+
+def _is_between(one: Numbers, first: Numbers, last: Numbers, piece: Numbers) -> NDArray[np.bool_]:
+    """Return whether a cell and the next one (n,) are of one surface, from ``first`` to ``last``, and of one part."""
+    two = np.minimum(one + 1, len(piece) - 1)
+    is_between: NDArray[np.bool_] = (one >= first) & (one < last) & (piece[np.maximum(one, 0)] == piece[two])
+    return is_between
 
 
 def _locate(

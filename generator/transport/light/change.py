@@ -28,12 +28,12 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from generator.model.quantities import ALL_ORDERS
 from generator.transport.compiled import COMPILED
 from generator.transport.light.beams import Beams, arriving
 from generator.transport.light.cells import Cells, summed
 from generator.transport.light.field import FINEST, LightField, Source
-from generator.transport.light.lines import SETS, Lines, completed, exchanged, fair
+from generator.transport.light.follow import Between, Shade
+from generator.transport.light.lines import SETS, Lines, completed, fair
 from generator.transport.light.near import near_cells
 from generator.transport.light.picture_points import PicturePoints, drawn
 from generator.transport.light.spread import hemisphere, lattice, shifted, sobol, squares
@@ -53,15 +53,16 @@ _LIT = 1 << 11
 """How many of the target's places the lamp's light is computed for at least; else a fourth of the lines' places."""
 _FROM = 8
 """How many of a source's points light each of those places."""
-_VIEWS = ((12, 0), (24, 0), (12, 128), (12, 512), (24, 512), (48, 512))
+_VIEWS = ((12, 0), (24, 0), (12, 128), (12, 512), (24, 512), (48, 512), (48, 2048))
 """Points along a side of the picture, and lines from each towards the target, or none where points of its surface are
-summed; the next where polynomials fit the light worse than is asked for: it is noisy, or rough."""
+summed; the next where polynomials fit the light worse than is asked for, it is noisy or rough, until that changes the
+picture no more."""
+_ALIKE = 0.5
+"""Difference of two such pictures that counts as none, in units of the error asked for."""
 _FIRST_LINES = 2
 _APART, _ROUND, _MOST_CUTS = 0.15, 3, 4
 """Distance of points on the target, in units of theirs from the picture; and into how many parts along a side cells
 are cut for that, at least on a sphere, whose horizon runs through cells, and at most: else, lines are followed."""
-_LEFT, _LEFT_OF_ALL = 1e-4, 1e-3
-"""Share of the change at which further reflections are left out; where all count, are taken as a geometric series."""
 _BESIDE = 2.0
 """Distance from the target's middle within which light goes from cell to cell, in units of the target's radius."""
 _STEP = 0.25
@@ -124,8 +125,9 @@ class LightChange:
         sided = target.area.sum() * (2.0 if setting.outward is None else 1.0)
         self._sampled_area = float(sided + 4.0 * math.pi * (target.spheres[:, 3] ** 2).sum())
         self._corners = corners, target.spheres
+        self._in_unit = _in_unit(setting)
         self._skins: dict[int, Skin] = {}
-        self._samples: dict[int, _Samples] = {}
+        self._samples: dict[tuple[int, bool], _Samples] = {}
         self._eyes: dict[int, tuple[PicturePoints, Eye]] = {}
 
     def pictures(
@@ -138,7 +140,8 @@ class LightChange:
         turn, place : ndarray of shape (3, 3) and (3,)
             Rotation and position in the wall's frame.
         exact : ndarray of shape (groups, height, width), optional
-            What is known of the lamp's change, in the same unit: errors are relative to it too.
+            What is known of the lamp's change, in the unit of its picture: errors are relative to it too, in all
+            pictures.
         shadows : bool
             Whether to include the light that it hides from the wall; without, only the light that it sends there.
 
@@ -174,7 +177,7 @@ class LightChange:
 
             def at(turn: Floats, place: Floats, gain: float, name: str = name, choice: _Choice = choice) -> Floats:
                 pose = self._pose(turn, place)
-                lines = self._through(self._sampled(choice.lines), pose)
+                lines = self._through(self._sampled(choice.lines, is_near=pose.near.there), pose)
                 drawn, _, _ = self._several(name, lines, pose, exact, True, choice, gain)
                 return drawn.mean(axis=0)
 
@@ -188,19 +191,18 @@ class LightChange:
         return found
 
     def _pose(self, turn: Floats, place: Floats) -> Pose:
-        centre, (corners, balls) = place + turn @ self._centre, self._corners
-        there = np.concatenate([balls[:, :3] @ turn.T + place, balls[:, 3:]], axis=1)
-        beside = corners @ turn.T + place
-        near = near_cells(self._field.cells, self._setting.around, centre, self._radius, beside, there)
+        centre, target = place + turn @ self._centre, self._setting.target
+        ball = np.append(centre, self._radius)
+        near = near_cells(self._field.cells, self._setting.around, target, turn, place, ball)
         return Pose(turn, place, centre, self._radius, near)
 
     def _settled(self, pose: Pose, exact: Floats | None, shadows: bool) -> dict[str, tuple[Floats, _Choice]]:
         """Return the pictures (groups, height, width), and how many lines and points they needed."""
-        known = {name: exact if name == "lamp" else None for name in self._field.sources}
+        known = {name: None if exact is None else self._in_unit[name] * exact for name in self._field.sources}
         found: dict[str, tuple[Floats, _Choice]] = {}
         count = _LINES
         while known:
-            lines, excess = self._through(self._sampled(count), pose), 0.0
+            lines, excess = self._through(self._sampled(count, is_near=pose.near.there), pose), 0.0
             for name in list(known):
                 several, level, view = self._several(name, lines, pose, known[name], shadows, _Choice(count, -1))
                 error = float(np.sqrt(several.var(axis=0, ddof=1).mean() / SETS))
@@ -226,7 +228,8 @@ class LightChange:
 
         ``gain`` is a factor on the target's albedo.
         """
-        source, samples = self._field.sources[name], self._sampled(choice.lines)
+        source = self._field.sources[name]
+        samples = self._sampled(choice.lines, is_near=pose.near.there)
         shade = None if source.beams is None else self._shade(source.beams, samples, pose)
         sums = self._followed(source, lines, samples, pose, gain * self._tint, shade)
         pictures, view = self._drawn(sums, pose, exact, choice.view)
@@ -255,20 +258,28 @@ class LightChange:
         tint = summed(part, body.tint * body.area[:, None], len(area)) / area[:, None]
         return np.append(part, len(area)), area, tint
 
-    def _sampled(self, count: int) -> _Samples:
-        if count not in self._samples:
+    def _sampled(self, count: int, *, is_near: bool = False) -> _Samples:
+        """Return so many lines.
+
+        Sets that are one net together sum up best, but each avoids the lines of the others. Where cells are so small
+        that few lines meet each, what one set brings there would not be found by another as often as it should.
+        """
+        key = count, is_near
+        if key not in self._samples:
             body, size = self._body, count // SETS
             points = sobol(count, 4)
+            if is_near:
+                points = np.concatenate([sobol(size, 4, number) for number in range(SETS)])
             cell, places, normals = body.scattered(points[:, :2], self._setting.outward)
             owner, ways = self._part[cell], hemisphere(normals, points[:, 2:])
             number = np.stack([np.bincount(part, minlength=self._count) for part in owner.reshape(SETS, -1)], axis=1)
             received = self._seen_area(owner)[:, None] * fair(number)
             flux = (received / np.maximum(number, 1))[owner, np.arange(count) // size]
             met = body.meet(places, ways)
-            self._samples[count] = _Samples(
+            self._samples[key] = _Samples(
                 *(owner, flux, places, normals, ways, self._part[met.cell], met.far, received)
             )
-        return self._samples[count]
+        return self._samples[key]
 
     def _through(self, samples: _Samples, pose: Pose) -> Lines:
         places, ways = samples.places @ pose.turn.T + pose.place, samples.ways @ pose.turn.T
@@ -277,9 +288,8 @@ class LightChange:
         own = np.where(samples.own_far < front.far, samples.own, self._count)
         return Lines(samples.owner, samples.flux, own, front, behind)
 
-    def _shade(self, beams: Beams, samples: _Samples, pose: Pose) -> tuple[Floats, Floats]:
-        """Return the irradiance by beams of the target's cells, (cells, sets * groups), and of the room's, what the
-        target takes, times their area, as `Near` lists them."""
+    def _shade(self, beams: Beams, samples: _Samples, pose: Pose) -> Shade:
+        """Return the light of beams on the target, and its shadow."""
         setting, cells = self._setting, self._field.cells
         size, first = len(samples.owner) // SETS, max(_LIT, len(samples.owner) // 4) // SETS
         # The beginning of each set is spread evenly, too.
@@ -311,86 +321,16 @@ class LightChange:
         met = pose.near.marked(cells.meet(places[row], way), places[row], way, cells)
         taken = np.zeros((len(row), SETS, groups))
         taken[np.arange(len(row)), part[row]] = (light[row, column] * area[row])[:, None] * weights[node]
-        return found, -met.spread(taken.reshape(len(row), -1), pose.near.length)
+        return Shade(found, -met.spread(taken.reshape(len(row), -1), pose.near.length))
 
     def _followed(
-        self,
-        source: Source,
-        lines: Lines,
-        samples: _Samples,
-        pose: Pose,
-        tint: Floats,
-        shade: tuple[Floats, Floats] | None,
+        self, source: Source, lines: Lines, samples: _Samples, pose: Pose, tint: Floats, shade: Shade | None
     ) -> Sums:
-        """Follow a source's light, reflection by reflection, between the target and the room."""
-        field, order, groups, near = self._field, self._field.order, tint.shape[1], pose.near
-        area, small_area = field.cells.area[:, None], near.area(self._setting.around)
-        tint, room_tint = np.tile(tint, SETS), np.tile(field.tint, SETS)
-        small_tint = np.tile(self._setting.around.tint[near.owner], SETS)
-        received = np.repeat(samples.received, groups, axis=1)
-        missing = received == 0.0
-        empty = np.tile(source.levels[0], SETS)
-        change, even = np.zeros_like(empty), np.zeros_like(empty)
-        small = np.zeros_like(small_tint)
-        beside_it = self._beside(pose)
-        body: Floats = np.zeros((self._count, SETS * groups))
-        coefficients: Floats = np.zeros((len(field.points.fit), SETS * groups))
-        if source.first >= order:  # the wall is lit directly only
-            return Sums(near.joined(even, even, even, small), body, coefficients)
-        if shade is not None:
-            first_received, taken = shade
-            body = tint * first_received
-            some, beside = near.parted(taken)
-            change[:-1] = room_tint * some / area
-            small = small_tint * beside / small_area
-            # Of the lamp's light, what the wall sees directly is exact elsewhere.
-            directly = source.first == source.shown
-            coefficients += field.shown(some / area, order - 1 - source.first, directly=directly)
-        level, energy = near.joined(empty, change, even, small), np.zeros(SETS * groups)
-        room_sum, body_sum = np.zeros_like(level), np.zeros_like(body)
-        last, total = len(source.levels) - 1, np.zeros_like(change[:-1])
-        for index in range(last + 1):
-            reflections = source.first + index
-            if reflections >= source.shown:
-                room_sum += level
-                body_sum += body
-            if reflections == order - 1:
-                break
-            exchange, arriving = exchanged(lines, level, body, groups)
-            added, beside = near.parted(exchange)
-            added = added / area
-            most = order - 2 - reflections
-            if order == ALL_ORDERS:  # what it is worth is the same each time
-                total += added
-                more, left = added, _LEFT_OF_ALL * np.abs(total).max(initial=0.0)
-            else:
-                more = field.shown(added, most)
-                coefficients += more
-                left = _LEFT * np.abs(coefficients).max(initial=0.0)
-            before, energy = energy, (level[: len(area)] * area).sum(axis=0)
-            if index == last or (index > 2 and np.abs(more).max(initial=0.0) <= left):
-                if order == ALL_ORDERS:
-                    rest = _rest(before, energy)
-                    room_sum, body_sum = room_sum + rest * level, body_sum + rest * body
-                    coefficients += field.shown(total + rest * added, most)
-                break
-            if index == 0 and shade is not None:  # a lamp's shadow is small and sharp
-                spread = field.spread(change[:-1])
-            elif beside_it is None:
-                spread = _smooth(field, change[:-1])
-            else:
-                sharp = np.where(beside_it, change[:-1], 0.0)
-                spread = field.spread(sharp) + _smooth(field, change[:-1] - sharp)
-            even[:-1] = room_tint * spread
-            change[:-1] = even[:-1] + room_tint * added
-            # What a cell receives along one set's lines it sends along another's: bright places would else light
-            # themselves, by the few lines that lead there, and the more so the smaller cells are.
-            small = small_tint * beside / small_area
-            lit = (np.roll(part, groups, axis=1) for part in (change, even, small))
-            level = near.joined(np.tile(source.levels[index + 1], SETS), *lit)
-            arriving /= np.maximum(received, 1e-300)
-            body = tint * np.roll(completed(arriving, missing, groups), groups, axis=1)
-        return Sums(room_sum, body_sum, coefficients)
+        """Follow a source's light between the target and the room."""
+        around, near = self._setting.around, pose.near
+        small = near.area, around.tint[near.owner]
+        beside = self._beside(pose)
+        return Between(self._field, source, lines, samples.received, tint, near, small, beside, shade).sums()
 
     def _beside(self, pose: Pose) -> NDArray[np.bool_] | None:
         """Return which cells (cells, 1) are by a target that is near a surface: its shadow stays sharp there."""
@@ -408,15 +348,18 @@ class LightChange:
         cuts = self._cuts(pose)
         fixed, view = view >= 0, max(view, 0 if cuts else _FIRST_LINES)
         sums = sums._replace(body=np.append(sums.body, np.zeros((1, sums.body.shape[1])), axis=0)[self._part])
+        before = None
         while True:
             points, eye = self._eye(view)
             light = self._looked_at(eye, pose, sums, cuts) if view < _FIRST_LINES else self._looked(eye, pose, sums)
             fit = points.fit @ light
             pictures: Floats = (room + drawn(fit, self._resolution)).reshape(shape)
-            enough = fixed or view + 1 == len(_VIEWS)
-            if enough or points.misfit(light, fit) <= self._accuracy * _level(pictures, exact):
+            if fixed or view + 1 == len(_VIEWS):
                 return pictures, view
-            view += 1
+            most = self._accuracy * _level(pictures, exact)
+            if points.misfit(light, fit) <= most or (before is not None and _differ(pictures, before) <= _ALIKE * most):
+                return pictures, view
+            before, view = pictures, view + 1
 
     def _cuts(self, pose: Pose) -> int:
         """Return into how many parts along a side cells are cut to be seen from the picture; 0 if too many."""
@@ -477,6 +420,22 @@ def _turned(axis: Floats, angle: float) -> Floats:
     return turn
 
 
+def _in_unit(setting: Setting) -> dict[str, float]:
+    """Return the unit of the lamp's pictures in that of each source's (`LightField.sources`), of the mean colour."""
+    lamp = math.pi * float(np.mean(setting.factor))
+    units = {"lamp": lamp}
+    if setting.sky is not None:
+        units["sky"] = float(np.mean(setting.sky))
+    if setting.emission is not None:
+        units["emitters"] = float(np.mean(setting.emission.colour))
+    return {name: lamp / max(unit, 1e-300) for name, unit in units.items()}
+
+
+def _differ(one: Floats, other: Floats) -> float:
+    """Return the root mean square difference of two pictures, each the mean of those of the sets (sets, ...)."""
+    return math.sqrt(float(((one - other).mean(axis=0) ** 2).mean()))
+
+
 def _level(pictures: Floats, exact: Floats | None) -> float:
     """Return what errors are relative to: the root mean square of pictures (sets, ...) and of what is known besides.
 
@@ -484,22 +443,3 @@ def _level(pictures: Floats, exact: Floats | None) -> float:
     """
     parts = [pictures.mean(axis=0), *([] if exact is None else [exact])]
     return math.sqrt(sum(float((part**2).mean()) for part in parts))
-
-
-def _rest(before: Floats, energy: Floats) -> Floats:
-    """Return the sum of all further terms of a geometric series, in units of its last, from its last two terms."""
-    ratio = np.divide(energy, before, out=np.zeros_like(energy), where=before > 0.0)
-    ratio = np.clip(ratio, 0.0, 1.0 - 1e-6)
-    rest: Floats = ratio / (1.0 - ratio)
-    return rest
-
-
-def _smooth(field: LightField, change: Floats) -> Floats:
-    """Return the irradiance (cells, groups) of cells by the changed radiosity (cells, groups) of all others.
-
-    What a target adds to it is a small part of a small change, so coarse cells are enough.
-    """
-    sent = summed(field.block, change * field.cells.area[:, None], len(field.coarse)) / field.block_area[:, None]
-    received = np.append(field.coarse @ sent.astype(np.float32), np.zeros((1, change.shape[1])), axis=0)
-    smooth: Floats = received[field.block]
-    return smooth

@@ -42,9 +42,9 @@ class Exchange:
         self._met, self._area = met, area[:, None]
         self.open: Floats = (met == len(area)).mean(axis=1)
 
-    def received(self, radiosity: Floats) -> Floats:
-        """Return the irradiance F B of cells by the radiosity B of all, (cells, columns)."""
-        return _means(np.ascontiguousarray(radiosity), self._met)
+    def received(self, radiosity: Floats, some: Numbers | None = None) -> Floats:
+        """Return the irradiance F B of cells, or of some (n,), by the radiosity B of all, (n, columns)."""
+        return _means(np.ascontiguousarray(radiosity), self._met if some is None else self._met[some])
 
     def sent(self, worth: Floats) -> Floats:
         """Return what cells' radiosity is worth, (cells, columns), if their irradiance is worth that.
@@ -87,12 +87,12 @@ class Exchange:
 def _means_loops(values: Floats, met: Numbers) -> Floats:
     """Return the means (n, columns), over rays (n, rays), of the values of the cells that they meet, 0 for none."""
     n, rays = met.shape
-    columns = values.shape[1]
+    count, columns = values.shape
     found = np.zeros((n, columns))
     for i in range(n):
         for k in range(rays):
             j = met[i, k]
-            if j < n:
+            if j < count:
                 for column in range(columns):
                     found[i, column] += values[j, column]
         for column in range(columns):

@@ -62,8 +62,9 @@ _LEFT = 1e-4
 """Share of the light at which further reflections are left out."""
 _MOST_LEVELS = 64
 """Number of reflections that are followed one by one where all count; the rest is a geometric series."""
-_FINE = 3
-"""Reflections on the way to the wall that are followed from cell to cell; further ones, from coarse to coarse."""
+_FINE, _MOST_FINE, _LEFT_OF_ALL = 3, 8, 3e-4
+"""Reflections on the way to the wall that are followed from cell to cell; further ones, from coarse to coarse. If all
+count, how often at most that is repeated for what is missing, and what share may be."""
 _OPEN = 0.1
 """Share of the sky in what the picture's points see, on average, above which rays alone tell it."""
 _TOUCH, _FLAT = 1e-9, 1e-6
@@ -86,6 +87,8 @@ class Source:
         Radiosity after each number of reflections; the last row is the sky's.
     rest : ndarray of shape (cells + 1, groups)
         Sum of what comes after the last of ``levels``, if all reflections count.
+    total : ndarray of shape (cells + 1, groups)
+        Sum of all that.
     beams : Beams, optional
         Light that makes the first of ``levels``.
     """
@@ -94,6 +97,7 @@ class Source:
     shown: int
     levels: list[Floats]
     rest: Floats
+    total: Floats
     beams: Beams | None = None
 
 
@@ -118,12 +122,6 @@ class LightField:
         Albedo.
     extent, middles : ndarray of shape (cells,) and (cells, 3)
         The cells' diagonals, and their middles.
-    block : ndarray of shape (cells,), int
-        Coarse cell that each cell is part of.
-    block_area : ndarray of shape (blocks,)
-        Area of each coarse cell.
-    coarse : ndarray of shape (blocks, blocks), float32
-        Irradiance of coarse cells per radiosity of each other.
     sources : dict of str to Source
         "lamp" if light of it is followed, "sky" if there is one, and "emitters" likewise.
     shadow : WallShadow or None
@@ -157,7 +155,9 @@ class LightField:
         self.tint = cells.tint
         self._reached_cells, self._wall = reached, wall[:, reached]
         self._exchange = Exchange(met, cells.area[reached])
-        self.block, self.block_area, self.coarse = self._coarsened()
+        self._block, self._block_area, self._coarse = self._coarsened()
+        # Light after any number of reflections, and itself, from coarse cell to coarse cell.
+        self._onward = [self._inverse(g) for g in range(groups)] if order == ALL_ORDERS else []
         self.sources: dict[str, Source] = {}
         if order > 3:
             self.sources["lamp"] = self._lit(PatchBeams(setting), _LAMP, _LAMP + 1)
@@ -170,7 +170,10 @@ class LightField:
             self.shadow = WallShadow(setting, beams)
             self.sources["emitters"] = self._lit(beams, _EMITTED, _EMITTED)
         self._responses = [self._response(g) for g in range(groups)]
-        self.coarse = self.coarse.astype(np.float32)  # read whole for every reflection of every pose
+        # Read whole for every reflection of every pose.
+        coarse = self._coarse.astype(np.float32)
+        self._evening = [coarse @ onward.astype(np.float32) for onward in self._onward] or [coarse]
+        del self._coarse, self._onward
 
     def _seen_by_wall(self, setting: Setting) -> tuple[Floats, Floats]:
         """Return what the picture's points see: the share of the sky (points,), and of each cell (points, cells)."""
@@ -275,47 +278,56 @@ class LightField:
         if self.order == ALL_ORDERS:
             # What comes after is as good as even over a coarse cell.
             next_one = self.tint[reached] * exchange.received(levels[-1][reached])
-            area, block = self.cells.area[reached, None], self.block[reached]
-            mean = summed(block, area * next_one, len(self.block_area)) / self.block_area[:, None]
-            for group in range(start.shape[1]):
-                matrix = np.eye(len(mean)) - self._block_tint(group)[:, None] * self.coarse
-                rest[reached, group] = np.linalg.solve(matrix, mean[:, group])[block]
-        return Source(first, shown, levels, rest)
+            area, block = self.cells.area[reached, None], self._block[reached]
+            mean = summed(block, area * next_one, len(self._block_area)) / self._block_area[:, None]
+            for group, onward in enumerate(self._onward):
+                rest[reached, group] = (onward @ mean[:, group])[block]
+        return Source(first, shown, levels, rest, sum(levels, start=rest))
+
+    def _inverse(self, group: int) -> Floats:
+        """Return (1 - rho F)^-1 of coarse cells."""
+        onward: Floats = np.linalg.inv(np.eye(len(self._coarse)) - self._block_tint(group)[:, None] * self._coarse)
+        return onward
 
     def _block_tint(self, group: int) -> Floats:
         """Return the albedo of the coarse cells (blocks,); each is of one surface."""
-        tint = np.zeros(len(self.block_area))
-        tint[self.block[self._reached_cells]] = self.tint[self._reached_cells, group]
+        tint = np.zeros(len(self._block_area))
+        tint[self._block[self._reached_cells]] = self.tint[self._reached_cells, group]
         return tint
 
     def _response(self, group: int) -> list[Floats]:
         """Return R_0, R_1, ... as (coefficients, reached cells) each, up to where they change no more.
 
-        After some reflections what cells send is as good as even over a coarse cell.
+        If all reflections count, they are the first and the last.
         """
-        tint, block = self.tint[self._reached_cells, group, None], self.block[self._reached_cells]
-        share = self.cells.area[self._reached_cells, None] / self.block_area[block, None]
-        fine, coarse = (self.points.fit @ self._wall).T, np.zeros((0, 0))
-        found, block_tint = [tint * fine], self._block_tint(group)[:, None]
-        last = max(1, self.order - 2)
-        for number in range(1, last + 1):
+        tint, block = self.tint[self._reached_cells, group, None], self._block[self._reached_cells]
+        share = self.cells.area[self._reached_cells, None] / self._block_area[block, None]
+        first = (self.points.fit @ self._wall).T
+        if self.order == ALL_ORDERS:
+            onward, every, more = self._onward[group].T, np.zeros_like(first), first
+            for _ in range(_MOST_FINE + 1):
+                every += more
+                # What is still missing goes on from coarse cell to coarse cell.
+                coarse = summed(block, more, len(onward))
+                every += share * (onward @ coarse - coarse)[block]
+                more = first + self._exchange.sent(tint * every) - every
+                if np.abs(more).sum() <= _LEFT_OF_ALL * np.abs(every).sum():
+                    break
+            return [np.ascontiguousarray((tint * one).T) for one in (first, every + more)]
+        # After some reflections what cells send is as good as even over a coarse cell.
+        fine, coarse, found = first, np.zeros((0, 0)), [tint * first]
+        block_tint = self._block_tint(group)[:, None]
+        for number in range(1, max(1, self.order - 2) + 1):
             if number <= _FINE:
                 fine = self._exchange.sent(tint * fine)
                 more = fine
                 coarse = summed(block, fine, len(block_tint))
-            elif self.order == ALL_ORDERS:
-                system = np.eye(len(block_tint)) - block_tint * self.coarse
-                more = share * (np.linalg.solve(system.T, coarse) - coarse)[block]
-                found[-1:] = [found[-1] + tint * more]
-                break
             else:
-                coarse = self.coarse.T @ (block_tint * coarse)
+                coarse = self._coarse.T @ (block_tint * coarse)
                 more = share * coarse[block]
             found.append(found[-1] + tint * more)
             if np.abs(tint * more).max(initial=0.0) <= _LEFT * np.abs(found[-1]).max(initial=0.0):
                 break
-        if self.order == ALL_ORDERS:
-            found = [found[0], found[-1]]
         return [np.ascontiguousarray(one.T) for one in found]
 
     def shown(self, light: Floats, most: int, *, directly: bool = True) -> Floats:
@@ -345,6 +357,28 @@ class LightField:
         found = np.zeros_like(radiosity)
         found[self._reached_cells] = self._exchange.spread(radiosity[self._reached_cells])
         return found
+
+    def received(self, radiosity: Floats, some: NDArray[np.bool_]) -> Floats:
+        """Return the irradiance of some of the cells (cells,) by the radiosity of all, (cells, columns) both."""
+        found = np.zeros_like(radiosity)
+        rows = np.flatnonzero(some[self._reached_cells])
+        found[self._reached_cells[rows]] = self._exchange.received(radiosity[self._reached_cells], rows)
+        return found
+
+    def evened(self, radiosity: Floats) -> Floats:
+        """Return the irradiance of cells by the radiosity of all others, (cells, k * groups) both.
+
+        If all reflections count, it is that after any number of them. What a target adds to it is a small part of a
+        small change, so coarse cells are enough.
+        """
+        sent = summed(self._block, radiosity * self.cells.area[:, None], len(self._block_area))
+        sent = (sent / self._block_area[:, None]).astype(np.float32)
+        found = np.zeros((len(sent) + 1, radiosity.shape[1]))
+        for group, matrix in enumerate(self._evening):
+            some = slice(group, None, len(self._evening))
+            found[:-1, some] = matrix @ sent[:, some]
+        even: Floats = found[self._block]
+        return even
 
     def background(self, name: str) -> Floats:
         """Return the coefficients (n, groups) of the light of a source on the wall of the empty scene."""

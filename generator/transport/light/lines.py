@@ -60,8 +60,8 @@ def completed(values: Floats, missing: NDArray[np.bool_], groups: int) -> Floats
     return np.where(there, by_set, mean).reshape(values.shape)
 
 
-def _exchanged_loops(lines: Lines, level: Floats, body: Floats, groups: int) -> tuple[Floats, Floats]:
-    """Exchange light along the lines between room and target.
+def _received_loops(lines: Lines, level: Floats, body: Floats, groups: int) -> Floats:
+    """Return the light that the target's cells receive, times their area, (target's cells, sets * groups).
 
     Parameters
     ----------
@@ -71,47 +71,65 @@ def _exchanged_loops(lines: Lines, level: Floats, body: Floats, groups: int) -> 
     body : ndarray of shape (target's cells, sets * groups)
         Radiosity of the target's cells.
     groups : int
-
-    Returns
-    -------
-    added : ndarray of shape (rows, sets * groups)
-        Light that they gain, times their area.
-    arriving : ndarray of shape (target's cells, sets * groups)
-        Light on the target's cells, times their area.
     """
     n = len(lines.owner)
-    added, arriving = np.zeros(level.shape), np.zeros(body.shape)
-    front, behind = lines.front, lines.behind
-    corners = front.corners.shape[1]
+    found = np.zeros(body.shape)
+    corners, shares = lines.front.corners, lines.front.shares
     for k in range(n):
         owner, flux, own = lines.owner[k], lines.flux[k], lines.own[k]
         first = groups * (SETS * k // n)
-        if own < body.shape[0]:
-            for g in range(first, first + groups):
-                arriving[owner, g] += flux * body[own, g]
-            continue
         for g in range(first, first + groups):
-            near, far = 0.0, 0.0
+            light = 0.0
+            if own < body.shape[0]:
+                light = body[own, g]
+            else:
+                for c in range(corners.shape[1]):
+                    light += shares[k, c] * level[corners[k, c], g]
+            found[owner, g] += flux * light
+    return found
+
+
+def received_arrays(lines: Lines, level: Floats, body: Floats, groups: int) -> Floats:
+    """NumPy form of `_received_loops`."""
+    padded = np.append(body, np.zeros((1, body.shape[1])), axis=0)
+    light = np.where((lines.own < len(body))[:, None], padded[lines.own], lines.front.of(level))
+    return summed(lines.owner, _by_set(lines, groups) * light, len(body))
+
+
+def _leaving_loops(lines: Lines, level: Floats, body: Floats, groups: int) -> Floats:
+    """Return the light that the room's cells gain, times their area, (rows, sets * groups): the target's in place of
+    that behind it. Parameters are those of `_received_loops`."""
+    n = len(lines.owner)
+    found = np.zeros(level.shape)
+    front, behind = lines.front, lines.behind
+    corners = front.corners.shape[1]
+    for k in range(n):
+        owner, flux = lines.owner[k], lines.flux[k]
+        if lines.own[k] < body.shape[0]:
+            continue
+        first = groups * (SETS * k // n)
+        for g in range(first, first + groups):
+            far = 0.0
             for c in range(corners):
-                near += front.shares[k, c] * level[front.corners[k, c], g]
                 far += behind.shares[k, c] * level[behind.corners[k, c], g]
-            arriving[owner, g] += flux * near
             for c in range(corners):
-                added[front.corners[k, c], g] += front.shares[k, c] * flux * (body[owner, g] - far)
-    return added, arriving
+                found[front.corners[k, c], g] += front.shares[k, c] * flux * (body[owner, g] - far)
+    return found
 
 
-def exchanged_arrays(lines: Lines, level: Floats, body: Floats, groups: int) -> tuple[Floats, Floats]:
-    """NumPy form of `_exchanged_loops`."""
+def leaving_arrays(lines: Lines, level: Floats, body: Floats, groups: int) -> Floats:
+    """NumPy form of `_leaving_loops`."""
+    is_own = (lines.own < len(body))[:, None]
+    sent = np.where(is_own, 0.0, body[lines.owner] - lines.behind.of(level))
+    return lines.front.spread(_by_set(lines, groups) * sent, len(level))
+
+
+def _by_set(lines: Lines, groups: int) -> Floats:
+    """Return the area (n, sets * groups) that each line stands for, in its own set's columns."""
     n = len(lines.owner)
     mine = np.arange(SETS * groups) // groups == (np.arange(n)[:, None] * SETS // n)
-    flux = np.where(mine, lines.flux[:, None], 0.0)
-    padded = np.append(body, np.zeros((1, body.shape[1])), axis=0)
-    is_own = (lines.own < len(body))[:, None]
-    near = np.where(is_own, padded[lines.own], lines.front.of(level))
-    sent = np.where(is_own, 0.0, body[lines.owner] - lines.behind.of(level))
-    arriving = summed(lines.owner, flux * near, len(body))
-    return lines.front.spread(flux * sent, len(level)), arriving
+    return np.where(mine, lines.flux[:, None], 0.0)
 
 
-exchanged = jit_released(_exchanged_loops) if COMPILED else exchanged_arrays
+received = jit_released(_received_loops) if COMPILED else received_arrays
+leaving = jit_released(_leaving_loops) if COMPILED else leaving_arrays

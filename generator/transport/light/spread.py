@@ -17,7 +17,7 @@ _POLYNOMIALS = ((0, ()), (0, (1,)), (1, (1, 3)), (1, (1, 3, 1)))
 2008, table "new-joe-kuo-6"); the first dimension is van der Corput's."""
 
 
-def sobol(count: int, dimensions: int) -> Floats:
+def sobol(count: int, dimensions: int, number: int = 0) -> Floats:
     """Return the first points (count, dimensions) of Sobol's sequence, shifted digit by digit so that none is zero.
 
     Parameters
@@ -26,8 +26,10 @@ def sobol(count: int, dimensions: int) -> Floats:
         At most 2^30; powers of two are spread best.
     dimensions : int
         At most 4.
+    number : int, default=0
+        Of the shift: points that are shifted differently know nothing of each other.
     """
-    shift = np.random.default_rng(dimensions).integers(0, 1 << _BITS, dimensions)
+    shift = np.random.default_rng([dimensions, number]).integers(0, 1 << _BITS, dimensions)
     indices = np.arange(count)
     gray = indices ^ (indices >> 1)
     points = np.empty((count, dimensions))

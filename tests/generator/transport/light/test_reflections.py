@@ -1,5 +1,6 @@
 """Light of many reflections: against paths followed at random, closed forms, and conservation of light."""
 
+import math
 from dataclasses import replace
 
 import brute_force
@@ -10,11 +11,12 @@ from worlds import HIGH, room
 
 from generator.model.quantities import ALL_ORDERS
 from generator.transport import Mesh, Sphere, Transport
-from generator.transport.light import cells, change, spread, view
+from generator.transport.light import cells, change, follow, near, spread, view
 from generator.transport.light import lines as light_lines
 from generator.transport.light.exchange import _counted, counted_arrays, means_arrays
 from generator.transport.light.field import LightField
 from generator.transport.prepared import Setting
+from generator.transport.rays import Surfaces
 
 
 def both(world, position, rotation):
@@ -93,14 +95,17 @@ def test_a_target_like_the_room_keeps_its_light_too():
     pose = changes._pose(setting.frame.axes, setting.frame.points(low))
     samples = changes._sampled(change._LINES)
     lines = changes._through(samples, pose)
-    arriving, taken = changes._shade(field.sources["lamp"].beams, samples, pose)
+    shade = changes._shade(field.sources["lamp"].beams, samples, pose)
+    arriving, taken = shade.lit, shade.taken
     # What falls on the target is missing behind it.
     assert pose.near.there
     np.testing.assert_allclose(pose.near.parted(taken)[0].sum(), -(arriving.T @ changes._area).sum(), rtol=1e-6)
     even = np.full((field.cells.count + 1, light_lines.SETS), 0.3)
     level = pose.near.joined(even, 0.0 * even, 0.0 * even, np.zeros((len(pose.near.owner), light_lines.SETS)))
-    added, received = light_lines.exchanged(lines, level, np.full((changes._count, light_lines.SETS), 0.3), 1)
+    as_bright = np.full((changes._count, light_lines.SETS), 0.3)
+    added = light_lines.leaving(lines, level, as_bright, 1)
     assert abs(added).max() < 1e-12  # as bright as each other: nothing changes
+    received = light_lines.received(lines, level, as_bright, 1)
     np.testing.assert_allclose(received, 0.3 * samples.received, rtol=1e-12)
 
 
@@ -185,9 +190,11 @@ def test_compiled_and_array_forms_agree():
     assert pose.near.there
     level = rng.random((pose.near.length, light_lines.SETS))
     body = rng.random((changes._count, light_lines.SETS))
-    forms = light_lines.exchanged, light_lines.exchanged_arrays
-    for one, other in zip(*(form(lines, level, body, 1) for form in forms), strict=True):
-        np.testing.assert_allclose(one, other, rtol=1e-9, atol=1e-12)
+    for form, arrays in (
+        (light_lines.received, light_lines.received_arrays),
+        (light_lines.leaving, light_lines.leaving_arrays),
+    ):
+        np.testing.assert_allclose(form(lines, level, body, 1), arrays(lines, level, body, 1), rtol=1e-9, atol=1e-12)
     start, way = rng.uniform(-0.5, 0.5, (500, 3)) + np.array([0.0, 0.0, 1.0]), rng.normal(size=(500, 3))
     way /= np.linalg.norm(way, axis=1, keepdims=True)
     met = field.cells.meet(start, way)
@@ -206,6 +213,81 @@ def test_compiled_and_array_forms_agree():
     np.testing.assert_allclose(
         light, view.look_arrays(eye, pose, changes._body, field.cells, sums), rtol=1e-8, atol=1e-12
     )
+
+
+def test_light_that_varies_evenly_is_interpolated_exactly_up_to_the_edges():
+    """Cells that are no whole number of an edge, parts that end where a screen stands, and a room's corners."""
+    setting = Setting(room(order=5))
+    field = LightField(setting, 5)
+    rng = np.random.default_rng(3)
+    way = rng.normal(size=(2000, 3))
+    way /= np.linalg.norm(way, axis=1, keepdims=True)
+    start = np.tile([0.4, 0.0, 0.9], (2000, 1))
+    met = field.cells.meet(start, way)
+    found = met.cell < field.cells.count
+    values = np.append(field.middles @ [1.0, -2.0, 0.5], 0.0)[:, None]
+    places = start + met.far[:, None] * way
+    np.testing.assert_allclose(met.of(values)[found, 0], places[found] @ [1.0, -2.0, 0.5], atol=1e-12)
+    assert found.sum() > 1000
+
+
+@pytest.mark.parametrize(
+    ("position", "rotation"),
+    [((0.6, 1.0, 0.3 - HIGH), (0, 0, 30)), ((0.6, 1.0, -HIGH), (90, 0, 0)), ((0.6, 1.0, 0.5 - HIGH), (0, 0, 0))],
+    ids=["on its edge", "lying", "above it"],
+)
+def test_small_cells_cover_what_is_near_and_are_smallest_where_it_touches(position, rotation):
+    world = room(albedo=0.8, order=5, screen=False, target=worlds.sheet(0.6, 0.8))
+    engine = Transport(world, accuracy=1e-2)
+    setting, changes = engine._setting, engine._change
+    pose = changes._pose(*engine._placed(position, rotation))
+    small = pose.near
+    around = setting.around
+    for i in np.flatnonzero(small.first >= 0):
+        whole = around.area[i] * (small.number[i] * small.step[i]).prod()
+        assert small.area[small.owner == i].sum() == pytest.approx(whole, rel=1e-12)
+    rng = np.random.default_rng(0)
+    way = rng.normal(size=(4000, 3))
+    way /= np.linalg.norm(way, axis=1, keepdims=True)
+    start = np.tile(pose.centre + 1e-3 * around.normal[0], (4000, 1))
+    hits = changes._field.cells.meet(start, way)
+    marked = small.marked(hits, start, way, changes._field.cells)
+    some = np.flatnonzero(marked.shares[:, 4] > 0.0)
+    assert len(some) > 200
+    leaf = marked.corners[some, 4] - 2 * small.rows
+    size = np.sqrt(small.area[leaf, 0])
+    places = ((start + hits.far[:, None] * way)[some] - pose.place) @ pose.turn
+    gap = setting.target.distance(places)
+    clear = gap > 1e-6
+    # A cell is as large as a third of its distance allows, which may be one size of it more than the place's.
+    most = np.maximum(near._FINEST * pose.radius, near._SHARP * (gap + 2.0 * size))
+    assert (size[clear] <= 1.5 * most[clear]).all()
+    corners, shares = np.zeros(5, dtype=np.int64), np.zeros(5)
+    for k in some[:50]:
+        surface = changes._field.cells.sides(hits.cell[k : k + 1])[0][0]
+        near.mark(start[k], way[k], surface, hits.far[k], around.planes, small, corners, shares)
+        assert corners[4] == marked.corners[k, 4]
+
+
+def test_the_distance_of_points_from_surfaces():
+    quad = np.array([[[0, 0, 0], [2, 0, 0], [2, 1, 0]], [[0, 0, 0], [2, 1, 0], [0, 1, 0]]], dtype=float)
+    alone = np.array([[[5, 0, 0], [6, 0, 0], [5, 1, 0]]], dtype=float)
+    made = Surfaces(np.concatenate([quad, alone]), np.zeros((3, 1)), np.array([[0.0, 0.0, 9.0, 1.0]]))
+    assert len(made.origin) == 2
+    points = np.array([[1, 0.5, 0.3], [-3, 0.5, 4], [3, 2, 0], [6, 1, 0], [5.2, 0.2, -1], [0, 0, 7], [0, 0, 9.5]])
+    expected = [0.3, math.sqrt(34.25) - 1.0, math.sqrt(2.0), math.sqrt(0.5), 1.0, 1.0, 0.0]
+    np.testing.assert_allclose(made.distance(points), expected, atol=1e-12)
+
+
+@pytest.mark.parametrize("largest", [0.05, 0.9, -1.7])
+def test_a_fixed_point_is_found_even_where_steps_lead_away_from_it(largest):
+    rng = np.random.default_rng(2)
+    basis = np.linalg.qr(rng.normal(size=(40, 40)))[0]
+    matrix = basis @ np.diag(np.append(largest, rng.uniform(-0.05, 0.05, 39))) @ basis.T
+    right = rng.normal(size=(40, 2))
+    found = follow.fixed_point(lambda x: matrix @ x + right, np.zeros((40, 2)), np.ones((40, 1)))
+    expected = np.linalg.solve(np.eye(40) - matrix, right)
+    assert np.abs(found - expected).sum() < 5e-3 * np.abs(expected).sum()
 
 
 def test_light_is_exchanged_the_same_in_both_forms():
