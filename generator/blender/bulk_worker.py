@@ -28,6 +28,7 @@ from generator.blender.scene.varying import Varying
 from generator.files.toml import from_dict, to_dict
 from generator.jobs.bulk import Engine
 from generator.jobs.protocol import PlanBulk, RenderBulk, answer, batches
+from generator.measure import light_check
 from generator.model import poses
 from generator.model.errors import NlosError
 from generator.model.poses import PoseRecord
@@ -96,11 +97,14 @@ def plan(
     for words in doubts.lines:
         tell(words)
     draw, draw_others = _poses(scene, settings), _others(scene, settings)
+    drawn = []
     for voxel in range(min(described.grid.n_voxels, settings.pictures)):
-        position, _ = draw(voxel, 0)  # raises now if the target fits nowhere
+        position, rotation = draw(voxel, 0)  # raises now if the target fits nowhere
+        drawn.append((position, rotation))
         if draw_others:
             draw_others(voxel, 0, position)
-    background = Transport(world, accuracy=settings.accuracy).background().astype(np.float32)
+    engine = Transport(world, accuracy=settings.accuracy)
+    background = engine.background().astype(np.float32)
     meta = {
         "reference_radiance": described.reference_radiance,
         "colour_space": sweep_worker.colour_space(),
@@ -124,6 +128,8 @@ def plan(
             meta["start_check"] = start_check.run(
                 path / SCENE, source, linked_files, check_meta, pose, settings.pictures, sweep_worker.render
             )
+    if probe and not settings.unknown and (checked := light_check.look(engine, drawn)):
+        meta["light_check"] = checked
     return Bulk.create(path, settings, meta, world, background, scene_hash(source))
 
 

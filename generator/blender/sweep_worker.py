@@ -19,6 +19,7 @@ from generator.blender import misgivings, start_check
 from generator.blender.engines import renderers, simplify, survey
 from generator.blender.engines.renderer import Renderer, Shot
 from generator.blender.engines.settings import settled
+from generator.blender.engines.surfel import SurfelRenderer
 from generator.blender.scene import blend_file, geometry, references, replaced, roles
 from generator.blender.scene.clearance import clearance
 from generator.blender.scene.copies import Copies
@@ -118,6 +119,9 @@ def plan(
                 len(records),
                 render,
             )
+    if probe and isinstance(renderer, SurfelRenderer):
+        checked = renderer.light_check([(record.position, record.rotation) for record in records])
+        meta |= {"light_check": checked} if checked else {}
     dataset = Dataset.create(path, meta, records)
     if not sweep.noisy:
         _background(renderer, dataset, sweep)  # needs no scene, and far less time than starting a process for it

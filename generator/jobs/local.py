@@ -193,8 +193,9 @@ def engine_words(dataset: Dataset, chosen: Mapping[str, Any]) -> str:
 
 
 def start_words(dataset: HasSettings) -> str:
-    """Return what the check at the start found, and how long it took; empty if there was none."""
-    return str(dataset.meta.get("start_check", {}).get("words", ""))
+    """Return what the checks at the start found; empty if there was none."""
+    found = (dataset.meta.get(name, {}).get("words", "") for name in ("start_check", "light_check"))
+    return "\n".join(str(words) for words in found if words)
 
 
 def prepare(

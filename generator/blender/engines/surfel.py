@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from typing import Any
 
 import bpy
 import numpy as np
@@ -13,6 +14,7 @@ from generator.blender.engines.renderer import Shot
 from generator.blender.scene import geometry
 from generator.blender.scene.roles import refuse_hidden
 from generator.files.pictures import Picture
+from generator.measure import light_check
 from generator.model.arrays import Array
 from generator.transport import Transport
 
@@ -40,6 +42,10 @@ class SurfelRenderer:
         refuse_hidden(self._scene)
         position, turn, _ = Matrix(geometry.snapshot(self._scene).matrices["target"].tolist()).decompose()
         return self.at(tuple(position), tuple(math.degrees(angle) for angle in turn.to_euler("XYZ")))
+
+    def light_check(self, poses: Sequence[light_check.Pose]) -> dict[str, Any]:
+        """Return how far the light of many reflections is trusted at some of the poses."""
+        return light_check.look(self._transport, poses)
 
     def difference(self, shot: Shot) -> Array:
         """Return what the target at a pose changes in the empty scene's picture, (height, width, 3), W/m^2/sr."""

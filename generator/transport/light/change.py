@@ -357,7 +357,9 @@ class LightChange:
             if fixed or view + 1 == len(_VIEWS):
                 return pictures, view
             most = self._accuracy * _level(pictures, exact)
-            if points.misfit(light, fit) <= most or (before is not None and _differ(pictures, before) <= _ALIKE * most):
+            if points.misfit(light, fit) <= most or (
+                before is not None and _differ(pictures, before) <= _ALIKE * most
+            ):
                 return pictures, view
             before, view = pictures, view + 1
 

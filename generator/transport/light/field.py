@@ -112,6 +112,8 @@ class LightField:
         Largest number of reflections; `ALL_ORDERS` for all.
     accuracy : float, default=FINEST
         Error of what a target changes, relative to that; the size of cells follows from it.
+    factor : float, default=1
+        How much larger cells are than that.
 
     Attributes
     ----------
@@ -133,7 +135,7 @@ class LightField:
         There are too many surfaces.
     """
 
-    def __init__(self, setting: Setting, order: int, accuracy: float = FINEST) -> None:
+    def __init__(self, setting: Setting, order: int, accuracy: float = FINEST, factor: float = 1.0) -> None:
         self.order = order
         if len(setting.around) > MOST_SURFACES:
             raise NlosError(
@@ -143,7 +145,7 @@ class LightField:
         groups = setting.tint.shape[1]
         beams = None if setting.emission is None else EmitterBeams(setting.emission, setting.around)
         spots = None if beams is None else beams.spots
-        size = min(_COARSEST, _CELL * math.sqrt(max(1.0, accuracy / FINEST)))
+        size = factor * min(_COARSEST, _CELL * math.sqrt(max(1.0, accuracy / FINEST)))
         cells = self.cells = Cells(setting.around, size, np.zeros(3), 1.0, np.zeros((0, groups)), spots)
         self.extent, self.middles, self._normals = cells.extents()
         self.points = PicturePoints(setting.to_wall, _POINTS)

@@ -28,7 +28,7 @@ from generator.transport.light.view import Sums
 
 Floats = NDArray[Any]
 
-_LEFT, _LEFT_OF_ALL = 1e-4, 1e-3
+_LEFT, _LEFT_OF_ALL = 1e-4, 2e-4
 """Share of the change at which further reflections are left out; where all count, further steps."""
 _SWEEPS = 2
 """How often the light that cells beside the target exchange is made even elsewhere, where all reflections count."""
@@ -168,9 +168,11 @@ class Between:
             change += even
             return self._next(self._source.total, change, even, self._small + self._small_tint * by)
 
-        weights = np.concatenate([self._area, self._small_area, np.ones((len(self._body), 1))])
+        weights = np.concatenate([self._area, self._small_area, self._target_area.mean(axis=1, keepdims=True)])
+        level: Floats = np.zeros((0, 0))
 
         def step(state: Floats) -> Floats:
+            nonlocal level
             level = room(state)
             body = self._body + self._lit(level, state[cells + small :])
             return np.concatenate([*self._parted(leaving(self._lines, level, body, self._groups)), body])
@@ -178,7 +180,6 @@ class Between:
         start = np.concatenate([np.zeros((cells + small, self._body.shape[1])), self._body])
         found = fixed_point(step, start, weights)
         added, body = found[:cells], found[cells + small :]
-        level = room(found)
         if self._source.shown > self._source.first:
             none = np.zeros_like(self._change)
             level = level - self._next(self._source.levels[0], self._change, none, self._small)
@@ -225,11 +226,15 @@ def fixed_point(step: Callable[[Floats], Floats], start: Floats, weights: Floats
     at = start
     states: list[Floats] = []
     gaps: list[Floats] = []
+    sizes: list[float] = []
     for _ in range(_STEPS):
         there = step(at)
         gap = weights * (there - at)
         states, gaps = [*states[-_BEFORE:], there], [*gaps[-_BEFORE:], gap]
-        if np.abs(gap).sum() <= _LEFT_OF_ALL * np.abs(weights * there).sum():
+        sizes.append(float(np.abs(gap).sum()))
+        # Each step comes nearer by a factor, as far as can be told.
+        left = sizes[-1] * min(1.0, sizes[-1] / sizes[-2]) if len(sizes) > 1 else sizes[-1]
+        if left <= _LEFT_OF_ALL * np.abs(weights * there).sum():
             break
         at = there
         if len(gaps) > 1:

@@ -276,3 +276,20 @@ def test_bulk_is_checked_too(tmp_path, command):
     assert "plain Cycles and surfel agree within the noise" in result.stdout
     assert read_toml(tmp_path / "set" / "bulk.toml")["start_check"]["difference"][2] > 0.0
     assert Bulk.open(tmp_path / "set").planned == 9
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("kind", ["bulk", "sweep"])
+def test_a_set_with_more_reflections_tells_how_far_their_cells_err(tmp_path, command, kind):
+    source = tmp_path / "a.blend"
+    made = command("generator", "scene", "room", "-o", source, "--set", "reflection_order=4")
+    assert made.returncode == 0, made.stderr
+    few = ("--pictures", "9") if kind == "bulk" else ("--poses", "1", "--engine", "surfel")
+    some = (*few, "--resolution", "8", "--accuracy", "0.03", "--workers", "1")
+    result = command("generator", kind, source, "-o", tmp_path / "set", *some, probe=True)
+    assert result.returncode == 0, result.stderr
+    assert "light check: at 9 poses the room's cells err by" in result.stdout
+    found = read_toml(tmp_path / "set" / ("bulk.toml" if kind == "bulk" else "dataset.toml"))["light_check"]
+    assert found["poses"] == 9
+    assert 0.0 < found["median"] <= found["worst"] < 0.5
+    assert found["asked"] == 0.03

@@ -1,0 +1,48 @@
+"""The estimate of the error of a room's cells: against much smaller cells, and what is said of it."""
+
+import numpy as np
+import pytest
+from worlds import HIGH, room
+
+from generator.measure import light_check
+from generator.transport import Transport
+from generator.transport.light import field
+
+CLEAR, LYING, REFUSED = (
+    ((0.8, 1.1, 0.3), (0.0, 0.0, 30.0)),
+    ((0.9, 0.8, 0.02 - HIGH), (90.0, 0.0, 20.0)),
+    ((0.8, 0.0, 0.3), (0.0, 0.0, 0.0)),
+)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("pose", [CLEAR, LYING])
+def test_the_estimate_is_of_the_size_of_the_error(monkeypatch, pose):
+    """Against cells of half the size; the lines' own error is in the difference too."""
+    world = room(order=6)
+    engine = Transport(world, accuracy=1e-2)
+    monkeypatch.setattr(field, "_CELL", field._CELL / 2.0)
+    best = Transport(world, accuracy=1e-2)
+    made, fine = (e.render(*pose) for e in (engine, best))
+    parts = (fine.added - fine.hidden, fine.further)
+    size = np.sqrt(sum((part**2).mean() for part in parts))
+    error = np.sqrt(((made.further - fine.further) ** 2).mean()) / size
+    estimate = engine.cells_error(*pose)
+    assert 0.0 < estimate < 0.2
+    assert error < 2.0 * estimate + 1e-2
+
+
+def test_some_poses_are_looked_at_and_those_that_are_refused_are_left_out():
+    engine = Transport(room(order=4), accuracy=3e-2)
+    found = light_check.look(engine, [REFUSED, *[CLEAR] * 9, *[REFUSED] * 8])
+    assert found["poses"] == 4
+    assert found["median"] == found["worst"] == pytest.approx(engine.cells_error(*CLEAR))
+    assert found["asked"] == 3e-2
+    assert found["words"].startswith("light check: at 4 poses the room's cells err by ")
+    assert found["words"].endswith("asked: 3 %")
+
+
+def test_nothing_is_said_where_no_light_is_followed_from_cell_to_cell():
+    assert light_check.look(Transport(room(order=3), accuracy=1e-2), [CLEAR]) == {}
+    assert light_check.look(Transport(room(order=4), accuracy=3e-2), [REFUSED]) == {}
+    assert Transport(room(order=3), accuracy=1e-2).cells_error(*CLEAR) == 0.0
