@@ -17,8 +17,8 @@ import pictures
 FOLDER = ROOT / "docs" / "pictures"
 BY_COMMANDS = {"bound-sphere", "detect-sheet", "track", "tutorial-differences"}
 """Drawn by a command from an atlas, a walk or a data set, which would be too large to keep."""
-OLD = {"error-at-request", "error-by-time"}
-"""Of runs that kept no points; the next ones do. The second takes a machine to itself for an hour."""
+OLD = {"error-by-time"}
+"""Of a run that kept no points; the next one does, which takes a machine to itself for an hour."""
 DRAWN = sorted(pictures.PICTURES.keys() - OLD)
 in_sources = pytest.mark.skipif(not FOLDER.is_dir(), reason="a source distribution has no pictures")
 

@@ -15,19 +15,26 @@ CLEAR, LYING, REFUSED = (
 )
 
 
+@pytest.fixture(scope="module")
+def engines():
+    """An engine, and one of cells half the size."""
+    world = room(order=6)
+    with pytest.MonkeyPatch.context() as patch:
+        usual = Transport(world, accuracy=1e-2)
+        patch.setattr(field, "_CELL", field._CELL / 2.0)
+        return usual, Transport(world, accuracy=1e-2)
+
+
 @pytest.mark.slow
 @pytest.mark.parametrize("pose", [CLEAR, LYING])
-def test_the_estimate_is_of_the_size_of_the_error(monkeypatch, pose):
+def test_the_estimate_is_of_the_size_of_the_error(engines, pose):
     """Against cells of half the size; the lines' own error is in the difference too."""
-    world = room(order=6)
-    engine = Transport(world, accuracy=1e-2)
-    monkeypatch.setattr(field, "_CELL", field._CELL / 2.0)
-    best = Transport(world, accuracy=1e-2)
-    made, fine = (e.render(*pose) for e in (engine, best))
+    usual, _ = engines
+    made, fine = (engine.render(*pose) for engine in engines)
     parts = (fine.added - fine.hidden, fine.further)
     size = np.sqrt(sum((part**2).mean() for part in parts))
     error = np.sqrt(((made.further - fine.further) ** 2).mean()) / size
-    estimate = engine.cells_error(*pose)
+    estimate = usual.cells_error(*pose)
     assert 0.0 < estimate < 0.2
     assert error < 2.0 * estimate + 1e-2
 
