@@ -12,7 +12,7 @@ Prints tables and writes ``reflections.csv`` and ``reflections-cycles.csv``, or 
   lights, the sky is as bright as makes its whole change as large as the lamp's. Order 120 stands for all.
 - Cycles' ``patch`` at order 6: the slope of its change of the picture on the engine's, over all poses and pixels;
   its standard error from six renders of each, which differ in their noise.
-- Hard poses, for all reflections: against the engine with sixteen times the lines through the target, eight times
+- Hard poses, for all reflections: against the engine with 64 times the lines through the target, eight times
   those from the lamp, a target met by lines from the picture and not summed over its surface, cells of half the size,
   and of less near the target. Printed is also what the engine itself says of its cells (`Transport.cells_error`).
 """
@@ -73,7 +73,7 @@ RESULTS = {
         "median, %",
         "worst, %",
         "above 1 %",
-        "worst with 16 times the lines through the target, %",
+        "worst with 64 times the lines through the target, %",
         "told by the engine of its cells, median, %",
         "above 1 % and twice what is told",
     ),
@@ -86,11 +86,11 @@ RANDOM = 3
 ROUNDS = 6
 """Renders of each pose by Cycles, with noise of their own, from which its standard error follows."""
 FINER: tuple[dict[str, Any], ...] = (
-    {"_LINES": 1 << 17},
-    {"_LINES": 1 << 17, "_VIEWS": ((48, 1 << 11),), "_FIRST_LINES": 0, "_LIT": 1 << 14},
+    {"_LINES": 1 << 19, "_MOST_LINES": 1 << 19},
+    {"_LINES": 1 << 19, "_MOST_LINES": 1 << 19, "_VIEWS": ((48, 1 << 11),), "_FIRST_LINES": 0, "_LIT": 1 << 14},
 )
 """Numbers of lines in `change`: through the target; and also from the picture's points to it, and from the lamp."""
-FINE_CELLS: tuple[dict[str, Any], ...] = ({"_CELL": 0.025}, {"_SHARP": 0.25, "_FINEST": 1.0 / 256.0})
+FINE_CELLS: tuple[dict[str, Any], ...] = ({"_CELL": 0.025}, {"_SHARP": 0.25, "_FINEST": 1.0 / 128.0})
 """Sizes of the cells that the best is found with: in `field`, and in `near`."""
 
 

@@ -58,7 +58,7 @@ _CHUNK = 1 << 18
 _NEAR, _CLOSE = 0.05, 2.0
 """Size of a part of a cell, in units of its distance, that a sum over a cell's parts allows; and of a whole cell,
 above which rays tell its share instead."""
-_LEFT = 1e-4
+LEFT = 1e-4
 """Share of the light at which further reflections are left out."""
 _MOST_LEVELS = 64
 """Number of reflections that are followed one by one where all count; the rest is a geometric series."""
@@ -272,7 +272,7 @@ class LightField:
             level[reached] = self.tint[reached] * incoming
             levels.append(level)
             total += level[:-1]
-            if self.order == ALL_ORDERS and np.abs(level).max() <= _LEFT * np.abs(total).max():
+            if self.order == ALL_ORDERS and np.abs(level).max() <= LEFT * np.abs(total).max():
                 break
             if len(levels) == _MOST_LEVELS and self.order == ALL_ORDERS:
                 break
@@ -307,18 +307,17 @@ class LightField:
         first = (self.points.fit @ self._wall).T
         if self.order == ALL_ORDERS:
             onward, every, more = self._onward[group].T, np.zeros_like(first), first
-            for _ in range(_MOST_FINE + 1):
-                every += more
-                # What is still missing goes on from coarse cell to coarse cell.
+            for number in range(_MOST_FINE + 1):
+                # What is still missing, and where that goes on from coarse cell to coarse cell.
                 coarse = summed(block, more, len(onward))
-                every += share * (onward @ coarse - coarse)[block]
-                more = first + self._exchange.sent(tint * every) - every
-                if np.abs(more).sum() <= _LEFT_OF_ALL * np.abs(every).sum():
+                every += more + share * (onward @ coarse - coarse)[block]
+                if number == _MOST_FINE or np.abs(more).sum() <= _LEFT_OF_ALL * np.abs(every).sum():
                     break
-            return [np.ascontiguousarray((tint * one).T) for one in (first, every + more)]
+                more = first + self._exchange.sent(tint * every) - every
+            return [np.ascontiguousarray((tint * one).T) for one in (first, every)]
         # After some reflections what cells send is as good as even over a coarse cell.
         fine, coarse, found = first, np.zeros((0, 0)), [tint * first]
-        block_tint = self._block_tint(group)[:, None]
+        block_tint, sizes = self._block_tint(group)[:, None], [float(np.abs(found[0]).max(initial=0.0))]
         for number in range(1, max(1, self.order - 2) + 1):
             if number <= _FINE:
                 fine = self._exchange.sent(tint * fine)
@@ -328,7 +327,8 @@ class LightField:
                 coarse = self._coarse.T @ (block_tint * coarse)
                 more = share * coarse[block]
             found.append(found[-1] + tint * more)
-            if np.abs(tint * more).max(initial=0.0) <= _LEFT * np.abs(found[-1]).max(initial=0.0):
+            sizes.append(float(np.abs(tint * more).max(initial=0.0)))
+            if still_to_come(sizes) <= LEFT * np.abs(found[-1]).max(initial=0.0):
                 break
         return [np.ascontiguousarray(one.T) for one in found]
 
@@ -391,6 +391,12 @@ class LightField:
         light = self._wall @ total[self._reached_cells] + self._wall_share[:, None] * total[-1]
         coefficients: Floats = self.points.fit @ light
         return coefficients
+
+
+def still_to_come(sizes: list[float]) -> float:
+    """Return what all further terms of a series come to, if they decrease as the last two did."""
+    last, ratio = sizes[-1], min(sizes[-1] / max(sizes[-2], 1e-300), 1.0 - 1e-6)
+    return last * max(1.0, ratio / (1.0 - ratio))
 
 
 def _share(place: Floats, some: Numbers, spread: Floats, cells: Cells, blockers: Surfaces) -> Floats:

@@ -21,15 +21,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from generator.model.quantities import ALL_ORDERS
-from generator.transport.light.field import LightField, Source
+from generator.transport.light.field import LEFT, LightField, Source, still_to_come
 from generator.transport.light.lines import SETS, Lines, completed, leaving, received
 from generator.transport.light.near import Near
 from generator.transport.light.view import Sums
 
 Floats = NDArray[Any]
 
-_LEFT, _LEFT_OF_ALL = 1e-4, 2e-4
-"""Share of the change at which further reflections are left out; where all count, further steps."""
+_LEFT_OF_ALL = 2e-4
+"""Share of the change at which further steps are left out, where all reflections count."""
 _SWEEPS = 2
 """How often the light that cells beside the target exchange is made even elsewhere, where all reflections count."""
 _STEPS, _BEFORE = 64, 5
@@ -119,7 +119,7 @@ class Between:
         level, body = self._next(source.levels[0], self._change, np.zeros_like(self._change), self._small), self._body
         change, room_sum, body_sum = self._change, np.zeros_like(level), np.zeros_like(body)
         coefficients = self._coefficients + np.zeros((1, level.shape[1]))
-        last = len(source.levels) - 1
+        last, sizes = len(source.levels) - 1, [0.0]
         for index in range(last + 1):
             reflections = source.first + index
             if reflections >= source.shown:
@@ -130,7 +130,8 @@ class Between:
             added, by = self._parted(leaving(self._lines, level, body, self._groups))
             more = field.shown(added, field.order - 2 - reflections)
             coefficients += more
-            if index == last or (index > 2 and np.abs(more).max() <= _LEFT * np.abs(coefficients).max()):
+            sizes.append(float(np.abs(more).max()))
+            if index == last or (index > 2 and still_to_come(sizes) <= LEFT * np.abs(coefficients).max()):
                 break
             arriving = self._lit(level, body)
             even = np.zeros_like(change)

@@ -22,7 +22,7 @@ Numbers = NDArray[np.int64]
 
 _GAP = 1.0
 """Distance between target and surface below which cells are small, in units of the radius of the ball around it."""
-_COARSEST, _FINEST = 1.0 / 4.0, 1.0 / 128.0
+_COARSEST, _FINEST = 1.0 / 4.0, 1.0 / 64.0
 """Most size of such a cell, and about the least, in units of that radius."""
 _SHARP = 1.0 / 3.0
 """Size of a cell, in units of its distance from the target."""

@@ -121,7 +121,17 @@ def test_all_reflections_are_the_limit_of_many():
 def test_the_end_of_a_long_series_is_a_geometric_one():
     """With an albedo of 0.97 in a closed room, a hundredth of the light is left after 150 reflections."""
     several = [Transport(room(albedo=0.97, order=n), accuracy=3e-2).difference(*POSES[0]) for n in (400, ALL_ORDERS)]
-    assert worlds.error(several[0], several[1]) < 0.02
+    assert worlds.error(several[0], several[1]) < math.hypot(3e-2, 3e-2)
+
+
+@pytest.mark.parametrize("albedo", [0.5, 0.97])
+@pytest.mark.parametrize("order", [400, ALL_ORDERS])
+def test_even_light_in_a_closed_room_is_worth_a_geometric_series(albedo, order):
+    """Irradiance 1 everywhere makes rho + rho^2 + ... = rho / (1 - rho) on the wall, and as much on all of it."""
+    field = LightField(Setting(room(albedo=albedo, order=order, screen=False)), order, 3e-2)
+    light = field.shown(np.ones((field.cells.count, 1)), order)
+    expected = field.points.fit @ np.full((len(field.points.places), 1), albedo / (1.0 - albedo))
+    np.testing.assert_allclose(light, expected, atol=1e-3 * expected.max())
 
 
 def test_three_reflections_are_as_they_were():
