@@ -31,7 +31,7 @@ from numpy.typing import NDArray
 from generator.transport.compiled import COMPILED
 from generator.transport.light.beams import Beams, arriving
 from generator.transport.light.cells import Cells, summed
-from generator.transport.light.field import FINEST, LightField, Source
+from generator.transport.light.field import FINEST, LightField
 from generator.transport.light.follow import Between, Shade
 from generator.transport.light.lines import SETS, Lines, completed, fair
 from generator.transport.light.near import near_cells
@@ -63,8 +63,6 @@ _FIRST_LINES = 2
 _APART, _ROUND, _MOST_CUTS = 0.15, 3, 4
 """Distance of points on the target, in units of theirs from the picture; and into how many parts along a side cells
 are cut for that, at least on a sphere, whose horizon runs through cells, and at most: else, lines are followed."""
-_BESIDE = 2.0
-"""Distance from the target's middle within which light goes from cell to cell, in units of the target's radius."""
 _STEP = 0.25
 """Step of central differences, radians, and in units of the target's radius."""
 _MOST_PARTS, _PARTS = 512, 4
@@ -231,10 +229,12 @@ class LightChange:
         source = self._field.sources[name]
         samples = self._sampled(choice.lines, is_near=pose.near.there)
         shade = None if source.beams is None else self._shade(source.beams, samples, pose)
-        sums = self._followed(source, lines, samples, pose, gain * self._tint, shade)
+        tint = gain * self._tint
+        sums = Between(self._field, source, lines, samples.received, tint, pose, shade).sums()
         pictures, view = self._drawn(sums, pose, exact, choice.view)
         if not shadows:  # less what a black target changes
-            dark = self._followed(source, lines, samples, pose, np.zeros_like(self._tint), shade)
+            black = np.zeros_like(self._tint)
+            dark = Between(self._field, source, lines, samples.received, black, pose, shade).sums()
             pictures = pictures - self._drawn(dark, pose, exact, view)[0]
         elif name == "emitters" and self._field.shadow is not None:
             pictures = pictures - self._field.shadow.hidden(pose, choice.lines)
@@ -322,23 +322,6 @@ class LightChange:
         taken = np.zeros((len(row), SETS, groups))
         taken[np.arange(len(row)), part[row]] = (light[row, column] * area[row])[:, None] * weights[node]
         return Shade(found, -met.spread(taken.reshape(len(row), -1), pose.near.length))
-
-    def _followed(
-        self, source: Source, lines: Lines, samples: _Samples, pose: Pose, tint: Floats, shade: Shade | None
-    ) -> Sums:
-        """Follow a source's light between the target and the room."""
-        around, near = self._setting.around, pose.near
-        small = near.area, around.tint[near.owner]
-        beside = self._beside(pose)
-        return Between(self._field, source, lines, samples.received, tint, near, small, beside, shade).sums()
-
-    def _beside(self, pose: Pose) -> NDArray[np.bool_] | None:
-        """Return which cells (cells, 1) are by a target that is near a surface: its shadow stays sharp there."""
-        if not pose.near.there:
-            return None
-        away = np.linalg.norm(self._field.middles - pose.centre, axis=1)
-        is_beside: NDArray[np.bool_] = (away < _BESIDE * pose.radius)[:, None]
-        return is_beside
 
     def _drawn(self, sums: Sums, pose: Pose, exact: Floats | None, view: int) -> tuple[Floats, int]:
         """Return the pictures (sets, groups, height, width) of sums, with the target seen directly by one of

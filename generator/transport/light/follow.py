@@ -23,8 +23,7 @@ from numpy.typing import NDArray
 from generator.model.quantities import ALL_ORDERS
 from generator.transport.light.field import LEFT, LightField, Source, still_to_come
 from generator.transport.light.lines import SETS, Lines, completed, leaving, received
-from generator.transport.light.near import Near
-from generator.transport.light.view import Sums
+from generator.transport.light.view import Pose, Sums
 
 Floats = NDArray[Any]
 
@@ -32,6 +31,8 @@ _LEFT_OF_ALL = 2e-4
 """Share of the change at which further steps are left out, where all reflections count."""
 _SWEEPS = 2
 """How often the light that cells beside the target exchange is made even elsewhere, where all reflections count."""
+_BESIDE = 2.0
+"""Distance from the target's middle within which light goes from cell to cell, in units of the target's radius."""
 _STEPS, _BEFORE = 64, 5
 """Most steps where all reflections count, and how many of those before are kept."""
 
@@ -65,12 +66,7 @@ class Between:
         Area that the lines of each cell stand for.
     tint : ndarray of shape (target's cells, groups)
         Its albedo.
-    near : Near
-        Small cells near the target.
-    small : tuple of ndarray of shape (n, 1) and (n, groups)
-        Their areas and albedos.
-    beside : ndarray of shape (cells, 1), bool, or None
-        Cells of the room at which the target's shadow stays sharp, if it is near any.
+    pose : Pose
     shade : Shade, optional
         Of a source that lights the target itself.
     """
@@ -82,17 +78,16 @@ class Between:
         lines: Lines,
         area: Floats,
         tint: Floats,
-        near: Near,
-        small: tuple[Floats, Floats],
-        beside: NDArray[np.bool_] | None,
+        pose: Pose,
         shade: Shade | None,
     ) -> None:
-        self._field, self._source, self._lines, self._near, self._beside = field, source, lines, near, beside
+        self._field, self._source, self._lines, self._near = field, source, lines, pose.near
+        self._beside = _beside(field, pose)
         self._groups = tint.shape[1]
         self._target_area = np.repeat(area, self._groups, axis=1)
         self._tint, self._room_tint = np.tile(tint, SETS), np.tile(field.tint, SETS)
-        self._small_tint = np.tile(small[1], SETS)
-        self._area, self._small_area = field.cells.area[:, None], small[0]
+        self._small_tint = np.tile(pose.near.tint, SETS)
+        self._area, self._small_area = field.cells.area[:, None], pose.near.area
         # What the lamp changes of the first reflection.
         self._body, self._change = np.zeros_like(self._tint), np.zeros((len(self._area) + 1, SETS * self._groups))
         self._small, self._coefficients = np.zeros_like(self._small_tint), np.zeros((len(field.points.fit), 1))
@@ -211,6 +206,15 @@ class Between:
 
     def _joined(self, empty: Floats, change: Floats, even: Floats, small: Floats) -> Floats:
         return self._near.joined(np.tile(empty, SETS), change, even, small)
+
+
+def _beside(field: LightField, pose: Pose) -> NDArray[np.bool_] | None:
+    """Return which cells (cells, 1) are by a target that is near a surface: its shadow stays sharp there."""
+    if not pose.near.there:
+        return None
+    away = np.linalg.norm(field.middles - pose.centre, axis=1)
+    is_beside: NDArray[np.bool_] = (away < _BESIDE * pose.radius)[:, None]
+    return is_beside
 
 
 def fixed_point(step: Callable[[Floats], Floats], start: Floats, weights: Floats) -> Floats:

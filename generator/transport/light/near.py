@@ -56,8 +56,8 @@ class Near(NamedTuple):
         Where the four parts of each cell are; of an undivided one, -1 less its number.
     owner : ndarray of shape (n,), int
         Surface of each undivided cell.
-    area : ndarray of shape (n, 1)
-        Its area.
+    area, tint : ndarray of shape (n, 1) and (n, groups)
+        Its area and albedo.
     rows : int
         Number of the room's cells and the sky.
     """
@@ -70,6 +70,7 @@ class Near(NamedTuple):
     tree: Numbers
     owner: Numbers
     area: Floats
+    tint: Floats
     rows: int
 
     @property
@@ -176,7 +177,8 @@ def near_cells(cells: Cells, surfaces: Surfaces, body: Surfaces, turn: Floats, p
         leaves += len(part)
     rows = cells.count + 1
     owners, areas = np.concatenate(owner), np.concatenate(area)[:, None]
-    return Near(first, is_behind.astype(np.int64), low, step, number, tree, owners, areas, rows)
+    tint = surfaces.tint[owners]
+    return Near(first, is_behind.astype(np.int64), low, step, number, tree, owners, areas, tint, rows)
 
 
 def _lowest(body: Surfaces, up: Floats) -> Floats:
