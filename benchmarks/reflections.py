@@ -2,8 +2,10 @@
 
 python benchmarks/reflections.py -o DIR [--only NAME ...] [--paths N] [--cycles N]   some 15 minutes on one core
 python benchmarks/reflections.py -o DIR --hard N                                     some seconds a pose
+python benchmarks/reflections.py -o DIR --touching N --paths 200000                  some minutes a pose
 
-Prints tables and writes ``reflections.csv`` and ``reflections-cycles.csv``, or ``reflections-hard.csv``.
+Prints tables and writes ``reflections.csv`` and ``reflections-cycles.csv``, or ``reflections-hard.csv``, or
+``reflections-touching.csv``.
 
 - Paths at random (``tests/support/brute_force.py``) have no cells and no quadrature. A sheet stands at three random
   poses in each preset and in three random rooms; compared is the mean of the picture. Orders cancel each other in
@@ -15,6 +17,7 @@ Prints tables and writes ``reflections.csv`` and ``reflections-cycles.csv``, or 
 - Hard poses, for all reflections: against the engine with 64 times the lines through the target, eight times
   those from the lamp, a target met by lines from the picture and not summed over its surface, cells of half the size,
   and of less near the target. Printed is also what the engine itself says of its cells (`Transport.cells_error`).
+- Those of them that touch floor or wall, lit by the lamp, are held to paths too.
 """
 
 from __future__ import annotations
@@ -76,6 +79,14 @@ RESULTS = {
         "worst with 64 times the lines through the target, %",
         "told by the engine of its cells, median, %",
         "above 1 % and twice what is told",
+    ),
+    "reflections-touching": (
+        "scene",
+        "pose",
+        "paths, %",
+        "their 95 %",
+        "all reflections at once, %",
+        "one by one, %",
     ),
 }
 ORDERS = {"order 4": 4, "order 6": 6, "order 10": 10, "all": ALL_ORDERS}
@@ -338,6 +349,31 @@ def at_hard_poses(count: int) -> Iterator[tuple[str, ...]]:
                 yield name, light, kind, str(len(every)), *figures
 
 
+def touching(count: int, paths: int) -> Iterator[tuple[str, ...]]:
+    """Yield rows of `RESULTS`: the mean change after the third reflection, of all the rest, at poses that touch.
+
+    It is relative to the mean change by the first three and that by the rest, of the paths, joined as squares.
+    """
+    for name in ("room", "corridor"):
+        world = world_of(replace(preset(name), resolution=(16, 16)))
+        orders = ALL_ORDERS, LONG
+        engines = [Transport(replace(world, order=order), accuracy=1e-2) for order in orders]
+        unit = units(engines[0])[0]
+        for kind, *pose in hard_poses(preset(name), count):
+            if kind not in ("on the floor", "at the wall"):
+                continue
+            try:
+                found = [float(engine.render(*pose).further[..., 0].mean()) for engine in engines]
+            except NlosError as error:
+                print(f"  refused: {name}, {kind}: {error}", flush=True)
+                continue
+            runs = unit * brute_force.changes(replace(world, order=LONG), *pose, paths, repeats=REPEATS, seed=7)[:, 0]
+            first, rest = runs[:, :4].sum(axis=1), runs[:, 4:].sum(axis=1)
+            size = math.hypot(first.mean(), rest.mean()) / 100.0
+            wide = student.ppf(0.975, REPEATS - 1) * rest.std(ddof=1) / math.sqrt(REPEATS)
+            yield name, kind, *(f"{v / size:+.1f}" for v in (rest.mean(), wide, *found))
+
+
 def drawn_with(numbers: dict[str, Any], engine: Transport, pose: list[Array], cells: dict[str, Any]) -> Array:
     """Return an engine's change (parts, height, width) with other numbers of lines: the lamp's up to the third
     reflection, its further ones, and the sky's."""
@@ -369,7 +405,11 @@ def main() -> None:
     parser.add_argument("--paths", type=int, default=20000, help="from each of 16 parts of the picture, 16 times")
     parser.add_argument("--cycles", type=int, default=8, help="poses that Cycles renders")
     parser.add_argument("--hard", type=int, help="instead of all that: so many hard poses in each room and light")
+    parser.add_argument("--touching", type=int, help="instead: of so many hard poses those that touch, by paths")
     options = parser.parse_args()
+    if options.touching:
+        show(options.out, "reflections-touching", list(touching(options.touching, options.paths)))
+        return
     if options.hard:
         show(options.out, "reflections-hard", list(at_hard_poses(options.hard)))
         return
