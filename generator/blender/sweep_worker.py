@@ -5,7 +5,7 @@ from __future__ import annotations
 import contextlib
 import functools
 import time
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 from importlib import metadata
@@ -19,7 +19,6 @@ from generator.blender import misgivings, start_check
 from generator.blender.engines import renderers, simplify, survey
 from generator.blender.engines.renderer import Renderer, Shot
 from generator.blender.engines.settings import settled
-from generator.blender.engines.surfel import SurfelRenderer
 from generator.blender.scene import blend_file, geometry, references, replaced, roles
 from generator.blender.scene.clearance import clearance
 from generator.blender.scene.copies import Copies
@@ -119,13 +118,22 @@ def plan(
                 len(records),
                 render,
             )
-    if probe and isinstance(renderer, SurfelRenderer):
-        checked = renderer.light_check([(record.position, record.rotation) for record in records])
-        meta |= {"light_check": checked} if checked else {}
+    if probe and sweep.engine == "surfel":
+        meta |= _light_check(renderer, records)
     dataset = Dataset.create(path, meta, records)
     if not sweep.noisy:
         _background(renderer, dataset, sweep)  # needs no scene, and far less time than starting a process for it
     return dataset
+
+
+def _light_check(renderer: Renderer, records: Sequence[PoseRecord]) -> dict[str, Any]:
+    """Return the entry of a manifest that says how far light of many reflections is trusted, if there is one."""
+    # Imported here, since it loads numba, for which Cycles need not wait.
+    from generator.blender.engines.surfel import SurfelRenderer
+
+    assert isinstance(renderer, SurfelRenderer)
+    checked = renderer.light_check([(record.position, record.rotation) for record in records])
+    return {"light_check": checked} if checked else {}
 
 
 def _described(scene: bpy.types.Scene, described: Scene, sweep: Sweep, source: Path) -> dict[str, Any]:
