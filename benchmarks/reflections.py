@@ -96,9 +96,10 @@ POSES, REPEATS = 3, 16
 RANDOM = 3
 ROUNDS = 6
 """Renders of each pose by Cycles, with noise of their own, from which its standard error follows."""
+_MANY = {"_LINES": 1 << 19, "_MOST_LINES": 1 << 19}
 FINER: tuple[dict[str, Any], ...] = (
-    {"_LINES": 1 << 19, "_MOST_LINES": 1 << 19},
-    {"_LINES": 1 << 19, "_MOST_LINES": 1 << 19, "_VIEWS": ((48, 1 << 11),), "_FIRST_LINES": 0, "_LIT": 1 << 14},
+    _MANY,
+    {**_MANY, "_VIEWS": ((48, 1 << 11),), "_FIRST_LINES": 0, "_LIT": 1 << 14},
 )
 """Numbers of lines in `change`: through the target; and also from the picture's points to it, and from the lamp."""
 FINE_CELLS: tuple[dict[str, Any], ...] = ({"_CELL": 0.025}, {"_SHARP": 0.25, "_FINEST": 1.0 / 128.0})

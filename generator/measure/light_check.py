@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from typing import Any
 
 import numpy as np
@@ -44,7 +44,7 @@ def look(engine: Transport, poses: Sequence[Pose]) -> dict[str, Any]:
     return {"poses": len(errors), **found, "words": words}
 
 
-def _errors(engine: Transport, poses: Iterable[Pose]) -> Iterable[float]:
+def _errors(engine: Transport, poses: Iterable[Pose]) -> Iterator[float]:
     for pose in poses:
         try:
             yield engine.cells_error(*pose)

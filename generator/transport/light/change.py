@@ -267,9 +267,8 @@ class LightChange:
         key = count, is_near
         if key not in self._samples:
             body, size = self._body, count // SETS
-            points = sobol(count, 4)
-            if is_near:
-                points = np.concatenate([sobol(size, 4, number) for number in range(SETS)])
+            apart = [sobol(size, 4, number) for number in range(SETS)] if is_near else [sobol(count, 4)]
+            points = np.concatenate(apart)
             cell, places, normals = body.scattered(points[:, :2], self._setting.outward)
             owner, ways = self._part[cell], hemisphere(normals, points[:, 2:])
             number = np.stack([np.bincount(part, minlength=self._count) for part in owner.reshape(SETS, -1)], axis=1)
@@ -340,9 +339,8 @@ class LightChange:
             if fixed or view + 1 == len(_VIEWS):
                 return pictures, view
             most = self._accuracy * _level(pictures, exact)
-            if points.misfit(light, fit) <= most or (
-                before is not None and _differ(pictures, before) <= _ALIKE * most
-            ):
+            is_alike = before is not None and _differ(pictures, before) <= _ALIKE * most
+            if is_alike or points.misfit(light, fit) <= most:
                 return pictures, view
             before, view = pictures, view + 1
 

@@ -128,13 +128,12 @@ class Between:
             sizes.append(float(np.abs(more).max()))
             if index == last or (index > 2 and still_to_come(sizes) <= LEFT * np.abs(coefficients).max()):
                 break
-            arriving = self._lit(level, body)
+            body = self._lit(level, body)
             even = np.zeros_like(change)
             even[:-1] = self._room_tint * self._exchanged(change[:-1], index == 0)
             change = even.copy()
             change[:-1] += self._room_tint * added
             level = self._next(source.levels[index + 1], change, even, self._small_tint * by)
-            body = arriving
         return Sums(room_sum, body_sum, coefficients)
 
     def _exchanged(self, change: Floats, is_first: bool) -> Floats:
@@ -202,10 +201,8 @@ class Between:
         What a cell receives along one set's lines it sends along another's: bright places would else light
         themselves, by the few lines that lead there, and the more so the smaller cells are.
         """
-        return self._joined(empty, *(np.roll(part, self._groups, axis=1) for part in (change, even, small)))
-
-    def _joined(self, empty: Floats, change: Floats, even: Floats, small: Floats) -> Floats:
-        return self._near.joined(np.tile(empty, SETS), change, even, small)
+        rolled = (np.roll(part, self._groups, axis=1) for part in (change, even, small))
+        return self._near.joined(np.tile(empty, SETS), *rolled)
 
 
 def _beside(field: LightField, pose: Pose) -> NDArray[np.bool_] | None:
