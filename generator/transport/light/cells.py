@@ -25,6 +25,8 @@ _BENEATH, _HALVINGS = 0.4, 6
 """Size of a cell, in units of its distance from a lamp; and how often cells are halved for that, at most."""
 _SLIVER = 1e-4
 """Width, in units of a surface, below which no cell is made."""
+_BINS = 256
+"""Equal parts of an edge, which tell where to look for a cell; a power of two, by which products are exact."""
 
 
 class Hits(NamedTuple):
@@ -51,9 +53,7 @@ class Hits(NamedTuple):
 
     def spread(self, values: Floats, count: int) -> Floats:
         """Sum values (n, columns) of rays over the cells between which `of` interpolates, (count, columns)."""
-        each = range(self.corners.shape[1])
-        parts = (summed(self.corners[:, c], self.shares[:, c, None] * values, count) for c in each)
-        return sum(parts, start=np.zeros((count, values.shape[1])))
+        return deposited(values, self.corners, self.shares, count)
 
 
 class _Axis(NamedTuple):
@@ -67,6 +67,14 @@ class _Axis(NamedTuple):
         Number of the part of the edge that each is in: values are not interpolated from one part to another.
     first, cells : ndarray of shape (surfaces,), int
         Where a surface's cells begin, and how many they are.
+    bins : ndarray of shape (surfaces, m), int
+        The cells that m equal parts of each edge begin in.
+    middle : ndarray of shape (n,)
+    pair : ndarray of shape (2 * n, 2), int
+        For the lower and the upper half of each cell, the two cells between whose middles values are interpolated,
+        counted from the surface's first one.
+    base, slope : ndarray of shape (2 * n,)
+        The weight of the second is ``slope`` times the distance from ``base``.
     """
 
     low: Floats
@@ -74,6 +82,11 @@ class _Axis(NamedTuple):
     piece: Numbers
     first: Numbers
     cells: Numbers
+    bins: Numbers
+    middle: Floats
+    pair: Numbers
+    base: Floats
+    slope: Floats
 
 
 class Grid(NamedTuple):
@@ -449,7 +462,31 @@ def _joined(cuts: list[tuple[Floats, Numbers]]) -> _Axis:
     count = np.array([len(pieces) for _, pieces in cuts], dtype=np.int64)
     low = np.concatenate([empty, *(ends[:-1] for ends, _ in cuts)])
     high = np.concatenate([empty, *(ends[1:] for ends, _ in cuts)])
-    return _Axis(low, high, np.concatenate([none, *(p for _, p in cuts)]), np.cumsum(count) - count, count)
+    piece, first, middle = np.concatenate([none, *(p for _, p in cuts)]), np.cumsum(count) - count, 0.5 * (low + high)
+    parts = np.arange(_BINS) / _BINS
+    within = [np.searchsorted(ends, parts, side="right") - 1 for ends, _ in cuts]
+    return _Axis(
+        *(low, high, piece, first, count, first[:, None] + np.array(within, dtype=np.int64).reshape(-1, _BINS), middle),
+        *_between(middle, piece, np.repeat(first, count), np.repeat(first + count, count)),
+    )
+
+
+def _between(middle: Floats, piece: Numbers, first: Numbers, end: Numbers) -> tuple[Numbers, Floats, Floats]:
+    """Return ``pair``, ``base`` and ``slope`` of `_Axis` for cells (n,), each of a surface's from first to end."""
+    here, first, end = (np.repeat(each, 2) for each in (np.arange(len(middle)), first, end))
+    one = here - np.tile([1, 0], len(middle))
+
+    def is_between(one: Numbers) -> NDArray[np.bool_]:
+        """Whether a cell and the next one are of one part of an edge."""
+        is_one: NDArray[np.bool_] = (one >= first) & (one + 1 < end)
+        return is_one & (piece[one * is_one] == piece[(one + 1) * is_one])
+
+    # At an end of a part: what its last two lead on to.
+    one = np.where(is_between(one), one, 2 * here - 1 - one)
+    inside = is_between(one)
+    one, two = np.where(inside, one, here), np.where(inside, one + 1, here)
+    gap = np.where(inside, middle[two] - middle[one], 1.0)
+    return np.stack([one, two], axis=1) - first[:, None], middle[one], inside / gap
 
 
 def _dot(one: Floats, other: Floats) -> Floats:
@@ -460,26 +497,12 @@ def _dot(one: Floats, other: Floats) -> Floats:
 @jit_in_place
 def _on_axis(x: float, which: int, axis: _Axis) -> tuple[int, int, int, float]:
     """Return the cell at ``x`` on a surface's edge, the two to interpolate between, and the weight of the second."""
-    first, n = axis.first[which], axis.cells[which]
-    low, high = first, first + n - 1
-    while low < high:
-        middle = (low + high + 1) // 2
-        if axis.low[middle] <= x:
-            low = middle
-        else:
-            high = middle - 1
-    here = low
-    centre = 0.5 * (axis.low[here] + axis.high[here])
-    one = here if x >= centre else here - 1
-    two = one + 1
-    if one < first or two >= first + n or axis.piece[one] != axis.piece[two]:
-        # At an end of a part: what its last two lead on to.
-        one = here if one < here else here - 1
-        two = one + 1
-        if one < first or two >= first + n or axis.piece[one] != axis.piece[two]:
-            return here - first, here - first, here - first, 0.0
-    below, above = 0.5 * (axis.low[one] + axis.high[one]), 0.5 * (axis.low[two] + axis.high[two])
-    return here - first, one - first, two - first, (x - below) / (above - below)
+    first, here = axis.first[which], axis.bins[which, min(max(int(x * _BINS), 0), _BINS - 1)]
+    last = first + axis.cells[which] - 1
+    while here < last and axis.low[here + 1] <= x:
+        here += 1
+    half = 2 * here + (1 if x >= axis.middle[here] else 0)
+    return here - first, axis.pair[half, 0], axis.pair[half, 1], (x - axis.base[half]) * axis.slope[half]
 
 
 @jit_in_place
@@ -558,22 +581,8 @@ def _on_axis_arrays(x: Floats, which: Numbers, axis: _Axis) -> tuple[Numbers, Nu
     owner = np.repeat(np.arange(len(axis.cells)), axis.cells)
     here = np.searchsorted(axis.low + 2.0 * owner, np.clip(x, 0.0, 1.0) + 2.0 * which, side="right") - 1
     here = np.clip(here, first, last)
-    middle = 0.5 * (axis.low + axis.high)
-    one = np.where(x >= middle[here], here, here - 1)
-    inside = _is_between(one, first, last, axis.piece)
-    # At an end of a part: what its last two lead on to.
-    one = np.where(inside, one, np.where(one < here, here, here - 1))
-    inside = _is_between(one, first, last, axis.piece)
-    one, two = np.where(inside, one, here), np.where(inside, one + 1, here)
-    gap = np.where(inside, middle[two] - middle[one], 1.0)
-    return here - first, one - first, two - first, np.where(inside, (x - middle[one]) / gap, 0.0)
-
-
-def _is_between(one: Numbers, first: Numbers, last: Numbers, piece: Numbers) -> NDArray[np.bool_]:
-    """Return whether a cell and the next one (n,) are of one surface, from ``first`` to ``last``, and of one part."""
-    two = np.minimum(one + 1, len(piece) - 1)
-    is_between: NDArray[np.bool_] = (one >= first) & (one < last) & (piece[np.maximum(one, 0)] == piece[two])
-    return is_between
+    half = 2 * here + (x >= axis.middle[here])
+    return here - first, *axis.pair[half].T, (x - axis.base[half]) * axis.slope[half]
 
 
 def _locate(
@@ -624,6 +633,28 @@ def _interpolated_arrays(values: Floats, corners: Numbers, shares: Floats) -> Fl
 
 
 interpolated = jit_released(_interpolated_loops) if COMPILED else _interpolated_arrays
+
+
+def _deposited_loops(values: Floats, corners: Numbers, shares: Floats, count: int) -> Floats:
+    """Return the sums (count, columns) of values (n, columns) over cells at corners (n, c), weighted by shares."""
+    columns = values.shape[1]
+    found = np.zeros((count, columns))
+    for k in range(corners.shape[0]):
+        for c in range(corners.shape[1]):
+            share = shares[k, c]
+            if share != 0.0 and corners[k, c] < count:
+                for column in range(columns):
+                    found[corners[k, c], column] += share * values[k, column]
+    return found
+
+
+def _deposited_arrays(values: Floats, corners: Numbers, shares: Floats, count: int) -> Floats:
+    """NumPy form of `_deposited_loops`."""
+    parts = (summed(corners[:, c], shares[:, c, None] * values, count) for c in range(corners.shape[1]))
+    return sum(parts, start=np.zeros((count, values.shape[1])))
+
+
+deposited = jit_released(_deposited_loops) if COMPILED else _deposited_arrays
 
 
 def _summed_loops(owner: Numbers, values: Floats, count: int) -> Floats:

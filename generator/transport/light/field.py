@@ -171,8 +171,8 @@ class LightField:
         if beams is not None:
             self.shadow = WallShadow(setting, beams)
             self.sources["emitters"] = self._lit(beams, _EMITTED, _EMITTED)
-        self._responses = [self._response(g) for g in range(groups)]
-        # Read whole for every reflection of every pose.
+        # Read whole for every pose, or every reflection of it.
+        self._responses = [[one.astype(np.float32) for one in self._response(g)] for g in range(groups)]
         coarse = self._coarse.astype(np.float32)
         self._evening = [coarse @ onward.astype(np.float32) for onward in self._onward] or [coarse]
         del self._coarse, self._onward
@@ -346,7 +346,7 @@ class LightField:
         """
         coefficients = np.zeros((len(self.points.fit), light.shape[1]))
         groups = len(self._responses)
-        arriving = light[self._reached_cells]
+        arriving = light[self._reached_cells].astype(np.float32)
         for group, responses in enumerate(self._responses):
             some = slice(group, None, groups)
             coefficients[:, some] = responses[min(most, len(responses) - 1)] @ arriving[:, some]

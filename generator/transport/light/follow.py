@@ -22,16 +22,16 @@ from numpy.typing import NDArray
 
 from generator.model.quantities import ALL_ORDERS
 from generator.transport.light.field import LEFT, LightField, Source, still_to_come
-from generator.transport.light.lines import SETS, Lines, completed, leaving, received
+from generator.transport.light.lines import SETS, Lines, completed, leaving, onward, received
 from generator.transport.light.view import Pose, Sums
 
 Floats = NDArray[Any]
 
 _LEFT_OF_ALL = 2e-4
 """Share of the change at which further steps are left out, where all reflections count."""
-_SWEEPS = 2
+_SWEEPS = 4
 """How often the light that cells beside the target exchange is made even elsewhere, where all reflections count."""
-_BESIDE = 2.0
+_BESIDE = 4.0
 """Distance from the target's middle within which light goes from cell to cell, in units of the target's radius."""
 _STEPS, _BEFORE = 64, 5
 """Most steps where all reflections count, and how many of those before are kept."""
@@ -95,8 +95,8 @@ class Between:
         if shade is not None and self._is_shaded:
             self._body = self._tint * shade.lit
             some, by = self._parted(shade.taken)
-            self._change[:-1] = self._room_tint * some
-            self._small = self._small_tint * by
+            self._change[:-1] = self._room_tint * onward(some, self._groups)
+            self._small = self._small_tint * onward(by, self._groups)
             # Of the lamp's light, what the wall sees directly is exact elsewhere.
             directly = source.first == source.shown
             self._coefficients = field.shown(some, field.order - 1 - source.first, directly=directly)
@@ -113,7 +113,7 @@ class Between:
         source, field = self._source, self._field
         level, body = self._next(source.levels[0], self._change, np.zeros_like(self._change), self._small), self._body
         change, room_sum, body_sum = self._change, np.zeros_like(level), np.zeros_like(body)
-        coefficients = self._coefficients + np.zeros((1, level.shape[1]))
+        coefficients = onward(self._coefficients, self._groups) + np.zeros((1, level.shape[1]))
         last, sizes = len(source.levels) - 1, [0.0]
         for index in range(last + 1):
             reflections = source.first + index
@@ -134,7 +134,7 @@ class Between:
             change = even.copy()
             change[:-1] += self._room_tint * added
             level = self._next(source.levels[index + 1], change, even, self._small_tint * by)
-        return Sums(room_sum, body_sum, coefficients)
+        return Sums(room_sum, body_sum, onward(coefficients, self._groups, -1))
 
     def _exchanged(self, change: Floats, is_first: bool) -> Floats:
         """Return the irradiance of cells by the changed radiosity (cells, columns) of all others."""
@@ -179,16 +179,16 @@ class Between:
             none = np.zeros_like(self._change)
             level = level - self._next(self._source.levels[0], self._change, none, self._small)
             body = body - self._body
-        return Sums(level, body, self._coefficients + self._field.shown(added, ALL_ORDERS))
+        return Sums(level, body, self._coefficients + onward(self._field.shown(added, ALL_ORDERS), self._groups, -1))
 
     def _lit(self, level: Floats, body: Floats) -> Floats:
         """Return the target's next radiosity.
 
-        What it receives along one set's lines it sends along another's: see `_next`.
+        What it receives along one set's lines it sends along another's, as `leaving` does.
         """
         arriving = received(self._lines, level, body, self._groups) / np.maximum(self._target_area, 1e-300)
         by_set = completed(arriving, self._target_area == 0.0, self._groups)
-        return self._tint * np.roll(by_set, self._groups, axis=1)
+        return self._tint * onward(by_set, self._groups)
 
     def _parted(self, values: Floats) -> tuple[Floats, Floats]:
         """Return the irradiance of the room's cells and of the small ones from a list of light times area."""
@@ -196,13 +196,8 @@ class Between:
         return some / self._area, by / self._small_area
 
     def _next(self, empty: Floats, change: Floats, even: Floats, small: Floats) -> Floats:
-        """Return a list of radiosities.
-
-        What a cell receives along one set's lines it sends along another's: bright places would else light
-        themselves, by the few lines that lead there, and the more so the smaller cells are.
-        """
-        rolled = (np.roll(part, self._groups, axis=1) for part in (change, even, small))
-        return self._near.joined(np.tile(empty, SETS), *rolled)
+        """Return a list of radiosities."""
+        return self._near.joined(np.tile(empty, SETS), change, even, small)
 
 
 def _beside(field: LightField, pose: Pose) -> NDArray[np.bool_] | None:

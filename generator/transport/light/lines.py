@@ -98,7 +98,11 @@ def received_arrays(lines: Lines, level: Floats, body: Floats, groups: int) -> F
 
 def _leaving_loops(lines: Lines, level: Floats, body: Floats, groups: int) -> Floats:
     """Return the light that the room's cells gain, times their area, (rows, sets * groups): the target's in place of
-    that behind it. Parameters are those of `_received_loops`."""
+    that behind it. Parameters are those of `_received_loops`.
+
+    What a cell receives along one set's lines it sends along another's, and so it stands in that one's columns:
+    bright places would else light themselves, by the few lines that lead there, the more so the smaller cells are.
+    """
     n = len(lines.owner)
     found = np.zeros(level.shape)
     front, behind = lines.front, lines.behind
@@ -107,13 +111,15 @@ def _leaving_loops(lines: Lines, level: Floats, body: Floats, groups: int) -> Fl
         owner, flux = lines.owner[k], lines.flux[k]
         if lines.own[k] < body.shape[0]:
             continue
-        first = groups * (SETS * k // n)
-        for g in range(first, first + groups):
+        part = SETS * k // n
+        first, after = groups * part, groups * ((part + 1) % SETS)
+        for g in range(groups):
             far = 0.0
             for c in range(corners):
-                far += behind.shares[k, c] * level[behind.corners[k, c], g]
+                far += behind.shares[k, c] * level[behind.corners[k, c], first + g]
             for c in range(corners):
-                found[front.corners[k, c], g] += front.shares[k, c] * flux * (body[owner, g] - far)
+                gained = front.shares[k, c] * flux * (body[owner, first + g] - far)
+                found[front.corners[k, c], after + g] += gained
     return found
 
 
@@ -121,7 +127,12 @@ def leaving_arrays(lines: Lines, level: Floats, body: Floats, groups: int) -> Fl
     """NumPy form of `_leaving_loops`."""
     is_own = (lines.own < len(body))[:, None]
     sent = np.where(is_own, 0.0, body[lines.owner] - lines.behind.of(level))
-    return lines.front.spread(_by_set(lines, groups) * sent, len(level))
+    return onward(lines.front.spread(_by_set(lines, groups) * sent, len(level)), groups)
+
+
+def onward(values: Floats, groups: int, sets: int = 1) -> Floats:
+    """Return values (n, sets * groups) in the columns of another set, so many sets on."""
+    return np.roll(values, sets * groups, axis=1)
 
 
 def _by_set(lines: Lines, groups: int) -> Floats:
