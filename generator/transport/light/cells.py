@@ -465,8 +465,9 @@ def _joined(cuts: list[tuple[Floats, Numbers]]) -> _Axis:
     piece, first, middle = np.concatenate([none, *(p for _, p in cuts)]), np.cumsum(count) - count, 0.5 * (low + high)
     parts = np.arange(_BINS) / _BINS
     within = [np.searchsorted(ends, parts, side="right") - 1 for ends, _ in cuts]
+    bins = first[:, None] + np.array(within, dtype=np.int64).reshape(-1, _BINS)
     return _Axis(
-        *(low, high, piece, first, count, first[:, None] + np.array(within, dtype=np.int64).reshape(-1, _BINS), middle),
+        *(low, high, piece, first, count, bins, middle),
         *_between(middle, piece, np.repeat(first, count), np.repeat(first + count, count)),
     )
 
