@@ -45,12 +45,14 @@ Numbers = NDArray[np.int64]
 
 _BODY_CELL = 0.25
 """Size of a target's cell, of the target's radius."""
-_LINES, _MOST_LINES = 1 << 13, 1 << 17
+_LINES, _MOST_LINES = 1 << 14, 1 << 19
 """Number of lines through the target, at first and at most."""
+_SURE = 0.6
+"""Share of the error asked for that sets of lines may differ by: so few of them tell no more than its size."""
 _RATE = 4.0 / 3.0
 """How many times lines are doubled to halve the error, as measured."""
-_LIT = 1 << 11
-"""How many of the target's places the lamp's light is computed for at least; else a fourth of the lines' places."""
+_LIT, _PER_LIT = 1 << 10, 16
+"""How many of the target's places the lamp's light is computed for at least; else one for so many lines."""
 _FROM = 8
 """How many of a source's points light each of those places."""
 _VIEWS = ((12, 0), (24, 0), (12, 128), (12, 512), (24, 512), (48, 512), (48, 2048))
@@ -59,6 +61,9 @@ summed; the next where polynomials fit the light worse than is asked for, it is 
 picture no more."""
 _ALIKE = 0.5
 """Difference of two such pictures that counts as none, in units of the error asked for."""
+_FITS = 0.3
+"""Share of the error asked for that polynomials may differ from the light by at the points that they are fitted to:
+between them, they differ by more."""
 _FIRST_LINES = 2
 _APART, _ROUND, _MOST_CUTS = 0.15, 3, 4
 """Distance of points on the target, in units of theirs from the picture; and into how many parts along a side cells
@@ -204,10 +209,10 @@ class LightChange:
             for name in list(known):
                 several, level, view = self._several(name, lines, pose, known[name], shadows, _Choice(count, -1))
                 error = float(np.sqrt(several.var(axis=0, ddof=1).mean() / SETS))
-                if error <= self._accuracy * level or count == _MOST_LINES:
+                if error <= _SURE * self._accuracy * level or count == _MOST_LINES:
                     found[name] = several.mean(axis=0), _Choice(count, view)
                     del known[name]
-                excess = max(excess, error / max(self._accuracy * level, 1e-300))
+                excess = max(excess, error / max(_SURE * self._accuracy * level, 1e-300))
             count = min(_MOST_LINES, count << max(1, round(_RATE * math.log2(max(1.0, min(excess, 1e3))))))
         return {name: found[name] for name in self._field.sources}
 
@@ -290,7 +295,7 @@ class LightChange:
     def _shade(self, beams: Beams, samples: _Samples, pose: Pose) -> Shade:
         """Return the light of beams on the target, and its shadow."""
         setting, cells = self._setting, self._field.cells
-        size, first = len(samples.owner) // SETS, max(_LIT, len(samples.owner) // 4) // SETS
+        size, first = len(samples.owner) // SETS, max(_LIT, len(samples.owner) // _PER_LIT) // SETS
         # The beginning of each set is spread evenly, too.
         some = (size * np.arange(SETS)[:, None] + np.arange(first)).reshape(-1)
         owner, part = samples.owner[some], some // size
@@ -340,7 +345,7 @@ class LightChange:
                 return pictures, view
             most = self._accuracy * _level(pictures, exact)
             is_alike = before is not None and _differ(pictures, before) <= _ALIKE * most
-            if is_alike or points.misfit(light, fit) <= most:
+            if is_alike or points.misfit(light, fit) <= _FITS * most:
                 return pictures, view
             before, view = pictures, view + 1
 
