@@ -43,8 +43,8 @@ from generator.transport.prepared import Setting
 Floats = NDArray[Any]
 Numbers = NDArray[np.int64]
 
-_BODY_CELL = 0.25
-"""Size of a target's cell, of the target's radius."""
+_BODY_CELL, _LIT_BALL = 0.25, 0.125
+"""Size of a target's cell, of the target's radius; and of a sphere's that emitters light from one side."""
 _LINES, _MOST_LINES = 1 << 14, 1 << 19
 """Number of lines through the target, at first and at most."""
 _SURE = 0.6
@@ -121,7 +121,8 @@ class LightChange:
         ball_reach = np.linalg.norm(target.spheres[:, :3] - self._centre, axis=1) + target.spheres[:, 3]
         self._radius = float(max(corner_reach, ball_reach.max(initial=0.0)))
         tint = setting.tint[len(setting.tint) - balls :]
-        self._body = Cells(target, _BODY_CELL, self._centre, self._radius, tint)
+        self._cell = _LIT_BALL if balls and "emitters" in field.sources else _BODY_CELL
+        self._body = Cells(target, self._cell, self._centre, self._radius, tint)
         self._part, self._area, self._tint = self._parts()
         self._count = len(self._area)
         # The back of a solid is part of no sum.
@@ -357,7 +358,7 @@ class LightChange:
         lowest = [corners @ pose.turn[2], spheres[:, :3] @ pose.turn[2] - spheres[:, 3]]
         height = pose.place[2] + float(np.concatenate(lowest).min())
         aside = max(0.0, float(np.linalg.norm(pose.centre[:2])) - self._radius - 1.0)
-        cuts = math.ceil(_BODY_CELL * self._radius / (_APART * max(1e-9, math.hypot(aside, height))))
+        cuts = math.ceil(self._cell * self._radius / (_APART * max(1e-9, math.hypot(aside, height))))
         cuts = max(cuts, _ROUND if len(spheres) else 1)
         return cuts if cuts <= _MOST_CUTS else 0
 
