@@ -29,7 +29,7 @@ _TOUCH = 1e-9
 _POINTS, _FEW, _DENSE = 256, 16, 1 << 14
 """Number of points of all that glows, at least one for each triangle; of those near which cells are small; and of
 those that cast shadows with an edge."""
-_CHUNK = 1 << 18
+_CHUNK, _BITS = 1 << 18, 16
 
 
 class Points(NamedTuple):
@@ -136,12 +136,13 @@ class EmitterBeams:
     spots : Spots
         Some of the points.
     dense : Points
-        Many points: shadows of few would be those of so many lamps without extent.
+        Many points: shadows of few would be those of so many lamps without extent. Those with numbers that are near
+        each other are near each other.
     """
 
     def __init__(self, emission: Emission, blockers: Surfaces) -> None:
         self.blockers = blockers
-        self.finest, self.dense = _spread(emission, _POINTS), _spread(emission, _DENSE)
+        self.finest, self.dense = _spread(emission, _POINTS), _along_a_curve(_spread(emission, _DENSE))
         few = _spread(emission, _FEW)
         size = np.sqrt(few.weights.max(axis=1) / np.maximum(1e-300, emission.radiance.max(initial=0.0)))
         self.spots = Spots(few.places, few.normals, np.where(few.normals.any(axis=1), size, 0.0))
@@ -205,6 +206,19 @@ def _spread(emission: Emission, number: int) -> Points:
             (places.reshape(-1, 3), *(np.repeat(part[some], n**2, axis=0) for part in (normals, strength, soft)))
         )
     return Points(*(np.concatenate(parts) for parts in zip(*found, strict=True)))
+
+
+def _along_a_curve(points: Points) -> Points:
+    """Return points in the order of their bits, those of all axes in turn (Morton 1966)."""
+    low = points.places.min(axis=0)
+    size = max(float((points.places.max(axis=0) - low).max()), 1e-300)
+    steps = ((points.places - low) * ((1 << _BITS) - 1) / size).astype(np.int64)
+    code = np.zeros(len(steps), dtype=np.int64)
+    for bit in range(_BITS):
+        for axis in range(3):
+            code |= (steps[:, axis] >> bit & 1) << (3 * bit + axis)
+    order = np.argsort(code, kind="stable")
+    return Points(*(part[order] for part in points))
 
 
 def _centres(n: int) -> Floats:

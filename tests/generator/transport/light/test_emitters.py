@@ -70,6 +70,32 @@ def test_a_sphere_casts_the_shadow_that_geometry_says():
     np.testing.assert_allclose(made.pixels, Transport(world).background() + made.emitted, atol=1e-12)
 
 
+def test_a_shadow_in_a_corner_of_the_picture_is_as_deep_as_geometry_says():
+    """A ball hides part of a panel from a few pixels; points of wall and panel, each with each, tell how much."""
+    corner, first, second = (np.array(part) for part in SIDE)
+    normal = np.cross(first, second)
+    radius = 0.06
+    world = replace(lit_by(emitters(panels=[SIDE]), order=1, target=Sphere(np.zeros(3), radius, DARK)), room=())
+    points, weights = worlds.picture_points(world.watched, 8)
+    middle = 0.75 * (points[0, 0].mean(axis=0) + np.array([-0.12, 0.0, 0.08])) + 0.25 * (
+        corner + (first + second) / 2.0
+    )
+    x, w = np.polynomial.legendre.leggauss(48)
+    x, w = (x + 1.0) / 2.0, w / 2.0
+    shadow = np.zeros(points.shape[:2])
+    for along, one in zip(x, w, strict=True):
+        for across, other in zip(x, w, strict=True):
+            way = corner + along * first + across * second - points
+            nearest = ((middle - points) * way).sum(axis=-1) / (way**2).sum(axis=-1)
+            dark = np.linalg.norm(points + nearest[..., None] * way - middle, axis=-1) < radius
+            light = way[..., 1] * np.maximum(0.0, -way @ normal) / np.linalg.norm(way, axis=-1) ** 4
+            shadow += one * other * (dark * light) @ weights
+    shadow *= 0.8 / np.pi
+    assert 0.01 < (shadow > 0.0).mean() < 0.5
+    made = Transport(world, accuracy=1e-2).render(middle, DARK).emitted[..., 0]
+    assert worlds.error(made, -shadow) < 0.02
+
+
 @pytest.mark.parametrize("name", ["panel", "lamp"])
 def test_a_closed_room_receives_what_is_sent(name):
     """pi L A of a Lambertian panel, 4 pi I of a lamp."""
