@@ -14,8 +14,8 @@ Prints tables and writes ``reflections.csv`` and ``reflections-cycles.csv``, or 
   lights, the sky is as bright as makes its whole change as large as the lamp's. Order 120 stands for all.
 - Cycles' ``patch`` at order 6: the slope of its change of the picture on the engine's, over all poses and pixels;
   its standard error from six renders of each, which differ in their noise.
-- Hard poses, for all reflections: against the engine with 64 times the lines through the target, eight times
-  those from the lamp, a target met by lines from the picture and not summed over its surface, cells of half the size,
+- Hard poses, for all reflections: against the engine with half a million lines through the target from the beginning,
+  more from the lamp, a target met by lines from the picture and not summed over its surface, cells of half the size,
   and of less near the target. Printed is also what the engine itself says of its cells (`Transport.cells_error`).
 - Those of them that touch floor or wall, lit by the lamp, are held to paths too.
 """
@@ -76,7 +76,7 @@ RESULTS = {
         "median, %",
         "worst, %",
         "above 1 %",
-        "worst with 64 times the lines through the target, %",
+        "worst with half a million lines through the target, %",
         "told by the engine of its cells, median, %",
         "above 1 % and twice what is told",
     ),

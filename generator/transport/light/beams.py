@@ -29,7 +29,9 @@ _TOUCH = 1e-9
 _POINTS, _FEW, _DENSE = 256, 16, 1 << 14
 """Number of points of all that glows, at least one for each triangle; of those near which cells are small; and of
 those that cast shadows with an edge."""
-_CHUNK, _BITS = 1 << 18, 16
+_CHUNK = 1 << 18
+_BITS = 16
+"""Bits of a place along each axis, by which points are put in order."""
 
 
 class Points(NamedTuple):

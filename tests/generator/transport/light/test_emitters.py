@@ -53,6 +53,12 @@ def test_a_lamp_before_a_wall_follows_the_inverse_square():
         assert worlds.error(engine._followed("emitters")[..., 0], expected) < 2e-3
 
 
+def meets_ball(points, way, middle, radius):
+    """Whether lines from points (..., 3) along ways (..., 3) come nearer to a place (3,) than a radius."""
+    nearest = ((middle - points) * way).sum(axis=-1) / (way**2).sum(axis=-1)
+    return np.linalg.norm(points + nearest[..., None] * way - middle, axis=-1) < radius
+
+
 def test_a_sphere_casts_the_shadow_that_geometry_says():
     """A pixel is dark as far as its points see the lamp behind the sphere."""
     lamp, middle, radius = np.array([0.9, 1.0, 0.4]), np.array([0.4, 0.5, 0.2]), 0.15
@@ -60,8 +66,7 @@ def test_a_sphere_casts_the_shadow_that_geometry_says():
     world = replace(lit_by(emitters(lamps=[lamp]), order=1, target=target), room=())
     points, weights = worlds.picture_points(world.watched, 12)
     way = lamp - points
-    along = ((middle - points) * way).sum(axis=-1) / (way**2).sum(axis=-1)
-    dark = np.linalg.norm(points + along[..., None] * way - middle, axis=-1) < radius
+    dark = meets_ball(points, way, middle, radius)
     light = 0.8 / np.pi * way[..., 1] / np.linalg.norm(way, axis=-1) ** 3
     shadow = (dark * light) @ weights
     assert 0.02 < (shadow > 0.0).mean() < 0.9  # its edge is in the picture
@@ -86,8 +91,7 @@ def test_a_shadow_in_a_corner_of_the_picture_is_as_deep_as_geometry_says():
     for along, one in zip(x, w, strict=True):
         for across, other in zip(x, w, strict=True):
             way = corner + along * first + across * second - points
-            nearest = ((middle - points) * way).sum(axis=-1) / (way**2).sum(axis=-1)
-            dark = np.linalg.norm(points + nearest[..., None] * way - middle, axis=-1) < radius
+            dark = meets_ball(points, way, middle, radius)
             light = way[..., 1] * np.maximum(0.0, -way @ normal) / np.linalg.norm(way, axis=-1) ** 4
             shadow += one * other * (dark * light) @ weights
     shadow *= 0.8 / np.pi
