@@ -102,7 +102,7 @@ FINER: tuple[dict[str, Any], ...] = (
     {**_MANY, "_VIEWS": ((48, 1 << 11),), "_FIRST_LINES": 0, "_LIT": 1 << 14},
 )
 """Numbers of lines in `change`: through the target; and also from the picture's points to it, and from the lamp."""
-FINE_CELLS: tuple[dict[str, Any], ...] = ({"_CELL": 0.025}, {"_SHARP": 0.25, "_FINEST": 1.0 / 128.0})
+FINE_CELLS: tuple[dict[str, Any], ...] = ({"_CELL": 0.0175, "_BLOCK": 12}, {"_SHARP": 0.25, "_FINEST": 1.0 / 128.0})
 """Sizes of the cells that the best is found with: in `field`, and in `near`."""
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import copy
 import itertools
 import math
 from typing import Any, NamedTuple
@@ -10,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from generator.transport.compiled import COMPILED, jit_in_place, jit_released
+from generator.transport.light.spread import hemisphere
 from generator.transport.rays import Planes, Surfaces, nearest
 
 Floats = NDArray[Any]
@@ -98,11 +100,13 @@ class Grid(NamedTuple):
         The flat surfaces.
     along, across : _Axis
         Cells along their edges.
-    start : ndarray of shape (surfaces,), int
-        The first cell of each flat surface; those of its other side follow after ``half``.
-    half : int
+    start : ndarray of shape (2, surfaces), int
+        The first cell of each flat surface's front, and of its back.
+    row, step : ndarray of shape (2, surfaces), int
+        How many numbers on the next cell is along and across; 0 for a side all of which has one number.
+    flat : int
+        Number of cells of flat surfaces; those of spheres follow.
     spheres : ndarray of shape (spheres, 4)
-        Their cells follow those of the flat surfaces.
     bands : int
         Bands of a sphere's cells, of equal height; each has twice as many cells.
     """
@@ -111,7 +115,9 @@ class Grid(NamedTuple):
     along: _Axis
     across: _Axis
     start: Numbers
-    half: int
+    row: Numbers
+    step: Numbers
+    flat: int
     spheres: Floats
     bands: int
 
@@ -202,56 +208,86 @@ class Cells:
                 under = np.einsum("sic,ic->si", spots.places[:, None] - surfaces.origin, surfaces.dual[:, axis])
                 cut = [_finer(*cut[i], long[i, axis], under[:, i] * long[i, axis], near[:, i]) for i in range(n)]
             axes.append(_joined(cut))
-        along, across = axes
-        counts = along.cells * across.cells
-        self._owner = np.repeat(np.arange(n), counts)
-        self._half = int(counts.sum())
         self._bands = max(2, math.ceil(2.0 / size))
-        self.grid = Grid(
-            *(surfaces.planes, along, across, np.cumsum(counts) - counts),
-            *(self._half, surfaces.spheres, self._bands),
-        )
         self._ball = 2 * self._bands**2
-        self.count = 2 * self._half + self._ball * len(surfaces.spheres)
-        flat = np.repeat(surfaces.tint, counts, axis=0)
-        self.tint = np.concatenate([flat, flat, np.repeat(ball_tint, self._ball, axis=0)])
-        low, high = self._ends(np.arange(self._half))
+        self._axes, self._ball_tint = axes, ball_tint
+        self._number(np.ones((2, n), dtype=bool))
+
+    def _number(self, kept: NDArray[np.bool_]) -> None:
+        """Number the cells of the sides (2, flat surfaces) that are kept; those of all others have one number."""
+        surfaces, (along, across) = self._surfaces, self._axes
+        each = np.where(kept, along.cells * across.cells, 0)
+        self._dark = int(each.sum())
+        start = np.where(kept, np.cumsum(each).reshape(each.shape) - each, self._dark)
+        side = np.append(np.repeat(np.arange(kept.size), each.ravel()), np.flatnonzero(~kept)[:1])
+        self._back, self._owner = np.divmod(side, max(1, len(surfaces.origin)))
+        self._inner = np.arange(len(side)) - start.ravel()[side]
+        row, step = np.where(kept, across.cells, 0), kept.astype(np.int64)
+        self.grid = Grid(surfaces.planes, along, across, start, row, step, len(side), surfaces.spheres, self._bands)
+        self.count = len(side) + self._ball * len(surfaces.spheres)
+        tint = surfaces.tint[self._owner]
+        tint[self._dark :] = 0.0
+        self.tint = np.concatenate([tint, np.repeat(self._ball_tint, self._ball, axis=0)])
+        low, high = self._ends(np.arange(self.grid.flat))
         flat_area = (high - low).prod(axis=1) * surfaces.area[self._owner]
         ball_area = np.repeat(4.0 * math.pi * surfaces.spheres[:, 3] ** 2 / self._ball, self._ball)
-        self.area = np.concatenate([flat_area, flat_area, ball_area])
+        self.area = np.concatenate([flat_area, ball_area])
+
+    def only(self, used: NDArray[np.bool_]) -> tuple[Cells, Numbers]:
+        """Return the cells of those sides of surfaces of which some cell is used, and spheres'.
+
+        Parameters
+        ----------
+        used : ndarray of shape (cells,), bool
+
+        Returns
+        -------
+        cells : Cells
+            The last one of flat surfaces, black, stands for all those of other sides.
+        old : ndarray of shape (new cells,), int
+            Number that each had.
+        """
+        cells = copy.copy(self)
+        kept = np.zeros(self.grid.start.shape, dtype=bool)
+        flat = np.flatnonzero(used[: self.grid.flat])
+        kept[self._back[flat], self._owner[flat]] = True
+        cells._number(kept)
+        old = self.grid.start[cells._back, cells._owner] + cells._inner
+        return cells, np.concatenate([old, np.arange(self.grid.flat, self.count)])
 
     @property
     def few(self) -> bool:
         """Whether rays are tested against the surfaces one by one."""
         return self._surfaces.few
 
-    def _ends(self, inner: Numbers) -> tuple[Floats, Floats]:
-        """Return the lowest and highest (u, v), (n, 2) each, of cells counted on one side."""
-        grid, which = self.grid, self._owner[inner]
-        i, j = np.divmod(inner - grid.start[which], np.maximum(grid.across.cells[which], 1))
+    def _ends(self, cells: Numbers) -> tuple[Floats, Floats]:
+        """Return the lowest and highest (u, v), (n, 2) each, of cells of flat surfaces."""
+        grid, which = self.grid, self._owner[cells]
+        i, j = np.divmod(self._inner[cells], np.maximum(grid.across.cells[which], 1))
         i, j = i + grid.along.first[which], j + grid.across.first[which]
         low = np.stack([grid.along.low[i], grid.across.low[j]], axis=1)
         return low, np.stack([grid.along.high[i], grid.across.high[j]], axis=1)
 
     def sides(self, cells: Numbers) -> tuple[Numbers, Numbers]:
         """Return the flat surface that cells (n,) are of, -1 for others, and whether of its back."""
-        flat = cells < 2 * self._half
-        back, inner = np.divmod(np.where(flat, cells, 0), max(1, self._half))
-        return np.where(flat, self._owner[inner] if self._half else -1, -1), back
+        flat = cells < self._dark
+        some = np.where(flat, cells, 0)
+        if not self._dark:
+            return np.full(len(cells), -1), some
+        return np.where(flat, self._owner[some], -1), self._back[some]
 
     def blocks(self, side: int) -> Numbers:
         """Return for each cell (cells,) the number of the coarse cell that it is in, of ``side`` by ``side`` of one
         side."""
-        grid = self.grid
-        inner = np.arange(self._half)
-        which = self._owner
-        i, j = np.divmod(inner - grid.start[which], np.maximum(grid.across.cells[which], 1))
+        grid, which = self.grid, self._owner
+        i, j = np.divmod(self._inner, np.maximum(grid.across.cells[which], 1))
         piece = grid.along.piece[i + grid.along.first[which]], grid.across.piece[j + grid.across.first[which]]
-        keys = np.stack([which, *piece, i // side, j // side], axis=1)
+        keys = np.stack([self._back, which, *piece, i // side, j // side], axis=1)
+        keys[self._dark :] = -1
         _, block = np.unique(keys, axis=0, return_inverse=True)
         block = block.reshape(-1)
         flat = int(block.max(initial=-1)) + 1
-        return np.concatenate([block, block + flat, 2 * flat + np.arange(self.count - 2 * self._half)])
+        return np.concatenate([block, flat + np.arange(self.count - grid.flat)])
 
     def meet(self, start: Floats, way: Floats) -> Hits:
         """Follow rays (n, 3) of unit length to the first surface."""
@@ -280,19 +316,19 @@ class Cells:
         band = np.clip(((outward[:, 2] + 1.0) / 2.0 * bands).astype(np.int64), 0, bands - 1)
         turn = np.arctan2(outward[:, 1], outward[:, 0]) / (2.0 * math.pi) % 1.0
         meridian = np.minimum((turn * 2 * bands).astype(np.int64), 2 * bands - 1)
-        cells: Numbers = 2 * self._half + number * self._ball + band * 2 * bands + meridian
+        cells: Numbers = self.grid.flat + number * self._ball + band * 2 * bands + meridian
         return cells
 
     def places(self, cells: Numbers, spread: Floats) -> tuple[Floats, Floats]:
         """Return places in cells (n,) and the normals there, (n, 3) each, for points (n, 2) of the unit square."""
         surfaces = self._surfaces
         points, normals = np.zeros((2, len(cells), 3))
-        flat = cells < 2 * self._half
-        back, inner = np.divmod(cells[flat], max(1, self._half))
-        low, high = self._ends(inner)
-        points[flat] = surfaces.at(self._owner[inner], low + spread[flat] * (high - low))
-        normals[flat] = np.where(back[:, None] > 0, -1.0, 1.0) * surfaces.normal[self._owner[inner]]
-        number, inner = np.divmod(cells[~flat] - 2 * self._half, self._ball)
+        flat = cells < self.grid.flat
+        some = cells[flat]
+        low, high = self._ends(some)
+        points[flat] = surfaces.at(self._owner[some], low + spread[flat] * (high - low))
+        normals[flat] = np.where(self._back[some, None] > 0, -1.0, 1.0) * surfaces.normal[self._owner[some]]
+        number, inner = np.divmod(cells[~flat] - self.grid.flat, self._ball)
         step = np.stack(np.divmod(inner, 2 * self._bands), axis=1) + spread[~flat]
         z, angle = 2.0 * step[:, 0] / self._bands - 1.0, math.pi * step[:, 1] / self._bands
         ring = np.sqrt(np.maximum(0.0, 1.0 - z**2))
@@ -300,6 +336,29 @@ class Cells:
         balls = surfaces.spheres[number]
         points[~flat], normals[~flat] = balls[:, :3] + balls[:, 3:] * outward, outward
         return points, normals
+
+    def fans(self, cells: Numbers, points: Floats, shifts: Floats) -> tuple[Floats, Floats]:
+        """Return rays (cells * k, 3) from places in cells (n,), where they start and their directions, about normals.
+
+        Parameters
+        ----------
+        cells : ndarray of shape (n,), int
+        points : ndarray of shape (k, 4)
+            Points of the unit cube: two numbers for a direction of cosine density, and two for a place.
+        shifts : ndarray of shape (n, 4)
+            By how much each cell's points are moved, over the cube's sides and in again.
+        """
+        rays = len(points)
+        if not COMPILED or self._surfaces.triangle.any() or (cells >= self.grid.flat).any():
+            spread = ((points + shifts[:, None]) % 1.0).reshape(-1, 4)
+            places, normals = self.places(np.repeat(cells, rays), spread[:, 2:])
+            return places, hemisphere(normals, spread[:, :2])
+        (corners, normals), (ends, _), (others, _) = (
+            self.places(cells, np.tile(at, (len(cells), 1))) for at in ((0.0, 0.0), (1.0, 0.0), (0.0, 1.0))
+        )
+        places, ways = np.empty((2, len(cells) * rays, 3))
+        _fan(corners, ends - corners, others - corners, normals, points, shifts, places, ways)
+        return places, ways
 
     def extents(self) -> tuple[Floats, Floats, Floats]:
         """Return the diagonals (cells,) of the cells, their middles (cells, 3), and the normals there (cells, 3)."""
@@ -314,7 +373,7 @@ class Cells:
         every = np.arange(self.count)
         if outward is None:
             return every
-        side = np.concatenate([outward[self._owner], ~outward[self._owner]])
+        side = np.where(self._back > 0, ~outward[self._owner], outward[self._owner])
         kept: Numbers = every[np.append(side, np.ones(self.count - len(side), dtype=bool))]
         return kept
 
@@ -347,7 +406,8 @@ class Cells:
             back = 1 - outward[surface].astype(np.int64)
         i = _on_axis_arrays(u[some], surface, self.grid.along)[0]
         j = _on_axis_arrays(v[some], surface, self.grid.across)[0]
-        cells[some] = self.grid.start[surface] + self._half * back + i * self.grid.across.cells[surface] + j
+        side = back, surface
+        cells[some] = self.grid.start[side] + i * self.grid.row[side] + j * self.grid.step[side]
         places[some] = surfaces.at(surface, np.stack([u[some], v[some]], axis=1))
         normals[some] = np.where(back[:, None] > 0, -1.0, 1.0) * surfaces.normal[surface]
         for number, ball in enumerate(surfaces.spheres):
@@ -523,13 +583,13 @@ def locate(start: Floats, way: Floats, i: int, far: float, grid: Grid, corners: 
         u, v = 1.0 - rest * rest, v / rest
     a, a0, a1, s = _on_axis(u, i, grid.along)
     b, b0, b1, t = _on_axis(v, i, grid.across)
-    first = grid.start[i] + (grid.half if cosine > 0.0 else 0)
-    n = grid.across.cells[i]
-    corners[0], corners[1] = first + a0 * n + b0, first + a0 * n + b1
-    corners[2], corners[3] = first + a1 * n + b0, first + a1 * n + b1
+    side = 1 if cosine > 0.0 else 0
+    first, row, step = grid.start[side, i], grid.row[side, i], grid.step[side, i]
+    corners[0], corners[1] = first + a0 * row + b0 * step, first + a0 * row + b1 * step
+    corners[2], corners[3] = first + a1 * row + b0 * step, first + a1 * row + b1 * step
     shares[0], shares[1] = (1.0 - s) * (1.0 - t), (1.0 - s) * t
     shares[2], shares[3] = s * (1.0 - t), s * t
-    return int(first + a * n + b)
+    return int(first + a * row + b * step)
 
 
 @jit_in_place
@@ -551,7 +611,7 @@ def meet_sphere(start: Floats, way: Floats, grid: Grid, far: float) -> tuple[int
         turn = math.atan2(y + far * way[1], x + far * way[0]) / (2.0 * math.pi)
         if turn < 0.0:
             turn += 1.0
-        cell = 2 * grid.half + k * 2 * bands * bands + band * 2 * bands + min(2 * bands - 1, int(turn * 2 * bands))
+        cell = grid.flat + k * 2 * bands * bands + band * 2 * bands + min(2 * bands - 1, int(turn * 2 * bands))
     return cell, far
 
 
@@ -559,7 +619,7 @@ def meet_sphere(start: Floats, way: Floats, grid: Grid, far: float) -> tuple[int
 def _meet(start: Floats, way: Floats, grid: Grid) -> tuple[Numbers, Floats, Numbers, Floats]:
     """Return what `Hits` holds of rays (n, 3), tested against the surfaces one by one."""
     n = start.shape[0]
-    none = 2 * grid.half + 2 * grid.bands * grid.bands * grid.spheres.shape[0]
+    none = grid.flat + 2 * grid.bands * grid.bands * grid.spheres.shape[0]
     cell, far = np.empty(n, dtype=np.int64), np.empty(n)
     corners, shares = np.empty((n, 4), dtype=np.int64), np.zeros((n, 4))
     for k in range(n):
@@ -606,12 +666,49 @@ def _locate(
     u, v = np.where(planes.triangle[i], 1.0 - rest**2, u), np.where(planes.triangle[i], v / rest, v)
     a, a0, a1, s = _on_axis_arrays(u, i, grid.along)
     b, b0, b1, t = _on_axis_arrays(v, i, grid.across)
-    first = grid.start[i] + np.where(_dot(way[met], planes.normal[i]) > 0.0, grid.half, 0)
-    n = grid.across.cells[i]
-    cell[met] = first + a * n + b
-    pairs = [(first + x * n + y, g * h) for x, g in ((a0, 1.0 - s), (a1, s)) for y, h in ((b0, 1.0 - t), (b1, t))]
+    side = (_dot(way[met], planes.normal[i]) > 0.0).astype(np.int64), i
+    first, row, step = grid.start[side], grid.row[side], grid.step[side]
+    cell[met] = first + a * row + b * step
+    along, across = ((a0, 1.0 - s), (a1, s)), ((b0, 1.0 - t), (b1, t))
+    pairs = [(first + x * row + y * step, g * h) for x, g in along for y, h in across]
     corners[met] = np.stack([corner for corner, _ in pairs], axis=1)
     shares[met] = np.stack([share for _, share in pairs], axis=1)
+
+
+@jit_released
+def _fan(
+    corners: Floats,
+    first: Floats,
+    second: Floats,
+    normals: Floats,
+    points: Floats,
+    shifts: Floats,
+    places: Floats,
+    ways: Floats,
+) -> None:
+    """Write the rays of `Cells.fans` from parallelograms, by corner and edges (n, 3)."""
+    at = np.empty(4)
+    for i in range(corners.shape[0]):
+        x, y, z = normals[i]
+        sign = 1.0 if z >= 0.0 else -1.0
+        a = -1.0 / (sign + z)
+        b = x * y * a
+        for k in range(points.shape[0]):
+            row = i * points.shape[0] + k
+            for c in range(4):
+                at[c] = (points[k, c] + shifts[i, c]) % 1.0
+            sine, angle = math.sqrt(at[0]), 2.0 * math.pi * at[1]
+            cosine, u, v = math.sqrt(1.0 - at[0]), sine * math.cos(angle), sine * math.sin(angle)
+            ways[row, 0] = cosine * x + u * (1.0 + sign * x * x * a) + v * b
+            ways[row, 1] = cosine * y + u * sign * b + v * (sign + y * y * a)
+            ways[row, 2] = cosine * z - u * sign * x - v * y
+            for r in range(3):
+                places[row, r] = corners[i, r] + at[2] * first[i, r] + at[3] * second[i, r]
+
+
+def lit(values: Floats) -> Numbers:
+    """Return the rows in which not all values (n, columns) are zero."""
+    return np.flatnonzero(np.einsum("nc,nc->n", values, values))
 
 
 def _interpolated_loops(values: Floats, corners: Numbers, shares: Floats) -> Floats:

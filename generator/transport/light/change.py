@@ -326,7 +326,7 @@ class LightChange:
         met = pose.near.marked(cells.meet(places[row], way), places[row], way, cells)
         taken = np.zeros((len(row), SETS, groups))
         taken[np.arange(len(row)), part[row]] = (light[row, column] * area[row])[:, None] * weights[node]
-        return Shade(found, -met.spread(taken.reshape(len(row), -1), pose.near.length))
+        return Shade(found, -met.spread(taken.reshape(len(row), SETS * groups), pose.near.length))
 
     def _drawn(self, sums: Sums, pose: Pose, exact: Floats | None, view: int) -> tuple[Floats, int]:
         """Return the pictures (sets, groups, height, width) of sums, with the target seen directly by one of

@@ -16,6 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from generator.transport.compiled import COMPILED, jit_released
+from generator.transport.light.cells import lit
 
 Floats = NDArray[Any]
 Numbers = NDArray[Any]
@@ -59,7 +60,7 @@ class Exchange:
 
         Cells count the rays that meet them: each for itself is noisy, but not many together.
         """
-        some = np.flatnonzero(radiosity.any(axis=1))
+        some = lit(radiosity)
         sent = radiosity[some] * (self._area[some] / self._met.shape[1])
         found: Floats = _counted(sent, self._met[some], len(self._met)) / self._area
         return found

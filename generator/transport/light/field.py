@@ -28,11 +28,11 @@ from numpy.typing import NDArray
 from generator.model.errors import NlosError
 from generator.model.quantities import ALL_ORDERS
 from generator.transport.light.beams import Beams, EmitterBeams, PatchBeams, irradiance
-from generator.transport.light.cells import Cells, summed
+from generator.transport.light.cells import Cells, lit, summed
 from generator.transport.light.exchange import Exchange
 from generator.transport.light.openings import through_openings
 from generator.transport.light.picture_points import PicturePoints
-from generator.transport.light.spread import hemisphere, shifted, squares
+from generator.transport.light.spread import hemisphere, lattice, shifted, shifts, squares
 from generator.transport.light.wall_shadow import WallShadow
 from generator.transport.prepared import Setting
 from generator.transport.rays import Surfaces
@@ -43,9 +43,9 @@ Numbers = NDArray[np.int64]
 
 FINEST = 1e-2
 """Least error that is asked for: cells are no finer."""
-_CELL, _COARSEST = 0.05, 0.1
+_CELL, _COARSEST = 0.035, 0.1
 """Size of a cell in units of its distance from the watched patch, for that error, which is as its square; at most."""
-_BLOCK = 3
+_BLOCK = 6
 """Cells along a side of a coarse one."""
 _ROWS, _WALL = 1024, 4096
 """Number of rays into the room from each cell, and from each point of the picture."""
@@ -60,13 +60,13 @@ _NEAR, _CLOSE = 0.05, 2.0
 above which rays tell its share instead."""
 LEFT = 1e-4
 """Share of the light at which further reflections are left out."""
-_MOST_LEVELS = 64
-"""Number of reflections that are followed one by one where all count; the rest is a geometric series."""
 _FINE, _MOST_FINE, _LEFT_OF_ALL = 3, 8, 3e-4
 """Reflections on the way to the wall that are followed from cell to cell; further ones, from coarse to coarse. If all
 count, how often at most that is repeated for what is missing, and what share may be."""
 _OPEN = 0.1
 """Share of the sky in what the picture's points see, on average, above which rays alone tell it."""
+_DENSE = 0.25
+"""Share of cells with any light above which those without are not left out."""
 _TOUCH, _FLAT = 1e-9, 1e-6
 _LAMP, _SKY, _EMITTED = 2, 0, 1
 """Reflections of the light that sources begin with: on cells of the lamp's and of emitters', none of the sky's."""
@@ -84,7 +84,7 @@ class Source:
         Fewest reflections of light on cells whose next reflection, on the wall, belongs to the picture; what comes
         before is exact elsewhere.
     levels : list of ndarray of shape (cells + 1, groups)
-        Radiosity after each number of reflections; the last row is the sky's.
+        Radiosity after each number of reflections, if not all count, else the first; the last row is the sky's.
     rest : ndarray of shape (cells + 1, groups)
         Sum of what comes after the last of ``levels``, if all reflections count.
     total : ndarray of shape (cells + 1, groups)
@@ -146,17 +146,16 @@ class LightField:
         beams = None if setting.emission is None else EmitterBeams(setting.emission, setting.around)
         spots = None if beams is None else beams.spots
         size = factor * min(_COARSEST, _CELL * math.sqrt(max(1.0, accuracy / FINEST)))
-        cells = self.cells = Cells(setting.around, size, np.zeros(3), 1.0, np.zeros((0, groups)), spots)
-        self.extent, self.middles, self._normals = cells.extents()
+        self.cells = Cells(setting.around, size, np.zeros(3), 1.0, np.zeros((0, groups)), spots)
+        self.extent, self.middles, self._normals = self.cells.extents()
         self.points = PicturePoints(setting.to_wall, _POINTS)
         self._wall_share, wall = self._seen_by_wall(setting)
         wall = self._refined(wall, setting)
         # The picture does not see the relay wall's front, but a target may.
         front = (np.abs(self.middles[:, 2]) < _FLAT) & (self._normals[:, 2] > 0.5)
-        reached, met = self._reached(np.flatnonzero(wall.any(axis=0) | front))
-        self.tint = cells.tint
-        self._reached_cells, self._wall = reached, wall[:, reached]
-        self._exchange = Exchange(met, cells.area[reached])
+        met, old = self._reduced(*self._met(np.flatnonzero(wall.any(axis=0) | front)))
+        self._wall = wall[:, old]
+        self._exchange = Exchange(met, self.cells.area)
         self._block, self._block_area, self._coarse = self._coarsened()
         # Light after any number of reflections, and itself, from coarse cell to coarse cell.
         self._onward = [self._inverse(g) for g in range(groups)] if order == ALL_ORDERS else []
@@ -164,7 +163,7 @@ class LightField:
         if order > 3:
             self.sources["lamp"] = self._lit(PatchBeams(setting), _LAMP, _LAMP + 1)
         if setting.sky is not None:
-            sky = np.zeros((cells.count + 1, groups))
+            sky = np.zeros((self.cells.count + 1, groups))
             sky[-1] = 1.0
             self.sources["sky"] = self._source(_SKY, _SKY, sky)
         self.shadow: WallShadow | None = None
@@ -210,37 +209,54 @@ class LightField:
                 found[k, some] = _share(place, some, squares(int(count)), self.cells, blockers)
         return found
 
-    def _reached(self, fresh: Numbers) -> tuple[Numbers, NDArray[np.int32]]:
-        """Return the cells (n,) that are seen, directly or by way of others, from some; and which of these, counted
-        among them, each one's rays meet (n, rays), or n for the sky."""
+    def _met(self, fresh: Numbers) -> tuple[Numbers, NDArray[np.int32]]:
+        """Return the cells (n,) that are seen, directly or by way of others, from some, and which each one's rays
+        meet (n, rays)."""
         is_reached, is_met = np.zeros((2, self.cells.count + 1), dtype=bool)
         found, met = [np.zeros(0, dtype=np.int64)], [np.zeros((0, _ROWS), dtype=np.int32)]
         step = max(1, _CHUNK // _ROWS)
+        points, moved = lattice(_ROWS, 4), shifts(4, np.arange(self.cells.count))
         while len(fresh):
             is_reached[fresh] = True
             for start in range(0, len(fresh), step):
                 some = fresh[start : start + step]
-                spread = shifted(_ROWS, 4, some).reshape(-1, 4)
-                places, normals = self.cells.places(np.repeat(some, _ROWS), spread[:, 2:])
-                hits = self.cells.meet(places, hemisphere(normals, spread[:, :2]))
+                hits = self.cells.meet(*self.cells.fans(some, points, moved[some]))
                 found.append(some)
                 met.append(hits.cell.reshape(-1, _ROWS).astype(np.int32))
                 is_met[hits.cell] = True
             fresh = np.flatnonzero(is_met[:-1] & ~is_reached[:-1])
-        reached = np.concatenate(found)
-        order = np.argsort(reached)
-        number = np.full(self.cells.count + 1, len(reached), dtype=np.int32)
-        number[reached[order]] = np.arange(len(reached))
-        return reached[order], number[np.concatenate(met)[order]]
+        return np.concatenate(found), np.concatenate(met)
+
+    def _reduced(self, reached: Numbers, met: NDArray[np.int32]) -> tuple[NDArray[np.int32], Numbers]:
+        """Leave out the sides of surfaces on which no cell is reached, which are half of a room's.
+
+        Returns
+        -------
+        met : ndarray of shape (cells, rays), int
+            Which cell each one's rays meet; all of those of a cell that is not reached meet itself, which is black.
+        old : ndarray of shape (cells,), int
+            Number that each had.
+        """
+        is_reached = np.zeros(self.cells.count, dtype=bool)
+        is_reached[reached] = True
+        self.cells, old = self.cells.only(is_reached)
+        self._is_reached = is_reached[old]
+        self.tint = np.where(self._is_reached[:, None], self.cells.tint, 0.0)
+        self.extent, self.middles, self._normals = self.extent[old], self.middles[old], self._normals[old]
+        number = np.full(len(is_reached) + 1, self.cells.count, dtype=np.int32)
+        number[old] = np.arange(len(old))
+        every = np.repeat(np.arange(len(old), dtype=np.int32)[:, None], _ROWS, axis=1)
+        every[number[reached]] = number[met]
+        return every, old
 
     def _coarsened(self) -> tuple[Numbers, Floats, Floats]:
-        reached, area = self._reached_cells, self.cells.area
+        reached = self._is_reached
         blocks, inner = np.unique(self.cells.blocks(_BLOCK)[reached], return_inverse=True)
         inner = inner.reshape(-1)
-        size = np.bincount(inner, area[reached], len(blocks))
+        size = np.bincount(inner, self.cells.area[reached], len(blocks))
         block = np.full(self.cells.count, len(blocks))  # cells that are not reached are in none
         block[reached] = inner
-        return block, size, self._exchange.between(inner, size)
+        return block, size, self._exchange.between(block, np.append(size, 1.0))[:-1, :-1]
 
     def _lit(self, beams: Beams, first: int, shown: int) -> Source:
         """Return the source whose ``first`` reflection is of beams, on cells."""
@@ -252,8 +268,8 @@ class LightField:
                 near = np.minimum(near, np.linalg.norm(middles - place, axis=1))
             ratio = extent / np.maximum(near - extent / 2.0, 1e-300)
             parts = np.clip(np.ceil(_WITHIN * ratio), _LEAST_WITHIN, _MOST_WITHIN).astype(np.int64)
-            for count in np.unique(parts[self._reached_cells]):
-                cells = self._reached_cells[parts[self._reached_cells] == count]
+            for count in np.unique(parts[self._is_reached]):
+                cells = np.flatnonzero(self._is_reached & (parts == count))
                 spread = squares(int(count))
                 places, normals = self.cells.places(np.repeat(cells, count**2), np.tile(spread, (len(cells), 1)))
                 light = irradiance(beams, beams.finest, places, normals)
@@ -263,28 +279,36 @@ class LightField:
         return source
 
     def _source(self, first: int, shown: int, start: Floats) -> Source:
-        levels, last = [start], self.order - 1
-        total = start[:-1].copy()
-        reached, exchange = self._reached_cells, self._exchange
-        for _ in range(first, last):
-            level = np.zeros_like(start)
-            incoming = exchange.received(levels[-1][reached]) + exchange.open[:, None] * levels[-1][-1]
-            level[reached] = self.tint[reached] * incoming
-            levels.append(level)
-            total += level[:-1]
-            if self.order == ALL_ORDERS and np.abs(level).max() <= LEFT * np.abs(total).max():
-                break
-            if len(levels) == _MOST_LEVELS and self.order == ALL_ORDERS:
-                break
-        rest = np.zeros_like(start)
+        levels, rest = [start], np.zeros_like(start)
         if self.order == ALL_ORDERS:
-            # What comes after is as good as even over a coarse cell.
-            next_one = self.tint[reached] * exchange.received(levels[-1][reached])
-            area, block = self.cells.area[reached, None], self._block[reached]
-            mean = summed(block, area * next_one, len(self._block_area)) / self._block_area[:, None]
-            for group, onward in enumerate(self._onward):
-                rest[reached, group] = (onward @ mean[:, group])[block]
+            rest[:-1] = self._all_reflections(start)
+            return Source(first, shown, levels, rest, start + rest)
+        for _ in range(first, self.order - 1):
+            levels.append(np.zeros_like(start))
+            levels[-1][:-1] = self._reflected(levels[-2])
         return Source(first, shown, levels, rest, sum(levels, start=rest))
+
+    def _reflected(self, radiosity: Floats) -> Floats:
+        """Return the radiosity (cells, groups) by light that cells and the sky (cells + 1, groups) send."""
+        exchange = self._exchange
+        return self.tint * (exchange.received(radiosity[:-1]) + exchange.open[:, None] * radiosity[-1])
+
+    def _all_reflections(self, start: Floats) -> Floats:
+        """Return the radiosity (cells, groups) by all reflections of what cells and the sky send at first.
+
+        What is missing goes on from coarse cell to coarse cell, which is nearly right; what that leaves is missing.
+        """
+        first = more = self._reflected(start)
+        found = np.zeros_like(first)
+        for number in range(_MOST_FINE + 1):
+            mean = self._coarse_mean(more)
+            found += more
+            for group, onward in enumerate(self._onward):
+                found[:, group] += np.append(onward @ mean[:, group] - mean[:, group], 0.0)[self._block]
+            if number == _MOST_FINE or np.abs(more).sum() <= _LEFT_OF_ALL * np.abs(found).sum():
+                break
+            more = first + self.tint * self._exchange.received(found) - found
+        return found
 
     def _inverse(self, group: int) -> Floats:
         """Return (1 - rho F)^-1 of coarse cells."""
@@ -294,23 +318,29 @@ class LightField:
     def _block_tint(self, group: int) -> Floats:
         """Return the albedo of the coarse cells (blocks,); each is of one surface."""
         tint = np.zeros(len(self._block_area))
-        tint[self._block[self._reached_cells]] = self.tint[self._reached_cells, group]
+        tint[self._block[self._is_reached]] = self.tint[self._is_reached, group]
         return tint
 
+    def _coarse_mean(self, radiosity: Floats) -> Floats:
+        """Return the mean (blocks, columns) over coarse cells of the radiosity (cells, columns) of cells."""
+        sent = summed(self._block, radiosity * self.cells.area[:, None], len(self._block_area))
+        mean: Floats = sent / self._block_area[:, None]
+        return mean
+
     def _response(self, group: int) -> list[Floats]:
-        """Return R_0, R_1, ... as (coefficients, reached cells) each, up to where they change no more.
+        """Return R_0, R_1, ... as (coefficients, cells) each, up to where they change no more.
 
         If all reflections count, they are the first and the last.
         """
-        tint, block = self.tint[self._reached_cells, group, None], self._block[self._reached_cells]
-        share = self.cells.area[self._reached_cells, None] / self._block_area[block, None]
+        tint, block = self.tint[:, group, None], self._block
+        share = self.cells.area[:, None] / np.append(self._block_area, np.inf)[block, None]
         first = (self.points.fit @ self._wall).T
         if self.order == ALL_ORDERS:
             onward, every, more = self._onward[group].T, np.zeros_like(first), first
             for number in range(_MOST_FINE + 1):
                 # What is still missing, and where that goes on from coarse cell to coarse cell.
                 coarse = summed(block, more, len(onward))
-                every += more + share * (onward @ coarse - coarse)[block]
+                every += more + share * _padded(onward @ coarse - coarse)[block]
                 if number == _MOST_FINE or np.abs(more).sum() <= _LEFT_OF_ALL * np.abs(every).sum():
                     break
                 more = first + self._exchange.sent(tint * every) - every
@@ -325,7 +355,7 @@ class LightField:
                 coarse = summed(block, fine, len(block_tint))
             else:
                 coarse = self._coarse.T @ (block_tint * coarse)
-                more = share * coarse[block]
+                more = share * _padded(coarse)[block]
             found.append(found[-1] + tint * more)
             sizes.append(float(np.abs(tint * more).max(initial=0.0)))
             if still_to_come(sizes) <= LEFT * np.abs(found[-1]).max(initial=0.0):
@@ -346,25 +376,25 @@ class LightField:
         """
         coefficients = np.zeros((len(self.points.fit), light.shape[1]))
         groups = len(self._responses)
-        arriving = light[self._reached_cells].astype(np.float32)
+        rows = lit(light)
+        is_dense = len(rows) > _DENSE * len(light)
+        arriving = (light if is_dense else light[rows]).astype(np.float32)
         for group, responses in enumerate(self._responses):
             some = slice(group, None, groups)
-            coefficients[:, some] = responses[min(most, len(responses) - 1)] @ arriving[:, some]
-            if not directly:
-                coefficients[:, some] -= responses[0] @ arriving[:, some]
+            chosen = [responses[min(most, len(responses) - 1)], *([] if directly else [responses[0]])]
+            seen = [(one if is_dense else one[:, rows]) @ arriving[:, some] for one in chosen]
+            coefficients[:, some] = seen[0] - seen[1] if len(seen) > 1 else seen[0]
         return coefficients
 
     def spread(self, radiosity: Floats) -> Floats:
         """Return the irradiance of cells by the radiosity of a few, (cells, columns) both."""
-        found = np.zeros_like(radiosity)
-        found[self._reached_cells] = self._exchange.spread(radiosity[self._reached_cells])
-        return found
+        return self._exchange.spread(radiosity)
 
     def received(self, radiosity: Floats, some: NDArray[np.bool_]) -> Floats:
         """Return the irradiance of some of the cells (cells,) by the radiosity of all, (cells, columns) both."""
         found = np.zeros_like(radiosity)
-        rows = np.flatnonzero(some[self._reached_cells])
-        found[self._reached_cells[rows]] = self._exchange.received(radiosity[self._reached_cells], rows)
+        rows = np.flatnonzero(some)
+        found[rows] = self._exchange.received(radiosity, rows)
         return found
 
     def evened(self, radiosity: Floats) -> Floats:
@@ -373,8 +403,7 @@ class LightField:
         If all reflections count, it is that after any number of them. What a target adds to it is a small part of a
         small change, so coarse cells are enough.
         """
-        sent = summed(self._block, radiosity * self.cells.area[:, None], len(self._block_area))
-        sent = (sent / self._block_area[:, None]).astype(np.float32)
+        sent = self._coarse_mean(radiosity).astype(np.float32)
         found = np.zeros((len(sent) + 1, radiosity.shape[1]))
         for group, matrix in enumerate(self._evening):
             some = slice(group, None, len(self._evening))
@@ -388,9 +417,14 @@ class LightField:
         total = source.rest.copy()
         for level in source.levels[source.shown - source.first :]:
             total += level
-        light = self._wall @ total[self._reached_cells] + self._wall_share[:, None] * total[-1]
+        light = self._wall @ total[:-1] + self._wall_share[:, None] * total[-1]
         coefficients: Floats = self.points.fit @ light
         return coefficients
+
+
+def _padded(values: Floats) -> Floats:
+    """Return coarse cells' values (blocks, columns) with zeros for cells that are in none."""
+    return np.append(values, np.zeros((1, values.shape[1])), axis=0)
 
 
 def still_to_come(sizes: list[float]) -> float:

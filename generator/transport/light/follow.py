@@ -21,6 +21,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from generator.model.quantities import ALL_ORDERS
+from generator.transport.compiled import COMPILED, jit_released
 from generator.transport.light.field import LEFT, LightField, Source, still_to_come
 from generator.transport.light.lines import SETS, Lines, completed, leaving, onward, received
 from generator.transport.light.view import Pose, Sums
@@ -209,6 +210,27 @@ def _beside(field: LightField, pose: Pose) -> NDArray[np.bool_] | None:
     return is_beside
 
 
+def _weighted_loops(there: Floats, at: Floats, weights: Floats) -> tuple[Floats, float, float]:
+    """Return the weighted difference (n, columns) of two states, and the summed sizes of that and of the first one."""
+    gap = np.empty_like(there)
+    size, whole = 0.0, 0.0
+    for i in range(there.shape[0]):
+        for c in range(there.shape[1]):
+            gap[i, c] = weights[i, 0] * (there[i, c] - at[i, c])
+            size += abs(gap[i, c])
+            whole += abs(weights[i, 0] * there[i, c])
+    return gap, size, whole
+
+
+def weighted_arrays(there: Floats, at: Floats, weights: Floats) -> tuple[Floats, float, float]:
+    """NumPy form of `_weighted_loops`."""
+    gap = weights * (there - at)
+    return gap, float(np.abs(gap).sum()), float(np.abs(weights * there).sum())
+
+
+weighted = jit_released(_weighted_loops) if COMPILED else weighted_arrays
+
+
 def fixed_point(step: Callable[[Floats], Floats], start: Floats, weights: Floats) -> Floats:
     """Return x for which step(x) is x, of a linear ``step``.
 
@@ -226,12 +248,12 @@ def fixed_point(step: Callable[[Floats], Floats], start: Floats, weights: Floats
     sizes: list[float] = []
     for _ in range(_STEPS):
         there = step(at)
-        gap = weights * (there - at)
+        gap, size, whole = weighted(there, at, weights)
         states, gaps = [*states[-_BEFORE:], there], [*gaps[-_BEFORE:], gap]
-        sizes.append(float(np.abs(gap).sum()))
+        sizes.append(size)
         # Each step comes nearer by a factor, as far as can be told.
         left = sizes[-1] * min(1.0, sizes[-1] / sizes[-2]) if len(sizes) > 1 else sizes[-1]
-        if left <= _LEFT_OF_ALL * np.abs(weights * there).sum():
+        if left <= _LEFT_OF_ALL * whole:
             break
         at = there
         if len(gaps) > 1:

@@ -73,9 +73,14 @@ def lattice(count: int, dimensions: int) -> Floats:
 
 def shifted(count: int, dimensions: int, owners: Numbers) -> Floats:
     """Return the lattice (owners, count, dimensions), shifted for each owner so that their errors differ."""
-    shifts = np.random.default_rng(dimensions).random((int(owners.max(initial=-1)) + 1, dimensions))[owners]
-    points: Floats = (lattice(count, dimensions)[None] + shifts[:, None]) % 1.0
+    points: Floats = (lattice(count, dimensions)[None] + shifts(dimensions, owners)[:, None]) % 1.0
     return points
+
+
+def shifts(dimensions: int, owners: Numbers) -> Floats:
+    """Return the shift (owners, dimensions) of each owner."""
+    found: Floats = np.random.default_rng(dimensions).random((int(owners.max(initial=-1)) + 1, dimensions))[owners]
+    return found
 
 
 def squares(count: int) -> Floats:

@@ -298,24 +298,74 @@ def test_a_fixed_point_is_found_even_where_steps_lead_away_from_it(largest):
     found = follow.fixed_point(lambda x: matrix @ x + right, np.zeros((40, 2)), np.ones((40, 1)))
     expected = np.linalg.solve(np.eye(40) - matrix, right)
     assert np.abs(found - expected).sum() < 5e-3 * np.abs(expected).sum()
+    arguments = found, right, np.abs(right[:, :1])
+    for one, other in zip(follow.weighted(*arguments), follow.weighted_arrays(*arguments), strict=True):
+        np.testing.assert_allclose(one, other, rtol=1e-12)
 
 
 def test_light_is_exchanged_the_same_in_both_forms():
     """Loops and arrays; and what irradiance is worth is what radiosity is worth, but for noise."""
     field = LightField(Setting(room(order=4)), 4)
-    exchange, n = field._exchange, len(field._reached_cells)
+    exchange, n = field._exchange, field.cells.count
     values = 1.0 + np.random.default_rng(1).random((n, 3))
     np.testing.assert_allclose(exchange.received(values), means_arrays(values, exchange._met), rtol=1e-12)
-    smooth = 1.0 + field.middles[field._reached_cells]
-    worth = field.cells.area[field._reached_cells, None] * smooth[:, 1:2]
+    smooth = (1.0 + field.middles) * field._is_reached[:, None]
+    worth = field.cells.area[:, None] * smooth[:, 1:2]
     one, other = (worth * exchange.received(smooth[:, :1])).sum(), (smooth[:, :1] * exchange.sent(worth)).sum()
     assert one == pytest.approx(other, rel=2e-3)
-    lit = np.flatnonzero(field.middles[field._reached_cells][:, 2] < 0.5)
+    lit = np.flatnonzero(field._is_reached & (field.middles[:, 2] < 0.5))
     few = np.zeros((n, 1))
     few[lit] = 1.0
     assert (worth * exchange.spread(few)).sum() == pytest.approx((worth * exchange.received(few)).sum(), rel=2e-3)
     counted = counted_arrays(values[:50], exchange._met[:50], n)
     np.testing.assert_allclose(_counted(values[:50], exchange._met[:50], n), counted, rtol=1e-12)
+
+
+def test_rays_from_cells_are_the_same_in_both_forms():
+    """Loops and arrays, from both sides of surfaces."""
+    field = LightField(Setting(room(order=4)), 4)
+    some, points = np.flatnonzero(field._is_reached)[::97], spread.lattice(16, 4)
+    moved = spread.shifts(4, some)
+    at = ((points + moved[:, None]) % 1.0).reshape(-1, 4)
+    places, normals = field.cells.places(np.repeat(some, 16), at[:, 2:])
+    starts, ways = field.cells.fans(some, points, moved)
+    np.testing.assert_allclose(starts, places, atol=1e-12)
+    np.testing.assert_allclose(ways, spread.hemisphere(normals, at[:, :2]), atol=1e-12)
+
+
+def test_sides_that_no_light_reaches_take_no_room():
+    """A room's outer sides share one side's numbers, and are black; all other cells are where they were."""
+    setting = Setting(room(order=4))
+    field = LightField(setting, 4)
+    every = cells.Cells(setting.around, 0.035, np.zeros(3), 1.0, np.zeros((0, 1)))
+    assert field.cells.count < 0.65 * every.count
+    lit = np.zeros(every.count, dtype=bool)
+    lit[: every.count // 2] = True
+    fewer, old = every.only(lit)
+    np.testing.assert_array_equal(fewer.area, every.area[old])
+    for found, expected in zip(fewer.extents(), every.extents(), strict=True):
+        np.testing.assert_array_equal(found, expected[old])
+    rng = np.random.default_rng(3)
+    start, way = np.tile([0.6, 0.6, 0.1], (2000, 1)), rng.normal(size=(2000, 3))
+    way /= np.linalg.norm(way, axis=1, keepdims=True)
+    few, all_met = fewer.meet(start, way).cell, every.meet(start, way).cell
+    kept = lit[all_met[all_met < every.count]]
+    assert 0.1 < kept.mean() < 0.9
+    met = few[all_met < every.count]
+    np.testing.assert_array_equal(old[met[kept]], all_met[all_met < every.count][kept])
+    assert not fewer.tint[met[~kept]].any()
+
+
+def test_a_target_that_no_light_reaches_changes_nothing():
+    """A sheet in a closed black box."""
+    low, high = np.array([0.4, 0.7, -0.1]), np.array([1.2, 1.5, 0.7])
+    x, y, z = np.diag(high - low)
+    corners = ((low, x, y), (low, x, z), (low, y, z), (high, -x, -y), (high, -x, -z), (high, -y, -z))
+    box = tuple(worlds.quad(*corner, 0.0) for corner in corners)
+    world = room(order=5, sky=0.01, ceiling=False)
+    made = Transport(replace(world, room=(*world.room, *box)), accuracy=3e-2).render(*POSES[0])
+    for part in (made.added, made.hidden, made.further, made.ambient):
+        assert not part.any()
 
 
 def test_cells_near_a_surface_keep_the_light_of_a_target_that_lies_on_it():
