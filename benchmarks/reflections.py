@@ -16,7 +16,7 @@ Prints tables and writes ``reflections.csv`` and ``reflections-cycles.csv``, or 
   its standard error from six renders of each, which differ in their noise.
 - Hard poses, for all reflections: against the engine with half a million lines through the target from the beginning,
   more from the lamp, a target met by lines from the picture and not summed over its surface, cells of half the size,
-  and of less near the target. Printed is also what the engine itself says of its cells (`Transport.cells_error`).
+  and of less near the target. Printed is also what the engine itself says (`Transport.light_error`).
 - Those of them that touch floor or wall, lit by the lamp, are held to paths too.
 """
 
@@ -77,7 +77,7 @@ RESULTS = {
         "worst, %",
         "above 1 %",
         "worst with half a million lines through the target, %",
-        "told by the engine of its cells, median, %",
+        "told by the engine, median, %",
         "above 1 % and twice what is told",
     ),
     "reflections-touching": (
@@ -331,7 +331,7 @@ def at_hard_poses(count: int) -> Iterator[tuple[str, ...]]:
                     continue
                 size = math.sqrt((best**2).mean(axis=(1, 2)).sum())
                 off = [100.0 * math.sqrt(float(((one - best).sum(axis=0) ** 2).mean())) / size for one in found]
-                told = 100.0 * first.cells_error(*pose)
+                told = 100.0 * first.light_error(*pose)
                 errors.setdefault(kind, []).append((off[0], off[1], told))
                 if off[0] > 1.0:
                     place, turn = (part.round(4).tolist() for part in pose)

@@ -19,7 +19,7 @@ Pose = tuple[Sequence[float], Sequence[float]]
 
 
 def look(engine: Transport, poses: Sequence[Pose]) -> dict[str, Any]:
-    """Estimate the error of the room's cells at some poses, evenly chosen.
+    """Estimate the error of light of many reflections at some poses, evenly chosen.
 
     Parameters
     ----------
@@ -39,14 +39,14 @@ def look(engine: Transport, poses: Sequence[Pose]) -> dict[str, Any]:
         return {}
     found = {"median": float(np.median(errors)), "worst": max(errors), "asked": max(engine.accuracy, FINEST)}
     median, worst, asked = (f"{100.0 * found[name]:.2g} %" for name in ("median", "worst", "asked"))
-    words = f"light check: at {len(errors)} poses the room's cells err by {median} of what the target changes"
-    words += f" in the median, by {worst} at most; asked: {asked}"
+    words = f"light check: at {len(errors)} poses light of many reflections errs by {median} of what the target"
+    words += f" changes in the median, by {worst} at most; asked: {asked}"
     return {"poses": len(errors), **found, "words": words}
 
 
 def _errors(engine: Transport, poses: Iterable[Pose]) -> Iterator[float]:
     for pose in poses:
         try:
-            yield engine.cells_error(*pose)
+            yield engine.light_error(*pose)
         except NlosError:  # a pose that the engine refuses is refused when its picture is made
             continue

@@ -97,6 +97,24 @@ class _Choice(NamedTuple):
     view: int
 
 
+class Followed(NamedTuple):
+    """Change of a source's light by a target.
+
+    Attributes
+    ----------
+    picture : ndarray of shape (groups, height, width)
+    error : float
+        What the lines may still be off by, as their sets tell: a root mean square, relative to that of this change
+        and of what is known besides, joined as squares.
+    choice : _Choice
+        How many lines it took.
+    """
+
+    picture: Floats
+    error: float
+    choice: _Choice
+
+
 class LightChange:
     """Changes by one target of the light that `LightField` describes.
 
@@ -134,9 +152,9 @@ class LightChange:
         self._samples: dict[tuple[int, bool], _Samples] = {}
         self._eyes: dict[int, tuple[PicturePoints, Eye]] = {}
 
-    def pictures(
+    def followed(
         self, turn: Floats, place: Floats, exact: Floats | None = None, *, shadows: bool = True
-    ) -> dict[str, Floats]:
+    ) -> dict[str, Followed]:
         """Return the change of the picture by the target at a pose, for each of `LightField.sources`.
 
         Parameters
@@ -151,10 +169,9 @@ class LightChange:
 
         Returns
         -------
-        pictures : dict of str to ndarray of shape (groups, height, width)
+        followed : dict of str to Followed
         """
-        pose = self._pose(turn, place)
-        return {name: found for name, (found, _) in self._settled(pose, exact, shadows).items()}
+        return self._settled(self._pose(turn, place), exact, shadows)
 
     def may_enclose_a_lamp(self, turn: Floats, place: Floats) -> bool:
         """Whether a solid target at a pose has something that gives light inside the ball around it."""
@@ -165,7 +182,7 @@ class LightChange:
         return bool(away.min() < self._radius)
 
     def slopes(self, turn: Floats, place: Floats, exact: Floats | None = None) -> dict[str, Floats]:
-        """Return the derivatives of `pictures`, by central differences with the same lines on both sides.
+        """Return the derivatives of `followed`, by central differences with the same lines on both sides.
 
         Returns
         -------
@@ -175,7 +192,7 @@ class LightChange:
         """
         step = _STEP * self._radius
         found = {}
-        for name, (_, choice) in self._settled(self._pose(turn, place), exact, True).items():
+        for name, (_, _, choice) in self._settled(self._pose(turn, place), exact, True).items():
             # A difference of two pictures keeps the noise of both.
             choice = choice._replace(lines=min(2 * choice.lines, _MOST_LINES))
 
@@ -197,23 +214,22 @@ class LightChange:
     def _pose(self, turn: Floats, place: Floats) -> Pose:
         centre, target = place + turn @ self._centre, self._setting.target
         ball = np.append(centre, self._radius)
-        near = near_cells(self._field.cells, self._setting.around, target, turn, place, ball)
+        near = near_cells(self._field.cells, self._setting.around, target, turn, place, ball, self._field.factor)
         return Pose(turn, place, centre, self._radius, near)
 
-    def _settled(self, pose: Pose, exact: Floats | None, shadows: bool) -> dict[str, tuple[Floats, _Choice]]:
-        """Return the pictures (groups, height, width), and how many lines and points they needed."""
+    def _settled(self, pose: Pose, exact: Floats | None, shadows: bool) -> dict[str, Followed]:
         known = {name: None if exact is None else self._in_unit[name] * exact for name in self._field.sources}
-        found: dict[str, tuple[Floats, _Choice]] = {}
+        found: dict[str, Followed] = {}
         count = _LINES
         while known:
             lines, excess = self._through(self._sampled(count, is_near=pose.near.there), pose), 0.0
             for name in list(known):
                 several, level, view = self._several(name, lines, pose, known[name], shadows, _Choice(count, -1))
-                error = float(np.sqrt(several.var(axis=0, ddof=1).mean() / SETS))
-                if error <= _SURE * self._accuracy * level or count == _MOST_LINES:
-                    found[name] = several.mean(axis=0), _Choice(count, view)
+                error = math.sqrt(several.var(axis=0, ddof=1).mean() / SETS) / max(level, 1e-300)
+                if error <= _SURE * self._accuracy or count == _MOST_LINES:
+                    found[name] = Followed(several.mean(axis=0), error, _Choice(count, view))
                     del known[name]
-                excess = max(excess, error / max(_SURE * self._accuracy * level, 1e-300))
+                excess = max(excess, error / (_SURE * self._accuracy))
             count = min(_MOST_LINES, count << max(1, round(_RATE * math.log2(max(1.0, min(excess, 1e3))))))
         return {name: found[name] for name in self._field.sources}
 

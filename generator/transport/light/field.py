@@ -136,7 +136,7 @@ class LightField:
     """
 
     def __init__(self, setting: Setting, order: int, accuracy: float = FINEST, factor: float = 1.0) -> None:
-        self.order = order
+        self.order, self.factor = order, factor
         if len(setting.around) > MOST_SURFACES:
             raise NlosError(
                 f"light of more than three reflections, or of the sky: {len(setting.around)} surfaces are more than "

@@ -211,7 +211,7 @@ def _beside(field: LightField, pose: Pose) -> NDArray[np.bool_] | None:
 
 
 def _weighted_loops(there: Floats, at: Floats, weights: Floats) -> tuple[Floats, float, float]:
-    """Return the weighted difference (n, columns) of two states, and the summed sizes of that and of the first one."""
+    """Return the weighted difference (n, columns) of two states, and the summed sizes of it and of the first."""
     gap = np.empty_like(there)
     size, whole = 0.0, 0.0
     for i in range(there.shape[0]):

@@ -133,7 +133,9 @@ class Near(NamedTuple):
         return values[:cells] + values[self.rows : self.rows + cells], values[2 * self.rows :]
 
 
-def near_cells(cells: Cells, surfaces: Surfaces, body: Surfaces, turn: Floats, place: Floats, ball: Floats) -> Near:
+def near_cells(
+    cells: Cells, surfaces: Surfaces, body: Surfaces, turn: Floats, place: Floats, ball: Floats, factor: float = 1.0
+) -> Near:
     """Return the small cells near a target.
 
     Parameters
@@ -146,6 +148,8 @@ def near_cells(cells: Cells, surfaces: Surfaces, body: Surfaces, turn: Floats, p
         Its pose.
     ball : ndarray of shape (4,)
         Centre and radius of the ball around it, where it is.
+    factor : float, default=1
+        How much larger than usual the small cells are.
     """
     n, centre, radius = len(surfaces.origin), ball[:3], ball[3]
     first, number = np.full(n, -1), np.zeros((n, 2), dtype=np.int64)
@@ -160,7 +164,7 @@ def near_cells(cells: Cells, surfaces: Surfaces, body: Surfaces, turn: Floats, p
     slant = surfaces.area / (long.prod(axis=1) * np.where(surfaces.triangle, 0.5, 1.0))
     reach = (radius + gap)[:, None] / long / slant[:, None]
     lowest, highest = np.clip(foot - reach, 0.0, 1.0), np.clip(foot + reach, 0.0, 1.0)
-    count = np.ceil((highest - lowest) * long / (_COARSEST * radius)).astype(np.int64)
+    count = np.ceil((highest - lowest) * long / (factor * _COARSEST * radius)).astype(np.int64)
     tree, owner, area = np.zeros(0, dtype=np.int64), [np.zeros(0, dtype=np.int64)], [np.zeros(0)]
     leaves = 0
     for i in np.flatnonzero((gap < _GAP * radius) & ~surfaces.triangle & (count > 0).all(axis=1)):
@@ -168,7 +172,7 @@ def near_cells(cells: Cells, surfaces: Surfaces, body: Surfaces, turn: Floats, p
         step[i] = (highest[i] - lowest[i]) / count[i]
         corner = (surfaces.origin[i] + low[i] @ edges[i] - place) @ turn
         faces = _nearest(body, toward[i] @ turn)
-        grown, level = _divided(faces, corner, (step[i, :, None] * edges[i]) @ turn, count[i], radius)
+        grown, level = _divided(faces, corner, (step[i, :, None] * edges[i]) @ turn, count[i], radius, factor)
         undivided = grown < 0
         tree = np.append(tree, np.where(undivided, -leaves - np.cumsum(undivided), grown + len(tree)))
         part = surfaces.area[i] * step[i].prod() * 0.25 ** level[undivided]
@@ -196,7 +200,9 @@ def _nearest(body: Surfaces, up: Floats) -> Surfaces:
     return body.subset(low <= np.partition(low, _FACES)[_FACES])
 
 
-def _divided(body: Surfaces, corner: Floats, edges: Floats, count: Numbers, radius: float) -> tuple[Numbers, Numbers]:
+def _divided(
+    body: Surfaces, corner: Floats, edges: Floats, count: Numbers, radius: float, factor: float
+) -> tuple[Numbers, Numbers]:
     """Divide cells into four until they are small for their distance from a target.
 
     Parameters
@@ -209,6 +215,8 @@ def _divided(body: Surfaces, corner: Floats, edges: Floats, count: Numbers, radi
         Number of largest cells along both.
     radius : float
         Of the ball around the target.
+    factor : float
+        As for `near_cells`.
 
     Returns
     -------
@@ -224,7 +232,7 @@ def _divided(body: Surfaces, corner: Floats, edges: Floats, count: Numbers, radi
     long = float(np.linalg.norm(edges, axis=1).max())
     while len(low):
         gap = body.distance(corner + (low + 0.5 * size) @ edges)
-        large = (size * long > _FINEST * radius) & (size * long > _SHARP * (gap - size * long))
+        large = (size * long > factor * _FINEST * radius) & (size * long > factor * _SHARP * (gap - size * long))
         # Where the target lies on the surface with a face, no light is.
         inside = np.flatnonzero(large & (gap < _TOUCH * radius))
         ends = [body.distance(corner + (low[inside] + size * np.array(end)) @ edges) for end in _CORNERS]

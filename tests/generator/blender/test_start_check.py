@@ -288,7 +288,7 @@ def test_a_set_with_more_reflections_tells_how_far_their_cells_err(tmp_path, com
     some = (*few, "--resolution", "8", "--accuracy", "0.03", "--workers", "1")
     result = command("generator", kind, source, "-o", tmp_path / "set", *some, probe=True)
     assert result.returncode == 0, result.stderr
-    assert "light check: at 9 poses the room's cells err by" in result.stdout
+    assert "light check: at 9 poses light of many reflections errs by" in result.stdout
     found = read_toml(tmp_path / "set" / ("bulk.toml" if kind == "bulk" else "dataset.toml"))["light_check"]
     assert found["poses"] == 9
     assert 0.0 < found["median"] <= found["worst"] < 0.5

@@ -109,7 +109,7 @@ def test_poses_in_the_shade_of_a_corridor():
     for number, spot in enumerate(np.random.default_rng(0).uniform(grey.grid.lo, grey.grid.hi, (40, 3))):
         pose = axes, engine._setting.frame.points(spot)
         unseen[number] = spot[1] > 2.5
-        level[number] = abs(engine._change.pictures(*pose)["sky"]).mean()
+        level[number] = abs(engine._change.followed(*pose)["sky"].picture).mean()
     assert unseen.sum() >= 20
     # The corridor's inner corner is walled off, and open only to the sky: nothing that stands there changes anything.
     assert level[unseen].max() == 0.0 < level[~unseen].min()
