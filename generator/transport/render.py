@@ -382,8 +382,8 @@ class Transport:
         """Estimate the error of light of many reflections at a pose, relative to what the target changes.
 
         Light after the third reflection, of the sky and of other lamps is followed from cell to cell of the room
-        (`light.field.LightField`), and along lines through the target. For the cells' error stands what cells larger by
-        the root of two change, small ones where the target is near a surface too: as much as that if it falls with
+        (`light.field.LightField`), and along lines through the target. For the cells' error stands what cells larger
+        by the root of two change, small ones where the target is near a surface too: as much as that if it falls with
         their size squared, 2.4 times that if with their size. To its square that of the lines' error is added
         (`Rendered.report`).
 
