@@ -119,7 +119,7 @@ class LightField:
     ----------
     cells : Cells
         Cells of the room and of the relay wall; those that neither picture nor wall see, directly or by way of
-        others (a room's outer sides), are given no light.
+        others, are given no light, and sides with no other cells, as a room's outer ones, share one (`Cells.only`).
     tint : ndarray of shape (cells, groups)
         Albedo.
     extent, middles : ndarray of shape (cells,) and (cells, 3)
@@ -153,7 +153,7 @@ class LightField:
         wall = self._refined(wall, setting)
         # The picture does not see the relay wall's front, but a target may.
         front = (np.abs(self.middles[:, 2]) < _FLAT) & (self._normals[:, 2] > 0.5)
-        met, old = self._reduced(*self._met(np.flatnonzero(wall.any(axis=0) | front)))
+        met, old = self._reduced(self._met(np.flatnonzero(wall.any(axis=0) | front)))
         self._wall = wall[:, old]
         self._exchange = Exchange(met, self.cells.area)
         self._block, self._block_area, self._coarse = self._coarsened()
@@ -209,11 +209,11 @@ class LightField:
                 found[k, some] = _share(place, some, squares(int(count)), self.cells, blockers)
         return found
 
-    def _met(self, fresh: Numbers) -> tuple[Numbers, NDArray[np.int32]]:
-        """Return the cells (n,) that are seen, directly or by way of others, from some, and which each one's rays
-        meet (n, rays)."""
+    def _met(self, fresh: Numbers) -> list[tuple[Numbers, NDArray[np.int32]]]:
+        """Return, in parts, the cells (n,) that are seen, directly or by way of others, from some, and which cells the
+        rays of each meet (n, rays)."""
         is_reached, is_met = np.zeros((2, self.cells.count + 1), dtype=bool)
-        found, met = [np.zeros(0, dtype=np.int64)], [np.zeros((0, _ROWS), dtype=np.int32)]
+        found: list[tuple[Numbers, NDArray[np.int32]]] = []
         step = max(1, _CHUNK // _ROWS)
         points, moved = lattice(_ROWS, 4), shifts(4, np.arange(self.cells.count))
         while len(fresh):
@@ -221,14 +221,18 @@ class LightField:
             for start in range(0, len(fresh), step):
                 some = fresh[start : start + step]
                 hits = self.cells.meet(*self.cells.fans(some, points, moved[some]))
-                found.append(some)
-                met.append(hits.cell.reshape(-1, _ROWS).astype(np.int32))
+                found.append((some, hits.cell.reshape(-1, _ROWS).astype(np.int32)))
                 is_met[hits.cell] = True
             fresh = np.flatnonzero(is_met[:-1] & ~is_reached[:-1])
-        return np.concatenate(found), np.concatenate(met)
+        return found
 
-    def _reduced(self, reached: Numbers, met: NDArray[np.int32]) -> tuple[NDArray[np.int32], Numbers]:
+    def _reduced(self, met: list[tuple[Numbers, NDArray[np.int32]]]) -> tuple[NDArray[np.int32], Numbers]:
         """Leave out the sides of surfaces on which no cell is reached, which are half of a room's.
+
+        Parameters
+        ----------
+        met : list
+            As `_met` returns it; it is emptied, since two of it are too much to hold.
 
         Returns
         -------
@@ -238,7 +242,8 @@ class LightField:
             Number that each had.
         """
         is_reached = np.zeros(self.cells.count, dtype=bool)
-        is_reached[reached] = True
+        for reached, _ in met:
+            is_reached[reached] = True
         self.cells, old = self.cells.only(is_reached)
         self._is_reached = is_reached[old]
         self.tint = np.where(self._is_reached[:, None], self.cells.tint, 0.0)
@@ -246,7 +251,9 @@ class LightField:
         number = np.full(len(is_reached) + 1, self.cells.count, dtype=np.int32)
         number[old] = np.arange(len(old))
         every = np.repeat(np.arange(len(old), dtype=np.int32)[:, None], _ROWS, axis=1)
-        every[number[reached]] = number[met]
+        while met:
+            reached, rows = met.pop()
+            every[number[reached]] = number[rows]
         return every, old
 
     def _coarsened(self) -> tuple[Numbers, Floats, Floats]:
