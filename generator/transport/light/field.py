@@ -210,8 +210,8 @@ class LightField:
         return found
 
     def _met(self, fresh: Numbers) -> list[tuple[Numbers, NDArray[np.int32]]]:
-        """Return, in parts, the cells (n,) that are seen, directly or by way of others, from some, and which cells the
-        rays of each meet (n, rays)."""
+        """Return, in parts, the cells (n,) that are seen, directly or by way of others, from some, and which cells
+        the rays of each meet (n, rays)."""
         is_reached, is_met = np.zeros((2, self.cells.count + 1), dtype=bool)
         found: list[tuple[Numbers, NDArray[np.int32]]] = []
         step = max(1, _CHUNK // _ROWS)
