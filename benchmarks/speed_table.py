@@ -147,7 +147,8 @@ def command_time(tree: Path, cache: Path) -> float | None:
             cwd=folder,
             capture_output=True,
         ).stdout
-        options += [part for part in ("--no-probe",) if part.encode() in help_text]
+        if b"--no-probe" in help_text:
+            options.append("--no-probe")
         return run("sweep", "scene.blend", "-o", "set", *options)
 
 

@@ -334,7 +334,7 @@ def test_rays_from_cells_are_the_same_in_both_forms():
 
 
 def test_sides_that_no_light_reaches_take_no_room():
-    """A room's outer sides share one side's numbers, and are black; all other cells are where they were."""
+    """A room's outer sides share one number, and are black; all other cells are where they were."""
     setting = Setting(room(order=4))
     field = LightField(setting, 4)
     every = cells.Cells(setting.around, 0.035, np.zeros(3), 1.0, np.zeros((0, 1)))
