@@ -544,6 +544,7 @@ def test_an_object_that_the_noise_hides_changes_what_surfel_says(scale, engine, 
     assert "or the engine 'surfel'" in signal.text
 
 
+@pytest.mark.slow
 def test_where_surfel_cannot_be_asked_a_range_is_told():
     scene = small(0.1)
     with renderers.opened(scene, "surfel", resolution=(16, 16), accuracy=1e-3) as renderer:

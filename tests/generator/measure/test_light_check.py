@@ -16,21 +16,24 @@ CLEAR, LYING, REFUSED = (
 
 
 @pytest.fixture(scope="module")
-def engines():
-    """An engine, and one of cells half the size."""
-    world = room(order=6)
+def usual():
+    """An engine with cells as they are."""
+    return Transport(room(order=6), accuracy=1e-2)
+
+
+@pytest.fixture(scope="module")
+def half():
+    """An engine with cells of half the size."""
     with pytest.MonkeyPatch.context() as patch:
-        usual = Transport(world, accuracy=1e-2)
         patch.setattr(field, "_CELL", field._CELL / 2.0)
-        return usual, Transport(world, accuracy=1e-2)
+        return Transport(room(order=6), accuracy=1e-2)
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("pose", [CLEAR, LYING])
-def test_the_estimate_is_of_the_size_of_the_error(engines, pose):
+def test_the_estimate_is_of_the_size_of_the_error(usual, half, pose):
     """Against cells of half the size; the lines' own error is in the difference too."""
-    usual, _ = engines
-    made, fine = (engine.render(*pose) for engine in engines)
+    made, fine = (engine.render(*pose) for engine in (usual, half))
     parts = (fine.added - fine.hidden, fine.further)
     size = np.sqrt(sum((part**2).mean() for part in parts))
     error = np.sqrt(((made.further - fine.further) ** 2).mean()) / size
@@ -39,9 +42,8 @@ def test_the_estimate_is_of_the_size_of_the_error(engines, pose):
     assert error < 2.0 * estimate + 1e-2
 
 
-def test_the_error_by_lines_is_told_where_the_most_of_them_do_not_settle_it(engines, monkeypatch):
+def test_the_error_by_lines_is_told_where_the_most_of_them_do_not_settle_it(usual, monkeypatch):
     """And is of the size of the difference from more lines."""
-    usual, _ = engines
     settled = usual.render(*CLEAR)
     assert settled.report["lines_error"] <= change._SURE * usual.accuracy
     monkeypatch.setattr(change, "_LINES", 1 << 11)

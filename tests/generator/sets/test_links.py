@@ -248,8 +248,7 @@ def busy(scene, elsewhere):
     scene.render.filepath = str(elsewhere / "output")
 
 
-def test_nothing_in_a_scene_runs_or_writes(edited, tmp_path, command, monkeypatch):
-    monkeypatch.setattr(planning, "_ORDERS", ())  # more reflections, which take seconds each, write nothing either
+def test_nothing_in_a_scene_runs_or_writes(edited, tmp_path, command):
     path = edited(busy)
     before = files(tmp_path)
     result = command("generator", "sweep", path, "-o", tmp_path / "set", *TINY, "--engine", "path")
@@ -262,12 +261,20 @@ def test_nothing_in_a_scene_runs_or_writes(edited, tmp_path, command, monkeypatc
     )
     result = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, check=False, cwd=tmp_path)
     assert result.returncode == 0, result.stderr
-    assert check.check_scene(blend_file.open_file(path), {"resolution": "8", "samples": 4})
-    assert planning.make(path, tolerance=0.1, count=2, by_cycles=False, predict=False).effects
     assert files(tmp_path) == before
     asked = f"import bpy; bpy.ops.wm.open_mainfile(filepath={str(path)!r}, use_scripts=True)"
     subprocess.run([sys.executable, "-c", asked], capture_output=True, check=True)
     assert files(tmp_path) - before == {Path("elsewhere/text")}, "the mark is left where a file's scripts are on"
+
+
+@pytest.mark.slow
+def test_nothing_runs_or_writes_while_a_scene_is_checked_and_planned(edited, tmp_path, monkeypatch):
+    monkeypatch.setattr(planning, "_ORDERS", ())  # more reflections, which take seconds each, write nothing either
+    path = edited(busy)
+    before = files(tmp_path)
+    assert check.check_scene(blend_file.open_file(path), {"resolution": "8", "samples": 4})
+    assert planning.make(path, tolerance=0.1, count=2, by_cycles=False, predict=False).effects
+    assert files(tmp_path) == before
 
 
 @pytest.mark.parametrize("engine", renderers.ENGINES)

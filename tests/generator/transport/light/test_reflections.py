@@ -30,6 +30,13 @@ def both(world, position, rotation):
     return rendered.further[..., 0].mean() / lamp, sky, exact
 
 
+@pytest.fixture(scope="module")
+def five():
+    """A room of light of five reflections: what is fixed of it, and its light."""
+    setting = Setting(room(order=5))
+    return setting, LightField(setting, 5)
+
+
 POSES = [((0.8, 1.1, 0.3), (0.0, 0.0, 30.0)), ((0.9, 0.4, -0.6), (20.0, 0.0, -40.0))]
 
 
@@ -125,7 +132,7 @@ def test_the_end_of_a_long_series_is_a_geometric_one():
 
 
 @pytest.mark.parametrize("albedo", [0.5, 0.97])
-@pytest.mark.parametrize("order", [400, ALL_ORDERS])
+@pytest.mark.parametrize("order", [pytest.param(400, marks=pytest.mark.slow), ALL_ORDERS])
 def test_even_light_in_a_closed_room_is_worth_a_geometric_series(albedo, order):
     """Irradiance 1 everywhere makes rho + rho^2 + ... = rho / (1 - rho) on the wall, and as much on all of it."""
     field = LightField(Setting(room(albedo=albedo, order=order, screen=False)), order, 3e-2)
@@ -145,6 +152,7 @@ def test_three_reflections_are_as_they_were():
     np.testing.assert_allclose(four.pixels - four.further - background, four.added - four.hidden, atol=1e-12)
 
 
+@pytest.mark.slow
 def test_derivatives_are_those_of_the_pictures():
     """Against differences of pictures, relative to the largest of the same kind: shifts, turns."""
     world = room(order=5, ceiling=False, sky=0.02)
@@ -189,11 +197,10 @@ def test_cells_end_where_another_surface_touches():
     assert made.area.sum() == pytest.approx(2.0 * setting.around.area.sum())
 
 
-def test_compiled_and_array_forms_agree():
+def test_compiled_and_array_forms_agree(five):
     """Blender has no numba: both forms of each sum give the same."""
     rng = np.random.default_rng(0)
-    setting = Setting(room(order=5))
-    field = LightField(setting, 5)
+    setting, field = five
     changes = change.LightChange(setting, field, 1e-2)
     pose = changes._pose(setting.frame.axes, setting.frame.points(np.array(POSES[1][0])))
     lines = changes._through(changes._sampled(1 << 10), pose)
@@ -225,10 +232,9 @@ def test_compiled_and_array_forms_agree():
     )
 
 
-def test_light_that_varies_evenly_is_interpolated_exactly_up_to_the_edges():
+def test_light_that_varies_evenly_is_interpolated_exactly_up_to_the_edges(five):
     """Cells that are no whole number of an edge, parts that end where a screen stands, and a room's corners."""
-    setting = Setting(room(order=5))
-    field = LightField(setting, 5)
+    _, field = five
     rng = np.random.default_rng(3)
     way = rng.normal(size=(2000, 3))
     way /= np.linalg.norm(way, axis=1, keepdims=True)
@@ -303,9 +309,9 @@ def test_a_fixed_point_is_found_even_where_steps_lead_away_from_it(largest):
         np.testing.assert_allclose(one, other, rtol=1e-12)
 
 
-def test_light_is_exchanged_the_same_in_both_forms():
+def test_light_is_exchanged_the_same_in_both_forms(five):
     """Loops and arrays; and what irradiance is worth is what radiosity is worth, but for noise."""
-    field = LightField(Setting(room(order=4)), 4)
+    _, field = five
     exchange, n = field._exchange, field.cells.count
     values = 1.0 + np.random.default_rng(1).random((n, 3))
     np.testing.assert_allclose(exchange.received(values), means_arrays(values, exchange._met), rtol=1e-12)
@@ -321,9 +327,9 @@ def test_light_is_exchanged_the_same_in_both_forms():
     np.testing.assert_allclose(_counted(values[:50], exchange._met[:50], n), counted, rtol=1e-12)
 
 
-def test_rays_from_cells_are_the_same_in_both_forms():
+def test_rays_from_cells_are_the_same_in_both_forms(five):
     """Loops and arrays, from both sides of surfaces."""
-    field = LightField(Setting(room(order=4)), 4)
+    _, field = five
     some, points = np.flatnonzero(field._is_reached)[::97], spread.lattice(16, 4)
     moved = spread.shifts(4, some)
     at = ((points + moved[:, None]) % 1.0).reshape(-1, 4)
@@ -333,10 +339,9 @@ def test_rays_from_cells_are_the_same_in_both_forms():
     np.testing.assert_allclose(ways, spread.hemisphere(normals, at[:, :2]), atol=1e-12)
 
 
-def test_sides_that_no_light_reaches_take_no_room():
+def test_sides_that_no_light_reaches_take_no_room(five):
     """A room's outer sides share one number, and are black; all other cells are where they were."""
-    setting = Setting(room(order=4))
-    field = LightField(setting, 4)
+    setting, field = five
     every = cells.Cells(setting.around, 0.035, np.zeros(3), 1.0, np.zeros((0, 1)))
     assert field.cells.count < 0.65 * every.count
     lit = np.zeros(every.count, dtype=bool)
@@ -372,8 +377,8 @@ def test_cells_near_a_surface_keep_the_light_of_a_target_that_lies_on_it():
     """A sheet of the wall's albedo on the wall changes nothing; its shadow is all behind it, where nobody sees it."""
     world = room(albedo=0.8, order=5, ceiling=False, target=worlds.sheet(0.6, 0.8))
     position, rotation = (0.6, 1.0, -HIGH + 0.01), (90.0, 0.0, 0.0)
-    far = Transport(world, accuracy=1e-2).render((0.6, 1.0, 0.0), rotation)
-    on = Transport(world, accuracy=1e-2).render(position, rotation)
+    engine = Transport(world, accuracy=1e-2)
+    far, on = engine.render((0.6, 1.0, 0.0), rotation), engine.render(position, rotation)
     whole, moved = (part.added - part.hidden + part.further for part in (far, on))
     assert np.abs(moved).mean() < 0.05 * np.abs(whole).mean()
 
