@@ -20,7 +20,7 @@ from generator.blender import sweep_worker
 from generator.files.pictures import write_picture
 from generator.model.errors import NlosError
 
-from ..session import background, state
+from ..session import background, environment, state
 from ..view import overlay
 
 _PATIENCE = 120.0
@@ -29,19 +29,15 @@ _PATIENCE = 120.0
 _TEST = "import classify.classifiers.models, sys; print('.'.join(map(str, sys.version_info[:3])))"
 
 
-_EXTENSION = (__package__ or "nlos_lab.operators").rpartition(".")[0]
-"""Name of the extension, under which Blender keeps its preferences."""
-
-
 class NlosPreferences(bpy.types.AddonPreferences):
     """Settings that depend on the machine, not on the scene."""
 
-    bl_idname = _EXTENSION
+    bl_idname = environment.EXTENSION
 
     python: StringProperty(
         name="Python",
         description="The Python of an environment that has NLOS Lab's command line installed, such as "
-        ".venv/bin/python. Only answers of trained models need it",
+        ".venv/bin/python. Answers of trained models need it, and the live look is drawn by it, several times faster",
         subtype="FILE_PATH",
     )
 
@@ -55,31 +51,6 @@ class NlosPreferences(bpy.types.AddonPreferences):
         row.operator("nlos.test_environment", icon="CHECKMARK")
         if state.environment_words:
             layout.label(text=state.environment_words, translate=False)
-
-
-def named() -> str:
-    """Return the path of the Python in the preferences; empty if none is set."""
-    addon = bpy.context.preferences.addons.get(_EXTENSION)
-    return str(bpy.path.abspath(addon.preferences.python)) if addon else ""
-
-
-def python() -> str:
-    """Return the path of the Python in the preferences.
-
-    Raises
-    ------
-    NlosError
-        No path is set, or it is not that of a file.
-    """
-    path = named()
-    if not path:
-        raise NlosError(
-            "Answers need a Python with NLOS Lab's command line: make one with 'make setup' in its folder, "
-            "and name its .venv/bin/python in Preferences > Add-ons > NLOS Lab"
-        )
-    if not os.path.isfile(path):  # false as well for a name that no file can have
-        raise NlosError(f"{path} (Preferences > Add-ons > NLOS Lab) is no file; name the Python of an environment")
-    return path
 
 
 def run(arguments: list[str], stop: threading.Event) -> str:
@@ -138,7 +109,7 @@ class NLOS_OT_test_environment(bpy.types.Operator):
     def execute(self, context: Any) -> set[str]:
         """Start the test in a background thread."""
         try:
-            interpreter = python()
+            interpreter = environment.python()
         except NlosError as error:
             state.environment_words = str(error)
             self.report({"ERROR"}, str(error))
@@ -165,7 +136,7 @@ class NLOS_OT_answer(bpy.types.Operator):
         """Write the picture, ask the model in a background thread, and show its answer when it arrives."""
         settings = context.scene.nlos
         try:
-            interpreter = python()
+            interpreter = environment.python()
             if not settings.model:
                 raise NlosError("Choose a model, trained by nlos-classify train (.skops)")
             model = Path(bpy.path.abspath(settings.model)).absolute()

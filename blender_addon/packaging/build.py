@@ -25,8 +25,8 @@ _HERE = Path(__file__).resolve().parent
 """This folder is left out of the extension."""
 _ADDON = _HERE.parent
 _ROOT = _ADDON.parent
-_RUN_BY_NAME = Path("generator", "blender", "worker.py")
-"""A module that no other imports: it is run by name, in a separate Blender process."""
+_RUN_BY_NAME = {Path("generator", "blender", "worker.py"), Path("generator", "jobs", "look_worker.py")}
+"""Modules that no other imports: they are run by name, in a separate process."""
 _IMPORT = re.compile(r"^(\s*)from generator((?:\.\w+)*) import ", re.MULTILINE)
 
 
@@ -72,7 +72,7 @@ def assemble(folder: Path) -> None:
     folder.mkdir(parents=True)
     shutil.copy(_ADDON / "blender_manifest.toml", folder)
     shutil.copy(_licence(), folder)
-    needed = {_RUN_BY_NAME}
+    needed = set(_RUN_BY_NAME)
     for source in sorted(_ADDON.rglob("*.py")):
         if source.parent != _HERE:
             needed |= _copy(source, folder, source.relative_to(_ADDON))

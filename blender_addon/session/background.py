@@ -21,7 +21,8 @@ from generator.model.errors import NlosError
 
 from . import state
 
-_CHILD = Path(__file__).with_name("child.py")
+CHILD = Path(__file__).with_name("child.py")
+"""The script that runs a worker of the extension in another process."""
 _EVERY = 0.2
 """Seconds between two polls of the threads."""
 
@@ -140,7 +141,7 @@ def launcher() -> Launch:
     prefix = [binary, "--background", "--factory-startup", "-noaudio", "--python"] if binary else [sys.executable]
 
     def launch(arguments: Sequence[str]) -> list[str]:
-        return [*prefix, str(_CHILD), "--", *arguments]
+        return [*prefix, str(CHILD), "--", *arguments]
 
     return launch
 

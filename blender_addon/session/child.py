@@ -1,32 +1,26 @@
-"""Runs a worker of the extension in a separate Blender process.
+"""Runs a worker of the extension in a separate process: a Blender, or for `look_worker` any Python with NumPy.
 
 ``blender -b -P child.py -- generator.blender.worker ARGUMENTS``.
 
-The extension is not enabled there, so its package is loaded from the folder that contains this file.
+The extension is not enabled there, so its modules are loaded from the folder that contains this file.
 """
 
 from __future__ import annotations
 
-import importlib.util
+import importlib
 import os
 import sys
+import types
 from pathlib import Path
 
 
 def main() -> int:
-    """Load the package, run the worker, return its exit code."""
+    """Make a package of the folder, run the worker, return its exit code."""
     arguments = sys.argv[sys.argv.index("--") + 1 :]
-    folder = Path(__file__).resolve().parents[1]
-    name = "nlos_lab_child"
-    spec = importlib.util.spec_from_file_location(
-        name, folder / "__init__.py", submodule_search_locations=[str(folder)]
-    )
-    assert spec is not None
-    assert spec.loader is not None
-    package = importlib.util.module_from_spec(spec)
-    sys.modules[name] = package
-    spec.loader.exec_module(package)
-    return int(importlib.import_module(f"{name}.{arguments[0]}").main(arguments[1:]))
+    package = types.ModuleType("nlos_lab_child")
+    package.__path__ = [str(Path(__file__).resolve().parents[1])]
+    sys.modules[package.__name__] = package
+    return int(importlib.import_module(f"{package.__name__}.{arguments[0]}").main(arguments[1:]))
 
 
 if __name__ == "__main__":

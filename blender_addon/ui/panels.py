@@ -11,8 +11,8 @@ from generator.blender.finding import ERROR, FIXES, GOOD, NOTE, WARNING
 from generator.blender.scene import roles
 from generator.model.engines import AUTO, traits_of
 
-from ..operators import answer, dataset
-from ..session import state
+from ..operators import dataset
+from ..session import environment, state
 from ..view import live
 from . import menus
 
@@ -262,7 +262,7 @@ class NLOS_PT_look(_Tab, bpy.types.Panel):
         column.prop(settings, "look_resolution")
         column.prop(settings, "look_shadows")
         if session.look and live.words():
-            _sentence(context, layout, live.words())
+            _sentence(context, layout, live.words(), "SORTTIME" if live.waits() else "NONE")
         layout.label(text="The paper's experiments")
         row = layout.row(align=True)
         for number, name in ((1, "Sphere"), (2, "Sheet"), (3, "Turned")):
@@ -321,7 +321,7 @@ class NLOS_PT_answer(_Tab, bpy.types.Panel):
             for label, probability in likely:
                 column.progress(factor=probability, text=f"{label}  {probability:.0%}")
             layout.operator("nlos.forget_answer", icon="X")
-        if not answer.named():
+        if not environment.named():
             _sentence(
                 context,
                 layout,

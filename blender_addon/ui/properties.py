@@ -245,8 +245,8 @@ class NlosSettings(bpy.types.PropertyGroup):
     )
     look_shadows: BoolProperty(
         name="Shadows",
-        description="Subtract the light of the room that the object keeps from the wall. In a furnished room that "
-        "takes much longer, so it is done once the object is at rest",
+        description="Subtract the light of the room that the object keeps from the wall. Where that takes long, a "
+        "picture without it comes first",
         default=True,
         update=lambda settings, context: live.changed(),
     )

@@ -104,6 +104,14 @@ def look(picture: Picture, watched: Any, reference: float) -> Any:
     return image
 
 
+def darken(name: str) -> None:
+    """Make an image black, if it is there, and take its caption away: what it showed is not so any more."""
+    image = bpy.data.images.get(name)
+    captions.pop(name, None)
+    if image is not None and image.size[0]:
+        store(name, np.zeros((image.size[1], image.size[0], 3), dtype=np.float32), keep=False)
+
+
 def coloured(name: str, picture: Picture, reference: float, width: float, *, keep: bool = True) -> Any:
     """Store a difference picture in colours, with its caption, and return the image; see `look`."""
     level = picture.mean(axis=2)

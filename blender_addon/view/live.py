@@ -1,7 +1,8 @@
 """The live picture of the light that the hidden object changes on the wall, redrawn as the object is moved.
 
-Handlers only record what has changed; a timer draws, between two of Blender's events. The scene is read again only
-when something besides the object's pose has changed, and only after the changes have stopped.
+Handlers only record what has changed; timers ask for a picture and show it, between two of Blender's events. Another
+process draws it (`session.resident`). The scene is read again only when something besides the object's pose has
+changed, and only after the changes have stopped.
 """
 
 from __future__ import annotations
@@ -9,21 +10,22 @@ from __future__ import annotations
 import math
 import time
 from dataclasses import dataclass, field
+from pathlib import Path
 from typing import Any
 
 import bpy
-import numpy as np
 from bpy.app.handlers import persistent
 
 from generator.blender.engines import renderers, survey
 from generator.blender.scene import materials, roles
 from generator.blender.scene.description import read_scene
+from generator.jobs.protocol import Question
 from generator.model.engines import AUTO
 from generator.model.errors import NlosError
-from generator.transport import Transport
-from generator.transport.compiled import COMPILED
+from generator.transport.world_file import save_world
 
-from ..session import state
+from ..session import background, state
+from ..session.resident import Resident, launches, pixels
 from . import images
 
 ACCURACY = 1e-2
@@ -32,25 +34,48 @@ ACCURACY = 1e-2
 _REST = 0.4
 """Seconds after the last change until the slower steps are done."""
 
-_TIMES = 400
+_OFTEN = 0.01
+"""Seconds between two looks for an answer."""
+
+_TIMES, _MOST_STALLS = 400, 100_000
 
 
 @dataclass
 class _Look:
-    """State that is kept from picture to picture."""
+    """State that is kept from picture to picture.
 
-    transport: Transport | None = None
+    Attributes
+    ----------
+    resident : Resident or None
+        The process that draws.
+    world : Path or None
+        File of what it draws, as it is now; None if it could not be read.
+    asked, first, latest, shown : int
+        Numbers of the last question, of the first one about this world, of the picture that is shown, and of the last
+        one that is whole.
+    at : dict
+        When questions were asked, by their number, `time.perf_counter`.
+    """
+
+    resident: Resident | None = None
+    world: Path | None = None
+    watched: Any = None
     reference: float = 0.0
     scene: str = ""
     around: tuple[Any, ...] = ()
-    exact: bool = False
     world_changed: bool = True
     last_change: float = 0.0
     busy: bool = False
-    shadows: bool = False
     words: str = ""
     pose: tuple[tuple[float, ...], tuple[float, ...]] | None = None
+    asked: int = 0
+    first: int = 0
+    latest: int = 0
+    shown: int = 0
+    at: dict[int, float] = field(default_factory=dict)
     seconds: list[float] = field(default_factory=list)
+    whole: list[float] = field(default_factory=list)
+    stalls: list[float] = field(default_factory=list)
     pictures: int = 0
 
 
@@ -62,14 +87,32 @@ def words() -> str:
     return _look.words
 
 
+def waits() -> bool:
+    """Return whether a picture is on its way."""
+    return _look.shown < _look.asked
+
+
 def pictures() -> int:
     """Return how many pictures were drawn since the live picture was switched on."""
     return _look.pictures
 
 
 def seconds() -> list[float]:
-    """Return the seconds from change to image of the last pictures that were drawn while the object was moved."""
+    """Return the seconds from a change to its first image, coarse or whole, of the last pictures."""
     return list(_look.seconds)
+
+
+def whole() -> list[float]:
+    """Return the seconds from a change to its whole picture, of the last such pictures."""
+    return list(_look.whole)
+
+
+def stalls(*, clear: bool = False) -> list[float]:
+    """Return the seconds that steps of the live look have kept Blender's window; optionally, forget them."""
+    found = list(_look.stalls)
+    if clear:
+        _look.stalls.clear()
+    return found
 
 
 def switch(on: bool) -> None:
@@ -78,15 +121,20 @@ def switch(on: bool) -> None:
     handlers = _handlers()
     running = _noted in handlers[0][0]
     if on and not running:
-        _look = _Look()
+        _look = _Look(resident=Resident(launches()))
         for callbacks, function in handlers:
             callbacks.append(function)
         changed()
     elif not on and running:
         for callbacks, function in handlers:
             callbacks.remove(function)
-        if bpy.app.timers.is_registered(_draw):
-            bpy.app.timers.unregister(_draw)
+        for timer in (_ask, _show):
+            if bpy.app.timers.is_registered(timer):
+                bpy.app.timers.unregister(timer)
+        assert _look.resident is not None
+        _look.resident.stop()
+        if _look.world is not None:
+            _look.world.unlink(missing_ok=True)
         _look = _Look()
 
 
@@ -99,7 +147,7 @@ def changed() -> None:
     """Have the scene read again, since something besides the pose has changed."""
     if _noted in bpy.app.handlers.depsgraph_update_post:
         _look.world_changed, _look.last_change = True, time.monotonic() - _REST
-        state.once(_draw)
+        state.once(_ask)
 
 
 @persistent  # type: ignore[untyped-decorator]
@@ -125,7 +173,7 @@ def _noted(scene: Any, depsgraph: Any) -> None:
             _look.world_changed = moved = True
     if moved:
         _look.last_change = time.monotonic()
-    state.once(_draw)
+    state.once(_ask)
 
 
 def _around(scene: Any) -> tuple[Any, ...]:
@@ -142,13 +190,13 @@ def _around(scene: Any) -> tuple[Any, ...]:
     return objects, tuple(shown), bounces, materials.ambient(scene), scene.camera and scene.camera.name
 
 
-def _draw() -> float | None:
-    """Draw what has changed; return the seconds until the next call, None for no further call."""
+def _ask() -> float | None:
+    """Ask for a picture of what has changed; return the seconds until the next call, None for no further call."""
     manager = bpy.context.window_manager
     scene = bpy.context.scene
     if manager is None or scene is None:  # for a moment, while a file opens
         return _REST
-    if not manager.nlos.look:
+    if not manager.nlos.look or _look.resident is None:
         return None
     if state.rendering_now():
         return _REST
@@ -156,41 +204,85 @@ def _draw() -> float | None:
     rest = time.monotonic() - _look.last_change
     _look.busy = True  # reading the scene moves the target and puts it back
     try:
+        bpy.context.view_layer.update()  # after undo, objects stand where they are said to only then
         place, turn, scale = _pose(scene)
         around = (*_around(scene), *(f"{s:.5g}" for s in scale))  # rotation changes its last digits
         if _look.scene != scene.name or _look.around != around:
             _look.world_changed, _look.around = True, around
-        if _look.transport is None and _look.pose != (place, turn):
+        if _look.world is None and _look.pose != (place, turn):
             _look.world_changed = True
         if _look.world_changed:
-            if _look.transport is not None and rest < _REST:
+            if _look.world is not None and rest < _REST:
                 return _REST
             _look.pose = place, turn  # a scene that cannot be read is not tried again until the pose changes
             _read(scene)
-        if _look.transport is None:
+        if _look.world is None or (place, turn) == _look.pose:
             return None
-        exact = scene.nlos.look_shadows and (_look.shadows or rest >= _REST)
-        shadows_follow = scene.nlos.look_shadows and not exact
-        if (place, turn) == _look.pose and (_look.exact or not exact):
-            return None if _look.exact else _REST
-        picture = _look.transport.difference(place, turn, shadows=exact)
-        _look.pose, _look.exact = (place, turn), exact or not shadows_follow
-        images.look(picture.astype(np.float32), _look.transport.world.watched, _look.reference)
-        duration = time.perf_counter() - start
-        if shadows_follow or exact == _look.shadows:  # nobody waits for those at rest, so they are not timed
-            _look.seconds = [*_look.seconds[-_TIMES:], duration]
-        _look.pictures += 1
-        _look.words = f"{1e3 * duration:.0f} ms" + (", shadows follow" if shadows_follow else "")
-        state.redraw("IMAGE_EDITOR", "VIEW_3D")
-        return _REST if shadows_follow else None
+        _look.pose, _look.asked = (place, turn), _look.asked + 1
+        _look.at = {**dict(list(_look.at.items())[-_TIMES:]), _look.asked: start}
+        _look.resident.ask(
+            Question(
+                number=_look.asked,
+                world=str(_look.world),
+                accuracy=ACCURACY,
+                position=place,
+                rotation=turn,
+                shadows=scene.nlos.look_shadows,
+            )
+        )
+        state.once(_show)
+        return None
     except NlosError as error:
-        if _look.words != str(error):
-            _look.words = str(error)
-            state.redraw("VIEW_3D")
+        _say(str(error))
+        images.darken(images.LOOK)
         return None
     finally:
         bpy.context.view_layer.update()
         _look.busy = False
+        _note_stall(start)
+
+
+def _show() -> float | None:
+    """Show a picture that has come; return the seconds until the next call, None if all have."""
+    if _look.resident is None:
+        return None
+    start = time.perf_counter()
+    fields = _look.resident.take()
+    if fields is None:
+        if _look.resident.words:
+            _say(_look.resident.words)
+        return _OFTEN if waits() and not _look.resident.ended else None
+    number = int(fields["number"])
+    if number < _look.first or number not in _look.at:
+        return _OFTEN
+    if "refused" in fields:
+        _look.shown = number
+        _say(fields["refused"])
+        images.darken(images.LOOK)
+        return _OFTEN if waits() else None
+    images.look(pixels(fields), _look.watched, _look.reference)
+    since = time.perf_counter() - _look.at[number]
+    is_whole = bool(fields["whole"])
+    if number != _look.latest:
+        _look.seconds = [*_look.seconds[-_TIMES:], since]
+    _look.latest, _look.pictures = number, _look.pictures + 1
+    if is_whole:
+        _look.shown, _look.whole = number, [*_look.whole[-_TIMES:], since]
+    _look.words = f"{1e3 * since:.0f} ms" + ("" if is_whole else ", shadows follow")
+    state.redraw("IMAGE_EDITOR", "VIEW_3D")
+    _note_stall(start)
+    return _OFTEN if waits() else None
+
+
+def _say(text: str) -> None:
+    if _look.words != text:
+        _look.words = text
+        state.redraw("VIEW_3D")
+
+
+def _note_stall(start: float) -> None:
+    _look.stalls.append(time.perf_counter() - start)
+    del _look.stalls[:-_MOST_STALLS]
 
 
 def _pose(scene: Any) -> tuple[tuple[float, ...], tuple[float, ...], tuple[float, ...]]:
@@ -210,21 +302,23 @@ def _instead(scene: Any, found: survey.Survey) -> str:
 
 
 def _read(scene: Any) -> None:
-    """Read from the scene what a picture needs besides the pose."""
-    _look.world_changed, _look.transport = False, None
-    pixels = int(scene.nlos.look_resolution)
+    """Read from the scene what a picture needs besides the pose, and write it for the process that draws."""
+    old, _look.world_changed, _look.world = _look.world, False, None
+    if old is not None:
+        old.unlink(missing_ok=True)
+    resolution = int(scene.nlos.look_resolution)
     _look.scene = scene.name
     described = read_scene(scene)
     width, height = described.resolution
-    size = (pixels, max(1, round(pixels * height / width)))
+    size = (resolution, max(1, round(resolution * height / width)))
     surveyed = survey.survey(scene, resolution=size)
     world = surveyed.world
     if world is None:
         raise NlosError(f"No live picture: {surveyed.reasons('surfel')[0]}{_instead(scene, surveyed)}")
-    _look.transport, _look.pose = Transport(world, accuracy=ACCURACY), None
-    _look.reference = described.reference_radiance
-    # Shadows cost next to nothing if nothing can be shadowed, or if the compiler is available.
-    _look.shadows = not world.room or bool(COMPILED)
+    _look.first, _look.watched, _look.reference = _look.asked + 1, world.watched, described.reference_radiance
+    path = background.folder() / f"look-{_look.first}.npz"
+    save_world(path, world)
+    _look.world, _look.pose = path, None
 
 
 def register() -> None:

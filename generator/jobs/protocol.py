@@ -9,8 +9,8 @@ from __future__ import annotations
 
 import json
 import sys
-from collections.abc import Iterable, Mapping
-from dataclasses import dataclass, fields
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import asdict, dataclass, fields
 from pathlib import Path
 from typing import Any, ClassVar, get_type_hints
 
@@ -129,6 +129,36 @@ class DrawExperiment(Request):
 
 
 @dataclass(frozen=True, kw_only=True)
+class Question:
+    """What `DrawLook` is asked for a picture of.
+
+    Attributes
+    ----------
+    number : int
+        Comes back with each answer; rises.
+    world : str
+        File that `world_file.save_world` wrote.
+    accuracy : float
+    position, rotation : sequence of float
+        As `Transport.difference` takes them: metres, degrees.
+    shadows : bool
+        Whether the light of the room that the target hides is wanted too.
+    """
+
+    number: int
+    world: str
+    accuracy: float
+    position: Sequence[float]
+    rotation: Sequence[float]
+    shadows: bool
+
+    @property
+    def line(self) -> str:
+        """The question as the worker reads it."""
+        return json.dumps(asdict(self))
+
+
+@dataclass(frozen=True, kw_only=True)
 class PlanBulk(PlanSweep):
     """Plan a bulk set, and check it at its start; answers ``planned`` and ``notes``."""
 
@@ -140,6 +170,14 @@ class RenderBulk(RenderSweep):
     """Render parts of a bulk set; takes their numbers, and answers each with ``part``."""
 
     module: ClassVar[str] = "generator.blender.bulk_worker"
+
+
+@dataclass(frozen=True, kw_only=True)
+class DrawLook(Request):
+    """Draw what the target changes at one pose after another; takes a `Question` a line."""
+
+    module: ClassVar[str] = "generator.jobs.look_worker"
+    trust_links: bool = False
 
 
 REQUESTS = (

@@ -283,6 +283,91 @@ def test_render_by_the_integral_without_numba_as_blender_has_none(package: Path,
     )
 
 
+LOOK = """
+        import time
+        live, state, images = (module(name) for name in ("view.live", "session.state", "view.images"))
+        session = bpy.context.window_manager.nlos
+
+        def drawn(seconds=60.0):
+            # The timers, which only a window has, by hand.
+            bpy.context.view_layer.update()
+            live._noted(scene, bpy.context.evaluated_depsgraph_get())
+            end = time.monotonic() + seconds
+            while live._ask() is not None or live.waits() or not live._look.at:
+                live._show()
+                assert time.monotonic() < end, live.words()
+                if live._look.resident.ended:
+                    return None
+                time.sleep(0.005)
+            return pixels("NLOS look") if "NLOS look" in bpy.data.images else None
+
+        bpy.ops.nlos.build_scene()
+        settings.look_resolution = "32"
+        target = roles.find(scene, "target")
+"""
+
+
+def test_the_live_look_is_drawn_by_another_process(package: Path, tmp_path: Path) -> None:
+    """It follows the object, takes its picture away where there is none, and leaves neither process nor file."""
+    blender(
+        package,
+        tmp_path,
+        LOOK
+        + """
+        survey, transport = module("generator.blender.engines.survey"), module("generator.transport")
+        session.look = True
+        first = drawn()
+        world, _ = survey.world(scene, resolution=(32, 32))
+        place, turn, _ = live._pose(scene)
+        expected = transport.Transport(world, accuracy=live.ACCURACY).difference(place, turn)
+        level = expected.mean(axis=2)
+        top = images.captions["NLOS look"].top
+        assert np.allclose(first, images.signed(level.astype(np.float32) / top), atol=1e-5)
+        target.location.x += 0.1
+        assert not np.array_equal(drawn(), first)
+        target.location.y = 0.0
+        assert not drawn().any() and "relay wall" in live.words(), live.words()
+        assert "NLOS look" not in images.captions
+        target.location = place
+        assert np.array_equal(drawn(), first)
+        path, resident = live._look.world, live._look.resident
+        assert path.exists()
+        process = resident._worker._process
+        session.look = False
+        assert not path.exists() and process.wait(5.0) is not None
+        """,
+        without="numba",
+    )
+
+
+@pytest.mark.slow
+def test_the_live_look_goes_without_the_python_that_cannot_draw_it(package: Path, tmp_path: Path) -> None:
+    """Blender's own does it then; and where the process dies, that is said."""
+    broken = tmp_path / "python"
+    broken.write_text("#!/bin/sh\necho no module named numpy >&2\nexit 3\n")
+    broken.chmod(0o755)
+    blender(
+        package,
+        tmp_path,
+        LOOK
+        + f"""
+        for path in ({str(broken)!r}, {str(tmp_path)!r}):
+            bpy.context.preferences.addons[MODULE].preferences.python = path
+            session.look = True
+            assert drawn().any()
+            session.look = False
+        bpy.context.preferences.addons[MODULE].preferences.python = sys.executable
+        session.look = True
+        assert drawn().any()
+        live._look.resident._worker.kill()
+        target.location.x += 0.1
+        drawn()
+        live._show()
+        assert "has ended" in live.words() and "switch it off and on" in live.words(), live.words()
+        """,
+    )
+
+
 @pytest.mark.slow
 def test_the_data_sets_workers_end_with_blender(package: Path, tmp_path: Path) -> None:
     """Even where it is killed: they notice that nobody listens any more."""

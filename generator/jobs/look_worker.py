@@ -1,0 +1,141 @@
+"""Worker process that draws what a target at a pose changes, always for the newest question.
+
+Run as ``python -m generator.jobs.look_worker REQUEST``; needs NumPy, and no Blender. A question is a line of JSON
+(`Question`). It is answered by a coarse picture without the target's shadow on the room where the whole one takes
+longer than `_SOON`, and then by the whole one; what is unfinished is dropped when another question comes. When the
+coordinator dies, its end of the pipe closes, and the worker ends too.
+"""
+
+from __future__ import annotations
+
+import base64
+import json
+import os
+import signal
+import sys
+import threading
+import time
+from collections.abc import Sequence
+from pathlib import Path
+
+from generator.jobs.protocol import Question, answer
+from generator.model.errors import NlosError
+from generator.transport import Transport
+from generator.transport.caching import compiling_words
+from generator.transport.compiled import COMPILED
+from generator.transport.world_file import load_world
+
+_SOON = 0.05
+"""Seconds within which a whole picture needs no coarse one before it."""
+
+
+class _DroppedError(BaseException):
+    """Raised in what is being computed when its picture is not wanted any more; no error that anything may catch."""
+
+
+class _Desk:
+    """Reads questions in a thread; only the newest counts."""
+
+    def __init__(self) -> None:
+        self._newest: Question | None = None
+        self._came = threading.Event()
+        self._may_drop = False
+        signal.signal(signal.SIGINT, self._signalled)
+        threading.Thread(target=self._read, daemon=True).start()
+
+    def _read(self) -> None:
+        for line in sys.stdin:
+            self._newest = Question(**json.loads(line))
+            self._came.set()
+            if self._may_drop:
+                signal.raise_signal(signal.SIGINT)
+        os._exit(0)
+
+    def _signalled(self, *_: object) -> None:
+        # Handlers run in the main thread: what it does now is what may be dropped.
+        if self._may_drop and self._came.is_set():
+            self._may_drop = False
+            raise _DroppedError
+
+    def next(self) -> Question:
+        """Wait for a question that was not taken yet, and return it."""
+        self._came.wait()
+        self._came.clear()
+        assert self._newest is not None
+        return self._newest
+
+    @property
+    def has_newer(self) -> bool:
+        """Whether a question waits."""
+        return self._came.is_set()
+
+    def droppable(self, on: bool) -> None:
+        """Say whether what follows may be dropped for a newer question."""
+        self._may_drop = on
+        if on and self._came.is_set():  # it came while that could not be
+            self._may_drop = False
+            raise _DroppedError
+
+
+class _Painter:
+    """Answers questions, with the engine of the last world."""
+
+    def __init__(self, desk: _Desk) -> None:
+        self._desk = desk
+        self._engine: Transport | None = None
+        self._of: tuple[str, float] = "", 0.0
+        self._seconds = float("inf")
+
+    def paint(self, question: Question) -> None:
+        """Send the pictures that a question asks for."""
+        start = time.perf_counter()
+        try:
+            self._desk.droppable(True)
+            engine = self._prepared(question)
+            if question.shadows and self._seconds > _SOON:
+                self._send(question, engine, start, shadows=False)
+            begun = time.perf_counter()
+            self._send(question, engine, start, shadows=question.shadows)
+            if question.shadows:
+                self._seconds = time.perf_counter() - begun
+        except NlosError as error:
+            self._desk.droppable(False)
+            answer(number=question.number, refused=str(error), seconds=time.perf_counter() - start)
+        finally:
+            self._desk.droppable(False)
+
+    def _prepared(self, question: Question) -> Transport:
+        if self._engine is None or self._of != (question.world, question.accuracy):
+            self._engine, self._seconds = None, float("inf")
+            engine = Transport(load_world(Path(question.world)), accuracy=question.accuracy)
+            self._engine, self._of = engine, (question.world, question.accuracy)
+        return self._engine
+
+    def _send(self, question: Question, engine: Transport, start: float, *, shadows: bool) -> None:
+        picture = engine.difference(question.position, question.rotation, shadows=shadows).astype("<f4")
+        self._desk.droppable(False)  # half an answer would be none
+        answer(
+            number=question.number,
+            whole=shadows == question.shadows,
+            shape=picture.shape,
+            pixels=base64.b64encode(picture.tobytes()).decode("ascii"),
+            seconds=time.perf_counter() - start,
+        )
+        self._desk.droppable(True)
+
+
+def main(arguments: Sequence[str] = ()) -> int:
+    """Answer questions until the coordinator ends."""
+    desk = _Desk()
+    painter = _Painter(desk)
+    answer(ready=True, compiled=bool(COMPILED), words=compiling_words("surfel"))
+    while True:
+        question = desk.next()
+        try:
+            painter.paint(question)
+        except _DroppedError:
+            continue
+
+
+if __name__ == "__main__":
+    sys.exit(main(sys.argv[1:]))
