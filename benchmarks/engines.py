@@ -48,7 +48,6 @@ RESULTS = {
     "agreement": ("scene", "surfel, W/m²/sr", "hidden", "patch / surfel - 1", "Mitsuba / surfel - 1"),
     "speed": ("method", "sphere, 1 m, bare wall", "sheet, 1 m, bare wall", "sphere, 1 m, room"),
     "error-by-time": ("scene", "method", "setting", "seconds", "least", "most", "error"),
-    "surfel-time": ("scene", "one pose at a time, ms", "in batches, ms"),
 }
 GOAL = 0.01
 REFERENCE = {False: 1e-6, True: 1e-5}
@@ -456,7 +455,8 @@ def print_times(case: Case, found: dict[str, list[Rung]]) -> None:
 
 
 def _short(value: float) -> str:
-    return f"{value:.2g}" if value < 100.0 or not math.isfinite(value) else f"{value:.1e}"
+    """Return a positive number with two digits."""
+    return f"{float(f'{value:.1e}'):,.0f}" if 10.0 <= value < 1e5 else f"{value:.2g}"
 
 
 def speed_rows(found: dict[Case, dict[str, list[Rung]]]) -> list[list[str]]:
@@ -470,11 +470,14 @@ def speed_rows(found: dict[Case, dict[str, list[Rung]]]) -> list[list[str]]:
         for case, methods in found.items():
             if name in methods:
                 seconds, how = time_to(methods[name], GOAL)
-                ratios = _ratios(methods, name)
-                spread = f"{_short(min(ratios))} to {_short(max(ratios))}"
-                factor = seconds / time_to(methods[BATCH], GOAL)[0]
                 star = "*" if how == "extrapolated" else ""
-                cells[case.name] = f"{_short(seconds)} s{star}, {_short(factor)} x ({spread})"
+                unit = f"{_short(1e3 * seconds)} ms" if seconds < 1.0 else f"{_short(seconds)} s"
+                cells[case.name] = f"{unit}{star}"
+                if name != BATCH:
+                    ratios = _ratios(methods, name)
+                    factor = seconds / time_to(methods[BATCH], GOAL)[0]
+                    spread = f"{_short(min(ratios))} to {_short(max(ratios))}"
+                    cells[case.name] += f", {_short(factor)} x ({spread})"
         rows.append([name, *cells.values()])
     return rows
 
@@ -501,21 +504,6 @@ def rung_rows(found: dict[Case, dict[str, list[Rung]]]) -> list[tuple[str, ...]]
             if how == "extrapolated":
                 table.append((case.name, name, how, *[f"{seconds_to:.3g}"] * 3, f"{GOAL:g}"))
     return table
-
-
-def own_times(processes: Processes, folder: Path, rounds: int = 5) -> dict[str, dict[str, float]]:
-    """Print and write the time of `surfel` alone, at 10 % asked for, in milliseconds: medians of rounds."""
-    measured = {}
-    for target, room in (("sphere", False), ("sheet", False), ("sphere", True), ("sheet", True)):
-        case = Case(target, 1.0, room)
-        transport = Surfel(processes.surfel_world(case), 0.1)
-        alone = 1e3 * float(np.median([transport.timed(case)[0] for _ in range(rounds)]))
-        batch = 1e3 * float(np.median([transport.timed_batch(case, POSES[room])[0] for _ in range(rounds)]))
-        measured[case.name] = {"alone": alone, "in batches": batch}
-        print(f"{case.name}: alone {alone:.3g} ms, in batches {batch:.3g} ms", flush=True)
-    rows = [(name, *(f"{ms:.2g}" for ms in of.values())) for name, of in measured.items()]
-    results.write(folder, "surfel-time", RESULTS["surfel-time"], rows)
-    return measured
 
 
 def times(processes: Processes, folder: Path, *, quick: bool) -> dict[str, Any]:
@@ -660,9 +648,7 @@ def main() -> None:
     parser.add_argument("-o", "--output", type=Path, required=True, help="folder for the plot and the figures")
     parser.add_argument("--quick", action="store_true", help="minutes instead of an hour: fewer scenes and renders")
     parser.add_argument("--room", action="store_true", help="agreement: in the room only")
-    parser.add_argument(
-        "--only", choices=["agreement", "time", "surfel"], help="one of the parts; surfel: its time alone"
-    )
+    parser.add_argument("--only", choices=["agreement", "time"], help="one of the parts")
     parser.add_argument(
         "--target",
         action="append",
@@ -680,11 +666,9 @@ def main() -> None:
     options.output.mkdir(parents=True, exist_ok=True)
     found: dict[str, Any] = {}
     with Processes() as processes:
-        if options.only == "surfel":
-            found["surfel"] = own_times(processes, options.output)
-        if options.only not in ("agreement", "surfel"):
+        if options.only != "agreement":
             found["time"] = times(processes, options.output, quick=options.quick)
-        if options.only not in ("time", "surfel"):
+        if options.only != "time":
             selection: dict[str, Any] = {"targets": ("sphere", "box"), "gaps": (1.0, 0.05)} if options.quick else {}
             if options.target:
                 selection["targets"] = tuple(options.target)

@@ -17,15 +17,13 @@ import pictures
 FOLDER = ROOT / "docs" / "pictures"
 BY_COMMANDS = {"bound-sphere", "detect-sheet", "track", "tutorial-differences"}
 """Drawn by a command from an atlas, a walk or a data set, which would be too large to keep."""
-OLD = {"error-by-time"}
-"""Of a run that kept no points; the next one does, which takes a machine to itself for an hour."""
-DRAWN = sorted(pictures.PICTURES.keys() - OLD)
+DRAWN = sorted(pictures.PICTURES)
 in_sources = pytest.mark.skipif(not FOLDER.is_dir(), reason="a source distribution has no pictures")
 
 
 @in_sources
 def test_every_picture_is_drawn_from_a_file_or_by_a_command():
-    assert {file.stem for file in FOLDER.glob("*.png")} == {*DRAWN, *BY_COMMANDS, *OLD}
+    assert {file.stem for file in FOLDER.glob("*.png")} == {*DRAWN, *BY_COMMANDS}
     pages = "".join(page.read_text(encoding="utf-8") for page in (ROOT / "docs").rglob("*.md"))
     assert [file.name for file in FOLDER.iterdir() if f"pictures/{file.name}" not in pages] == []
 
