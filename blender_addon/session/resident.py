@@ -41,6 +41,7 @@ class Resident:
         self._question: Question | None = None
         self._answer: dict[str, Any] | None = None
         self._is_ready = self._is_stopped = False
+        self._came = threading.Event()
         threading.Thread(target=self._run, daemon=True, name="nlos look").start()
 
     def ask(self, question: Question) -> None:
@@ -49,9 +50,12 @@ class Resident:
             self._question = question
             self._send()
 
-    def take(self) -> dict[str, Any] | None:
-        """Return the newest answer, once; None if there is none."""
+    def take(self, patience: float = 0.0) -> dict[str, Any] | None:
+        """Return the newest answer, once; None if there is none, nor comes within so many seconds."""
+        if patience:
+            self._came.wait(patience)
         with self._lock:
+            self._came.clear()
             found, self._answer = self._answer, None
         return found
 
@@ -99,6 +103,7 @@ class Resident:
                     self._send()
                 else:
                     self.words, self._answer = "", fields
+                    self._came.set()
 
 
 def pixels(fields: dict[str, Any]) -> Picture:

@@ -34,8 +34,9 @@ ACCURACY = 1e-2
 _REST = 0.4
 """Seconds after the last change until the slower steps are done."""
 
-_OFTEN = 0.01
-"""Seconds between two looks for an answer."""
+_OFTEN, _SOON = 0.01, 0.015
+"""Seconds between two looks for an answer; and after which one that is not there yet is waited for elsewhere: Blender
+draws its window next, which takes longer than most answers."""
 
 _TIMES, _MOST_STALLS = 400, 100_000
 
@@ -50,9 +51,9 @@ class _Look:
         The process that draws.
     world : Path or None
         File of what it draws, as it is now; None if it could not be read.
-    asked, first, latest, shown : int
-        Numbers of the last question, of the first one about this world, of the picture that is shown, and of the last
-        one that is whole.
+    asked, first, latest, shown, shadowed : int
+        Numbers of the last question, of the first one about this world, of the picture that is shown, of the last one
+        that is whole, and of the last one with shadows.
     at : dict
         When questions were asked, by their number, `time.perf_counter`.
     """
@@ -72,8 +73,10 @@ class _Look:
     first: int = 0
     latest: int = 0
     shown: int = 0
+    shadowed: int = 0
     at: dict[int, float] = field(default_factory=dict)
     seconds: list[float] = field(default_factory=list)
+    with_shadows: list[float] = field(default_factory=list)
     whole: list[float] = field(default_factory=list)
     stalls: list[float] = field(default_factory=list)
     pictures: int = 0
@@ -102,9 +105,9 @@ def seconds() -> list[float]:
     return list(_look.seconds)
 
 
-def whole() -> list[float]:
-    """Return the seconds from a change to its whole picture, of the last such pictures."""
-    return list(_look.whole)
+def whole() -> tuple[list[float], list[float]]:
+    """Return the seconds from a change to its first picture with shadows and to its whole one, of the last ones."""
+    return list(_look.with_shadows), list(_look.whole)
 
 
 def stalls(*, clear: bool = False) -> list[float]:
@@ -230,7 +233,8 @@ def _ask() -> float | None:
                 shadows=scene.nlos.look_shadows,
             )
         )
-        state.once(_show)
+        if _show(_SOON) is not None:
+            state.once(_show, _OFTEN)
         return None
     except NlosError as error:
         _say(str(error))
@@ -242,12 +246,12 @@ def _ask() -> float | None:
         _note_stall(start)
 
 
-def _show() -> float | None:
-    """Show a picture that has come; return the seconds until the next call, None if all have."""
+def _show(patience: float = 0.0) -> float | None:
+    """Show a picture that has come, or comes within a time; return the seconds to the next call, None if none is."""
     if _look.resident is None:
         return None
     start = time.perf_counter()
-    fields = _look.resident.take()
+    fields = _look.resident.take(patience)
     if fields is None:
         if _look.resident.words:
             _say(_look.resident.words)
@@ -262,13 +266,16 @@ def _show() -> float | None:
         return _OFTEN if waits() else None
     images.look(pixels(fields), _look.watched, _look.reference)
     since = time.perf_counter() - _look.at[number]
-    is_whole = bool(fields["whole"])
+    is_whole, is_shadowed = bool(fields["whole"]), bool(fields["shadows"])
     if number != _look.latest:
         _look.seconds = [*_look.seconds[-_TIMES:], since]
     _look.latest, _look.pictures = number, _look.pictures + 1
     if is_whole:
         _look.shown, _look.whole = number, [*_look.whole[-_TIMES:], since]
-    _look.words = f"{1e3 * since:.0f} ms" + ("" if is_whole else ", shadows follow")
+    if is_shadowed and _look.shadowed < number:
+        _look.shadowed, _look.with_shadows = number, [*_look.with_shadows[-_TIMES:], since]
+    follows = "" if is_whole else ", a finer one follows" if is_shadowed else ", shadows follow"
+    _look.words = f"{1e3 * since:.0f} ms{follows}"
     state.redraw("IMAGE_EDITOR", "VIEW_3D")
     _note_stall(start)
     return _OFTEN if waits() else None

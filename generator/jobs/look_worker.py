@@ -1,9 +1,9 @@
 """Worker process that draws what a target at a pose changes, always for the newest question.
 
 Run as ``python -m generator.jobs.look_worker REQUEST``; needs NumPy, and no Blender. A question is a line of JSON
-(`Question`). It is answered by a coarse picture without the target's shadow on the room where the whole one takes
-longer than `_SOON`, and then by the whole one; what is unfinished is dropped when another question comes. When the
-coordinator dies, its end of the pipe closes, and the worker ends too.
+(`Question`). Where the whole picture takes longer than `_SOON`, it is answered by quicker ones first: one without the
+target's shadow on the room, and without a compiler a draft with it. What is unfinished is dropped when another
+question comes. When the coordinator dies, its end of the pipe closes, and the worker ends too.
 """
 
 from __future__ import annotations
@@ -23,10 +23,13 @@ from generator.model.errors import NlosError
 from generator.transport import Transport
 from generator.transport.caching import compiling_words
 from generator.transport.compiled import COMPILED
+from generator.transport.render import COARSEST
 from generator.transport.world_file import load_world
 
 _SOON = 0.05
-"""Seconds within which a whole picture needs no coarse one before it."""
+"""Seconds within which a whole picture needs no quicker one before it."""
+_LOOSER = 3.0
+"""How many times less accurate a draft is."""
 
 
 class _DroppedError(BaseException):
@@ -83,6 +86,7 @@ class _Painter:
     def __init__(self, desk: _Desk) -> None:
         self._desk = desk
         self._engine: Transport | None = None
+        self._draft: Transport | None = None
         self._of: tuple[str, float] = "", 0.0
         self._seconds = float("inf")
 
@@ -93,9 +97,11 @@ class _Painter:
             self._desk.droppable(True)
             engine = self._prepared(question)
             if question.shadows and self._seconds > _SOON:
-                self._send(question, engine, start, shadows=False)
+                self._send(question, self._draft or engine, start, shadows=False, whole=False)
+                if self._draft is not None:
+                    self._send(question, self._draft, start, shadows=True, whole=False)
             begun = time.perf_counter()
-            self._send(question, engine, start, shadows=question.shadows)
+            self._send(question, engine, start, shadows=question.shadows, whole=True)
             if question.shadows:
                 self._seconds = time.perf_counter() - begun
         except NlosError as error:
@@ -106,17 +112,21 @@ class _Painter:
 
     def _prepared(self, question: Question) -> Transport:
         if self._engine is None or self._of != (question.world, question.accuracy):
-            self._engine, self._seconds = None, float("inf")
-            engine = Transport(load_world(Path(question.world)), accuracy=question.accuracy)
-            self._engine, self._of = engine, (question.world, question.accuracy)
+            self._engine, self._draft, self._seconds = None, None, float("inf")
+            world, accuracy = load_world(Path(question.world)), question.accuracy
+            engine = Transport(world, accuracy=accuracy)
+            if not COMPILED:
+                self._draft = Transport(world, accuracy=min(COARSEST, _LOOSER * accuracy), like=engine, draft=True)
+            self._engine, self._of = engine, (question.world, accuracy)
         return self._engine
 
-    def _send(self, question: Question, engine: Transport, start: float, *, shadows: bool) -> None:
+    def _send(self, question: Question, engine: Transport, start: float, *, shadows: bool, whole: bool) -> None:
         picture = engine.difference(question.position, question.rotation, shadows=shadows).astype("<f4")
         self._desk.droppable(False)  # half an answer would be none
         answer(
             number=question.number,
-            whole=shadows == question.shadows,
+            whole=whole,
+            shadows=shadows,
             shape=picture.shape,
             pixels=base64.b64encode(picture.tobytes()).decode("ascii"),
             seconds=time.perf_counter() - start,

@@ -10,6 +10,8 @@ from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from typing import Any, TypeVar
 
+import numpy as np
+
 from generator.transport import caching
 
 Function = TypeVar("Function", bound=Callable[..., Any])
@@ -78,7 +80,11 @@ def in_parts(function: Callable[..., None], n: int, *arguments: Any) -> None:
 
     A call made from one of these threads is not divided again and runs on that thread.
     """
-    threads = int(numba.get_num_threads()) if COMPILED and not _is_part.here else 1
+    if not COMPILED:
+        with np.errstate(all="ignore"):  # as compiled code, which divides by zero without a word
+            function(0, n, *arguments)
+        return
+    threads = 1 if _is_part.here else int(numba.get_num_threads())
     if threads == 1 or n == 1:
         function(0, n, *arguments)
         return

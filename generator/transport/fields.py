@@ -49,6 +49,9 @@ the first number times the accuracy, and to no better than the second number."""
 
 _HALVINGS = 8
 """Most times that the elements at shadows' edges are halved, starting from an eighth of the target."""
+_DRAFT, _PATIENCE = 2, 4
+"""The same for a draft; and without a compiler, for a room's own light, before its shadows are cut out instead. That
+takes a thousand times as long as compiled, but sums over rays may take as long again for each further halving."""
 
 
 CUT, _CUT_ROOM = 128, 40
@@ -65,6 +68,8 @@ class Fields:
     setting : Setting
     accuracy : float
         Relative accuracy, as for `render.Transport`.
+    draft : bool, default=False
+        Whether shadows' edges are refined `_DRAFT` times at most, and none is cut out.
 
     Attributes
     ----------
@@ -72,8 +77,8 @@ class Fields:
         Whether there are so few flat surfaces that shadows are cut out.
     """
 
-    def __init__(self, setting: Setting, accuracy: float) -> None:
-        self._setting = setting
+    def __init__(self, setting: Setting, accuracy: float, *, draft: bool = False) -> None:
+        self._setting, self._halvings = setting, _DRAFT if draft else _HALVINGS
         self._accuracy = accuracy
         self._digits = math.log(1.0 / accuracy)
         # A sphere's horizon, as seen from the wall, is a kink that no quadrature rule follows, and a jump of
@@ -84,7 +89,7 @@ class Fields:
         # Where nothing is in the way a point on the wall costs little, but each further panel needs its own elements.
         self._free_rule = picture.Rule(8 if accuracy > 3e-3 else 10 if accuracy > 3e-5 else 12)
         self._light = shaded.Light(setting.patch, setting.whole, self._digits)
-        self.few = compiled.COMPILED and max(len(setting.room.origin), len(setting.target.origin)) <= CUT
+        self.few = not draft and max(len(setting.room.origin), len(setting.target.origin)) <= CUT
         self._first = np.argsort(~setting.obstacles.is_blocker, kind="stable")
         # A sphere's outline is replaced by a polygon of its area, whose error is of fourth order in the angle.
         sides = ring(12 if accuracy > 3e-3 else 24 if accuracy > 3e-4 else 48)
@@ -188,7 +193,7 @@ class Fields:
             reports = [{} for _ in range(n)]
         remaining = np.flatnonzero(lost)
         if len(remaining):
-            evaluate = self._reflected_loops if self.few else self._reflected_arrays
+            evaluate = self._reflected_loops if self.few and compiled.COMPILED else self._reflected_arrays
             reflected = evaluate(self._sharp(), Poses(*(field[remaining] for field in poses)))
             pixels[remaining], panels, most = self._refined(
                 reflected, len(remaining), setting.tint.shape[1], setting.target.extent
@@ -208,16 +213,20 @@ class Fields:
         cells = self._target()._replace(
             flat=setting.room_cells, balls=np.zeros((0, elements.WIDTH)), albedo=setting.room.tint
         )
-        lost = np.ones(1, dtype=bool)
-        if compiled.COMPILED and len(setting.room.origin) <= _CUT_ROOM:  # whatever the target, which is absent here
+        summed = 1, cells.albedo.shape[1], setting.room.extent, None, 0.05
+        if len(setting.room.origin) <= _CUT_ROOM:  # whatever the target, which is absent here
+            orders = poses.orders.copy()
+            if not compiled.COMPILED:
+                evaluate = self._reflected_arrays(cells, poses)
+                if self._settled(evaluate, *summed, halvings=_PATIENCE)[2]:
+                    return self._refined(evaluate, *summed)[0][0]
             poses.orders[:] = self._light.order(setting.room.samples())
             pixels, _, lost = self._received(cells, poses)
-            pixels = pixels[:, :, 0]
-        if lost.any():
-            evaluate = self._reflected_arrays(cells, poses)
-            pixels, _, _ = self._refined(evaluate, 1, cells.albedo.shape[1], setting.room.extent, care=0.05)
-        image: Floats = pixels[0]
-        return image
+            if not lost.any():
+                image: Floats = pixels[0, :, 0]
+                return image
+            poses.orders[:] = orders
+        return self._refined(self._reflected_arrays(cells, poses), *summed)[0][0]
 
     def hidden(self, turns: Floats, places: Floats, moving: bool, level: Floats) -> tuple[Floats, Floats]:
         """Return the light of the room that a target hides.
@@ -429,6 +438,18 @@ class Fields:
         ``level`` (n, groups) is a mean square that errors are relative to where it is larger than the field's own;
         two resolutions agree if they differ by at most ``care`` times the accuracy.
         """
+        on_panels, most, _ = self._settled(evaluate, n, groups, extent, level, care, self._halvings)
+        pixels, used = picture.draw(
+            lambda owner, boxes: (on_panels(owner, boxes, self._rule.places), np.zeros(len(owner))),
+            *(self._rule, picture.Parts.whole(n), self._shape(n, groups), _LOOSE * self._accuracy),
+            level=level,
+        )
+        return pixels, used, most
+
+    def _settled(
+        self, evaluate: Traced, n: int, groups: int, extent: float, level: Floats | None, care: float, halvings: int
+    ) -> tuple[Callable[[Floats, Floats, Floats], Floats], Floats, bool]:
+        """Refine as `_refined` does; return the field on panels, most elements of each, and whether they agree."""
         finest, most = np.full(n, extent / 8.0), np.zeros(n)
 
         def on_panels(owner: Floats, boxes: Floats, places: Floats) -> Floats:
@@ -443,7 +464,7 @@ class Fields:
         probes = picture.Rule(4)
         rough = np.arange(n)
         previous = on_panels(rough, whole, probes.places)
-        for _ in range(_HALVINGS):
+        for _ in range(halvings):
             finest[rough] /= 2.0
             values = on_panels(rough, whole[rough], probes.places)
             change, norm = probes.mean_square(values - previous), probes.mean_square(values)
@@ -453,12 +474,7 @@ class Fields:
             rough, previous = rough[keep], values[keep]
             if not len(rough):
                 break
-        pixels, used = picture.draw(
-            lambda owner, boxes: (on_panels(owner, boxes, self._rule.places), np.zeros(len(owner))),
-            *(self._rule, picture.Parts.whole(n), self._shape(n, groups), _LOOSE * self._accuracy),
-            level=level,
-        )
-        return pixels, used, most
+        return on_panels, most, not len(rough)
 
     def _walls(self, boxes: Floats, places: Floats) -> Floats:
         """Return the wall points (panels * points, 3) at places of panels."""

@@ -5,7 +5,9 @@ from __future__ import annotations
 import base64
 import subprocess
 import sys
+import threading
 import time
+from contextlib import contextmanager
 from dataclasses import replace
 
 import numpy as np
@@ -50,9 +52,19 @@ def world(tmp_path_factory):
     return path, made
 
 
+@contextmanager
+def begun(how):
+    """A worker; ended, and with it the wait for its answers, if a test takes minutes."""
+    with Worker(DrawLook(), how) as started:
+        late = threading.Timer(120.0, started.kill)
+        late.start()
+        yield started
+        late.cancel()
+
+
 @pytest.fixture
 def worker():
-    with Worker(DrawLook(), launch) as started:
+    with begun(launch) as started:
         ready = started.answer()
         assert ready["ready"]
         assert ready["compiled"] == COMPILED
@@ -74,6 +86,28 @@ def test_a_coarse_picture_comes_first_and_both_are_the_engines(world, worker):
     alone = worker.answer()
     assert (alone["number"], alone["whole"]) == (2, True)
     np.testing.assert_array_equal(pixels(alone), pixels(coarse))
+
+
+def test_without_a_compiler_a_draft_with_shadows_comes_second(tmp_path):
+    """Then comes what was asked for."""
+    path, room = tmp_path / "room.npz", worlds.room(order=3)
+    save_world(path, room)
+
+    def plain(arguments):
+        code = "import sys, runpy; sys.modules['numba'] = None; sys.argv = ['look', '{}']; "
+        return [sys.executable, "-c", code + f"runpy.run_module({arguments[0]!r}, run_name='__main__')"]
+
+    with begun(plain) as worker:
+        assert not worker.answer()["compiled"]
+        asked = question(path)
+        worker.send(asked.line)
+        answers = [worker.answer() for _ in range(3)]
+        assert [(f["shadows"], f["whole"]) for f in answers] == [(False, False), (True, False), (True, True)]
+        made = Transport(room, accuracy=1e-3).render(asked.position, asked.rotation)
+        off = [pixels(fields) - (made.added - made.hidden) for fields in answers]
+        errors = np.sqrt([(one**2).mean() / (made.added**2).mean() for one in off])
+        assert errors[2] < ACCURACY
+        assert errors[2] < errors[1] < 0.1 < errors[0]
 
 
 def test_the_newest_question_wins_and_what_was_dropped_leaves_no_trace(world, worker):
