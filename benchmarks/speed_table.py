@@ -101,9 +101,11 @@ def rows() -> Iterator[Row]:
     yield Row("a mesh of 1,000 triangles, a tenth asked for, ms", ring, some[:6], accuracy=0.1)
     yield Row("first picture in the room, nothing compiled, s", room, some[:1], "first")
     yield Row("first picture of all reflections, nothing compiled, s", lit, turned[:1], "first")
-    places = ((1.55, 1.15, 1.3), (1.2, 1.6, 1.0), (1.9, 1.5, 1.3))
-    still = [(place, (0.0, 0.0, 0.0)) for place in places]
-    yield Row("a pose in the room without numba, s", room, still, numba=False)
+    places = ((1.55, 1.15, 1.3), (1.2, 1.6, 1.0), (1.9, 1.5, 1.3), (0.93, 1.99, 0.79))
+    still, plain = [(place, (0.0, 0.0, 0.0)) for place in places], world_of(sheet)
+    yield Row("a sheet in the room without numba, median, s", plain, still, numba=False)
+    yield Row("the same without numba, the longest of four, s", plain, still, "longest", numba=False)
+    yield Row("a draft of it without numba, the longest of four, s", plain, still, "draft", numba=False)
 
 
 def timed(row: Row, tree: Path, cache: Path) -> float | None:

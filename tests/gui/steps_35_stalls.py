@@ -30,9 +30,10 @@ def places():
     target = roles.find(bpy.context.scene, "target")
     before = tuple(target.location)
     for place in PLACES:
+        done = len(looking.whole()[1])
         target.location = place
         yield 0.02
-        yield from until(lambda: not looking.waits(), "the picture is whole", 60.0)
+        yield from until(lambda done=done: len(looking.whole()[1]) > done, "the picture is whole", 60.0)
         shadowed, whole = (1e3 * times[-1] for times in looking.whole())
         say(f"from the move to the picture with shadows at {place}: {shadowed:.0f} ms; to 1 %: {whole:.0f} ms")
     target.location = before
