@@ -14,6 +14,7 @@ from generator.blender.scene.description import lamp_power, read_scene
 from generator.files.pictures import read_picture
 from generator.jobs.protocol import CheckScene, DrawExperiment, RenderWall
 from generator.model.errors import NlosError
+from generator.model.quantities import radiance
 
 from ..draft import fill, grid_of, spec_of, sweep_of
 from ..session import background, state
@@ -249,7 +250,7 @@ class NLOS_OT_render_wall(_Task, bpy.types.Operator):
             wall, empty = (read_picture(folder / f"{name}.exr")[0] for name in ("wall", "background"))
             state.shown = state.Shown(wall, empty)
             images.store(images.WALL, wall)
-            state.rendering = f"Mean radiance {wall.mean():.4g} W/m²/sr"
+            state.rendering = f"Mean radiance {radiance(float(wall.mean()))}"
             if difference:
                 change = wall - empty
                 images.store(images.DIFFERENCE, change)

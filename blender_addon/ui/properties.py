@@ -32,6 +32,10 @@ from generator.model.settings import Sweep
 from ..draft import ROOM, fill
 from ..view import live, overlay
 
+_READ = {"PATH_SUPPORTS_BLEND_RELATIVE"} if bpy.app.version >= (4, 5, 0) else set()
+_WRITTEN = _READ and {*_READ, "OUTPUT_PATH"}
+"""Options of paths: without them, Blender draws red what starts with // or is not there yet. Older ones lack them."""
+
 
 def _range(kind: type, name: str) -> dict[str, Any]:
     low, high = range_of(kind, name)
@@ -99,7 +103,9 @@ class NlosSettings(bpy.types.PropertyGroup):
         precision=3,
         subtype="FACTOR",
     )
-    target_mesh: StringProperty(name="File", description="Mesh file: OBJ, PLY or STL", subtype="FILE_PATH")
+    target_mesh: StringProperty(
+        name="File", description="Mesh file: OBJ, PLY or STL", subtype="FILE_PATH", options=_READ
+    )
     light_power: FloatProperty(
         name="Power",
         description=sentence_for(Spot, "power"),
@@ -255,6 +261,7 @@ class NlosSettings(bpy.types.PropertyGroup):
         description="Where the data set goes: a new or empty folder, or the one of a set to go on with",
         subtype="DIR_PATH",
         default="//dataset",
+        options=_WRITTEN,
     )
     poses: IntProperty(
         name="Poses",
@@ -279,7 +286,11 @@ class NlosSettings(bpy.types.PropertyGroup):
         soft_max=64,
     )
     model: StringProperty(
-        name="Model", description="Trained by nlos-classify train (.skops)", subtype="FILE_PATH", default=""
+        name="Model",
+        description="Trained by nlos-classify train (.skops)",
+        subtype="FILE_PATH",
+        default="",
+        options=_READ,
     )
 
 

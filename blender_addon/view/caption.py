@@ -10,6 +10,8 @@ import gpu
 import numpy as np
 from gpu_extras.batch import batch_for_shader
 
+from generator.model.quantities import radiance
+
 from . import images
 
 _handles: list[Any] = []
@@ -30,7 +32,7 @@ def unregister() -> None:
 
 def lines(caption: images.Caption) -> tuple[str, str]:
     """Return the texts above and below the colour scale."""
-    scale = f"-{caption.top:.0e} to +{caption.top:.0e} W/m²/sr" if caption.top else "no light from the object"
+    scale = f"dark to bright: ±{radiance(caption.top, 1)}" if caption.top else "no light from the object"
     return scale, f"amplified {caption.amplification:,.0f} times" if caption.amplification else ""
 
 

@@ -34,7 +34,7 @@ ACCURACY = 1e-2
 _REST = 0.4
 """Seconds after the last change until the slower steps are done."""
 
-_OFTEN, _SOON = 0.01, 0.015
+_OFTEN, _SOON = 0.01, 0.01
 """Seconds between two looks for an answer; and after which one that is not there yet is waited for elsewhere: Blender
 draws its window next, which takes longer than most answers."""
 
@@ -233,7 +233,8 @@ def _ask() -> float | None:
                 shadows=scene.nlos.look_shadows,
             )
         )
-        if _show(_SOON) is not None:
+        is_new_world = _look.first == _look.asked  # reading it took its time, and so will its first picture
+        if _show(0.0 if is_new_world else _SOON) is not None:
             state.once(_show, _OFTEN)
         return None
     except NlosError as error:

@@ -58,6 +58,14 @@ def byte_size(count: float) -> str:
     return f"{count / 1e6:.3g} MB" if count < 1e9 else f"{count / 1e9:.3g} GB"
 
 
+def radiance(value: float, digits: int = 3) -> str:
+    """Return a radiance, W/m^2/sr, with its sign and the prefix that reads best: 437 µW/m²/sr, 1.2 mW/m²/sr."""
+    size = float(f"{abs(value):.{digits - 1}e}")
+    prefix, unit = next(((p, u) for p, u in _PREFIXES if size >= u), _PREFIXES[-1])
+    return f"{'-' if value < 0.0 else ''}{round(size / unit, 9):g} {prefix}W/m²/sr" if size else "0 W/m²/sr"
+
+
+_PREFIXES = (("", 1.0), ("m", 1e-3), ("µ", 1e-6), ("n", 1e-9), ("p", 1e-12))
 _UNITS = {"": 1.0, "s": 1.0, "min": 60.0, "m": 60.0, "h": 3600.0, "d": 86400.0}
 
 

@@ -27,7 +27,7 @@ assert not COMPILED
 world, poses, accuracy = pickle.load(sys.stdin.buffer)
 engine = Transport(world, accuracy=accuracy)
 draft = Transport(world, accuracy=3.0 * accuracy, like=engine, draft=True)
-found = [engine.background(), [engine.difference(*pose) for pose in poses], [draft.difference(*pose) for pose in poses]]
+found = [engine.background(), *([one.difference(*pose) for pose in poses] for one in (engine, draft))]
 sys.stdout.buffer.write(pickle.dumps(found))
 """
 
