@@ -11,9 +11,22 @@ def _modules() -> tuple[Any, ...]:
     from .operators import answer, dataset, scene
     from .session import background
     from .ui import menus, panels, properties, translations
-    from .view import caption, live, overlay
+    from .view import caption, differs, live, overlay
 
-    rest = (background, scene, dataset, answer, menus, panels, overlay, live, caption, handlers, translations)
+    rest = (
+        background,
+        scene,
+        dataset,
+        answer,
+        menus,
+        panels,
+        overlay,
+        live,
+        differs,
+        caption,
+        handlers,
+        translations,
+    )
     return (properties, *rest)
 
 

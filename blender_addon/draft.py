@@ -84,6 +84,50 @@ def spec_of(settings: Any) -> Scene:
     return scene.with_ambient(short(settings.ambient_radiance) if settings.use_ambient else 0.0)
 
 
+_BUILT = ("preset", "target_kind", "target_size", "target_albedo", "use_ambient", "ambient_radiance")
+_APPLIED = (
+    "light_power",
+    "light_half_angle",
+    "grid_counts",
+    "grid_lo",
+    "grid_hi",
+    "reflection_order",
+    "resolution",
+)
+_CLOSE = 1e-4
+"""Relative difference below which two figures are the same: Blender keeps single precision."""
+
+
+def differing(settings: Any, scene: Scene) -> tuple[list[str], list[str]]:
+    """Return the settings of the draft that differ from a scene: those that Apply writes, and those of Build."""
+    target, spot, grid, ambient = scene.target, scene.spot, scene.grid, scene.ambient
+    there = {
+        "preset": scene.preset if scene.preset in PRESETS else settings.preset,
+        "target_kind": target.kind,
+        "target_size": target.size,
+        "target_albedo": settings.target_albedo if target.albedo is None else target.albedo,
+        "use_ambient": ambient > 0.0,
+        "ambient_radiance": ambient if ambient > 0.0 and settings.use_ambient else settings.ambient_radiance,
+        "light_power": spot.power,
+        "light_half_angle": math.radians(spot.half_angle),
+        "grid_counts": grid.shape,
+        "grid_lo": grid.lo,
+        "grid_hi": grid.hi,
+        "reflection_order": scene.reflection_order,
+        "resolution": scene.resolution,
+    }
+    return tuple(  # type: ignore[return-value]
+        [name for name in names if not _same(getattr(settings, name), there[name])] for names in (_APPLIED, _BUILT)
+    )
+
+
+def _same(one: Any, other: Any) -> bool:
+    if isinstance(other, str | bool):
+        return bool(one == other)
+    pairs = zip(one, other, strict=True) if hasattr(other, "__len__") else [(one, other)]
+    return all(math.isclose(a, b, rel_tol=_CLOSE, abs_tol=1e-6) for a, b in pairs)
+
+
 def grid_of(settings: Any) -> VoxelGrid:
     """Return the draft's voxel grid.
 

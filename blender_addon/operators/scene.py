@@ -18,7 +18,7 @@ from generator.model.quantities import radiance
 
 from ..draft import fill, grid_of, spec_of, sweep_of
 from ..session import background, state
-from ..view import images, live
+from ..view import differs, images, live
 
 _ROLE_WORDS = {
     "relay_wall": ("Relay Wall", "What lamp and camera look at"),
@@ -63,10 +63,24 @@ class NLOS_OT_build_scene(_Task, bpy.types.Operator):
     bl_idname = "nlos.build_scene"
     bl_label = "Build Scene"
 
+    def invoke(self, context: Any, event: Any) -> set[str]:
+        """Ask first where that would throw away what was edited by hand."""
+        if not differs.edited(context.scene):
+            return set(self.execute(context))
+        confirmed: set[str] = context.window_manager.invoke_confirm(
+            self,
+            event,
+            title="Build Scene",
+            message="What was built has been edited since. Building it anew discards these edits.",
+            confirm_text="Build Anew",
+        )
+        return confirmed
+
     def work(self, scene: Any) -> tuple[str, str]:
         """Build the scene; return the kind and the text of the report."""
         spec = spec_of(scene.nlos)
         build.build(scene, spec)
+        differs.mark(scene)
         message = f"Built the {spec.preset} with {spec.grid.n_voxels} voxels"
         extra_objects = roles.others(scene)
         if extra_objects:  # such as the cube and the lamp that Blender starts with
@@ -89,6 +103,7 @@ class NLOS_OT_apply(_Task, bpy.types.Operator):
         grid, lamp = grid_of(settings), roles.find(scene, "spot")
         if lamp.type != "LIGHT" or lamp.data.type != "SPOT":
             raise NlosError(f"the spot {lamp.name!r} must be a spot lamp")
+        was_edited = differs.edited(scene)
         roles.write_grid(scene, grid)
         roles.limit_reflections(scene, settings.reflection_order)
         scene.render.resolution_x, scene.render.resolution_y = settings.resolution
@@ -97,6 +112,8 @@ class NLOS_OT_apply(_Task, bpy.types.Operator):
         lamp.data.energy = 1.0
         lamp.data.energy = settings.light_power / (lamp_power(lamp.data) or 1.0)
         lamp.data.spot_size = 2.0 * settings.light_half_angle
+        if not was_edited:
+            differs.mark(scene)
         return "INFO", f"Applied; light is followed over {settings.reflection_order} reflections"
 
 

@@ -13,7 +13,7 @@ from generator.model.engines import AUTO, traits_of
 
 from ..operators import dataset
 from ..session import environment, state
-from ..view import live
+from ..view import differs, live
 from . import menus
 
 _ICONS = {GOOD: "CHECKMARK", NOTE: "INFO", WARNING: "ERROR", ERROR: "CANCEL"}
@@ -47,6 +47,18 @@ def _sentence(context: Any, layout: Any, text: str, icon: str = "NONE") -> None:
     column.label(text=line, icon=icon, translate=False)
 
 
+def _setting(layout: Any, settings: Any, name: str, **options: Any) -> None:
+    """Draw a setting, with a pencil behind it if the scene has another value."""
+    row = layout.row(align=True)
+    row.prop(settings, name, **options)
+    if any(name in names for names in differs.found()):
+        row.label(text="", icon="GREASEPENCIL")
+
+
+def _listed(settings: Any, names: list[str]) -> str:
+    return ", ".join(settings.bl_rna.properties[name].name.lower() for name in names)
+
+
 class NLOS_PT_presets(PresetPanel, bpy.types.Panel):
     """The user's own presets."""
 
@@ -76,6 +88,12 @@ class NLOS_PT_scene(_Tab, bpy.types.Panel):
         row = layout.row(align=True)
         row.operator("nlos.read_scene", text="Read", icon="IMPORT")
         row.operator("nlos.apply", text="Apply", icon="EXPORT")
+        to_apply, to_build = differs.found()
+        for operator, names in (("Apply", to_apply), ("Build Scene", to_build)):
+            if names:
+                _sentence(
+                    context, layout, f"Not in the scene before {operator}: {_listed(settings, names)}", "GREASEPENCIL"
+                )
         row = layout.row(align=True)
         row.use_property_split = False
         session = context.window_manager.nlos
@@ -134,11 +152,11 @@ class NLOS_PT_target(_Tab, bpy.types.Panel):
         """Draw the target's settings."""
         layout, settings = self.layout, context.scene.nlos
         _split(layout)
-        layout.prop(settings, "target_kind")
+        _setting(layout, settings, "target_kind")
         if settings.target_kind == "mesh":
             layout.prop(settings, "target_mesh")
-        layout.prop(settings, "target_size")
-        layout.prop(settings, "target_albedo")
+        _setting(layout, settings, "target_size")
+        _setting(layout, settings, "target_albedo")
 
 
 class NLOS_PT_light(_Tab, bpy.types.Panel):
@@ -151,8 +169,8 @@ class NLOS_PT_light(_Tab, bpy.types.Panel):
         """Draw the spot's settings."""
         layout, settings = self.layout, context.scene.nlos
         _split(layout)
-        layout.prop(settings, "light_power")
-        layout.prop(settings, "light_half_angle")
+        _setting(layout, settings, "light_power")
+        _setting(layout, settings, "light_half_angle")
 
 
 class NLOS_PT_ambient(_Tab, bpy.types.Panel):
@@ -171,7 +189,7 @@ class NLOS_PT_ambient(_Tab, bpy.types.Panel):
         layout, settings = self.layout, context.scene.nlos
         _split(layout)
         layout.active = settings.use_ambient
-        layout.prop(settings, "ambient_radiance")
+        _setting(layout, settings, "ambient_radiance")
 
 
 class NLOS_PT_voxels(_Tab, bpy.types.Panel):
@@ -185,7 +203,7 @@ class NLOS_PT_voxels(_Tab, bpy.types.Panel):
         layout, settings = self.layout, context.scene.nlos
         _split(layout)
         for name in ("grid_counts", "grid_lo", "grid_hi"):
-            layout.column().prop(settings, name)
+            _setting(layout.column(), settings, name)
 
 
 class NLOS_PT_rendering(_Tab, bpy.types.Panel):
@@ -198,7 +216,7 @@ class NLOS_PT_rendering(_Tab, bpy.types.Panel):
         layout, settings = self.layout, context.scene.nlos
         _split(layout)
         layout.prop(settings, "engine")
-        layout.prop(settings, "reflection_order")
+        _setting(layout, settings, "reflection_order")
         noisy = settings.engine == AUTO or traits_of(settings.engine).noisy
         if noisy:
             layout.prop(settings, "samples")
@@ -209,7 +227,7 @@ class NLOS_PT_rendering(_Tab, bpy.types.Panel):
         if settings.quality != "figures":
             layout.prop(settings, "minutes" if settings.quality == "time" else "error")
         column = layout.column(align=True)
-        column.prop(settings, "resolution", index=0, text="Resolution X")
+        _setting(column, settings, "resolution", index=0, text="Resolution X")
         column.prop(settings, "resolution", index=1, text="Y")
         layout.prop(settings, "difference")
         if noisy:

@@ -283,6 +283,45 @@ def test_render_by_the_integral_without_numba_as_blender_has_none(package: Path,
     )
 
 
+def test_the_panels_know_what_is_not_in_the_scene_and_what_build_would_discard(package: Path, tmp_path: Path) -> None:
+    blender(
+        package,
+        tmp_path,
+        """
+        differs = module("view.differs")
+
+        def found():
+            bpy.context.view_layer.update()
+            differs._read()
+            return differs.found()
+
+        assert found() == ([], []) and not differs.edited(scene)
+        for preset in ("corridor", "tabletop", "room"):
+            settings.preset = preset
+            bpy.ops.nlos.build_scene()
+            assert found() == ([], []) and not differs.edited(scene), (preset, found())
+        settings.light_power *= 2.0
+        settings.reflection_order = 5
+        assert found() == (["light_power", "reflection_order"], [])
+        bpy.ops.nlos.apply()
+        assert found() == ([], []) and not differs.edited(scene)
+        settings.target_kind, settings.target_size, settings.use_ambient = "sphere", 0.21, True
+        assert {"target_kind", "target_size", "use_ambient"} <= set(found()[1]) and not found()[0], found()
+        bpy.ops.nlos.read_scene()
+        assert found() == ([], []), found()
+        wall = next(o for o in scene.objects if o.get("nlos_role") == "room")
+        wall.location.z += 0.01
+        bpy.context.view_layer.update()
+        assert differs.edited(scene)
+        settings.light_power = 3.0
+        bpy.ops.nlos.apply()
+        assert differs.edited(scene), "what Apply writes is no edit by hand, but that still is one"
+        bpy.ops.nlos.build_scene()
+        assert not differs.edited(scene)
+        """,
+    )
+
+
 LOOK = """
         import time
         live, state, images = (module(name) for name in ("view.live", "session.state", "view.images"))
