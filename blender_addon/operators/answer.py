@@ -152,6 +152,7 @@ class NLOS_OT_answer(bpy.types.Operator):
             return {"CANCELLED"}
         arguments = ["-m", "classify.cli", "predict", str(model), str(files[0]), "--background", str(files[1])]
         state.answer_words = "Asking the model ..."
+        state.of["answer"] = state.of.get("picture", "")
 
         def then(task: background.Task) -> None:
             state.answer.clear()

@@ -173,6 +173,7 @@ class NLOS_OT_check(_Task, bpy.types.Operator):
         """Run the checks without rendering, start those that render; return the kind and the text of the report."""
         _forget_checks()
         state.findings[:] = check.findings(scene, engine=scene.nlos.engine)
+        differs.note("check")
         errors = [f for f in state.findings if f.level == ERROR]
         if errors:
             return "WARNING", errors[0].text
@@ -211,6 +212,7 @@ class NLOS_OT_fix(_Task, bpy.types.Operator):
         _forget_checks()
         check.mend(scene, self.fix)
         state.findings[:] = check.findings(scene, engine=scene.nlos.engine)
+        differs.note("check")
         return "INFO", f"{FIXES[self.fix]}: done"
 
 
@@ -279,6 +281,7 @@ class NLOS_OT_render_wall(_Task, bpy.types.Operator):
             state.remember("Render Wall")  # otherwise the next undo would remove the pictures
 
         state.rendering = "Rendering ..."
+        differs.note("picture")
         task = background.ask(request, then, "picture").settle()
         if task.error:
             raise NlosError(task.error)
@@ -314,6 +317,7 @@ class NLOS_OT_experiment(_Task, bpy.types.Operator):
                 state.remember("Experiment")
 
         state.experiment = "Drawing the pictures ..."
+        differs.note("experiment")
         request = DrawExperiment(scene=source, file=file, number=number, trust_links=True)
         task = background.ask(request, then, "experiment").settle()
         if task.error:

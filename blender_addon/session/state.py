@@ -35,6 +35,8 @@ experiment: str = ""
 shown: Shown | None = None
 answer: dict[str, float] = {}
 answer_words: str = ""
+of: dict[str, str] = {}
+"""What each result was of, by its topic: check, picture, experiment, answer (`view.differs.note`)."""
 environment_words: str = ""
 
 
@@ -43,6 +45,7 @@ def forget() -> None:
     global checking, experiment, rendering, shown, answer_words
     findings.clear()
     answer.clear()
+    of.clear()
     checking, rendering, experiment, shown, answer_words = False, "", "", None, ""
 
 

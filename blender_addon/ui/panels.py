@@ -55,6 +55,15 @@ def _setting(layout: Any, settings: Any, name: str, **options: Any) -> None:
         row.label(text="", icon="GREASEPENCIL")
 
 
+def _result(layout: Any, topic: str) -> Any:
+    """Return a column for a result, grey where it is of another scene than now, which it says."""
+    column = layout.column()
+    if differs.is_stale(topic):
+        column.active = False
+        column.label(text="Of the scene before its last edits", icon="TIME")
+    return column
+
+
 def _listed(settings: Any, names: list[str]) -> str:
     return ", ".join(settings.bl_rna.properties[name].name.lower() for name in names)
 
@@ -236,7 +245,7 @@ class NLOS_PT_rendering(_Tab, bpy.types.Panel):
         column.scale_y = 1.4
         column.operator("nlos.render_wall", icon="RENDER_STILL")
         if state.rendering:
-            _sentence(context, layout, state.rendering)
+            _sentence(context, _result(layout, "picture"), state.rendering)
 
 
 class NLOS_PT_check(_Tab, bpy.types.Panel):
@@ -248,6 +257,7 @@ class NLOS_PT_check(_Tab, bpy.types.Panel):
         """Draw the findings."""
         layout = self.layout
         layout.operator("nlos.check", icon="VIEWZOOM")
+        layout = _result(layout, "check") if state.findings else layout
         for finding in state.findings:
             box = layout.box()
             _sentence(context, box, finding.text, _ICONS[finding.level])
@@ -332,6 +342,7 @@ class NLOS_PT_answer(_Tab, bpy.types.Panel):
         column.prop(settings, "model")
         layout.operator("nlos.answer", icon="QUESTION")
         if state.answer_words:
+            layout = _result(layout, "answer")
             _sentence(context, layout, state.answer_words)
         if state.answer:
             column = layout.column(align=True)

@@ -1,4 +1,4 @@
-"""Which settings of the panels are not in the scene, and whether Build would throw away what was edited by hand.
+"""Which settings of the panels are not in the scene, which results are of another one, and what Build would discard.
 
 A handler only counts changes. Panels ask while they are drawn, where the scene must not be read; a timer reads it.
 """
@@ -27,6 +27,7 @@ _BUILT_AS = "nlos_built_as"
 _changes = 0
 _read_at = -1
 _found: tuple[list[str], list[str]] = [], []
+_now = ""
 
 
 def found() -> tuple[list[str], list[str]]:
@@ -34,6 +35,19 @@ def found() -> tuple[list[str], list[str]]:
     if _read_at != _changes:
         state.once(_read, _AFTER)
     return _found
+
+
+def note(topic: str) -> None:
+    """Note that a result is of the scene as it stands."""
+    global _now
+    bpy.context.view_layer.update()
+    _now = state.of[topic] = _fingerprint(bpy.context.scene)
+
+
+def is_stale(topic: str) -> bool:
+    """Return whether a result is of another scene than there was a moment ago; False again after undo."""
+    found()
+    return topic in state.of and state.of[topic] != _now
 
 
 def mark(scene: Any) -> None:
@@ -48,6 +62,16 @@ def edited(scene: Any) -> bool:
     return bool(built) and _hash(scene) != built
 
 
+def _fingerprint(scene: Any) -> str:
+    """Return a text that changes with the scene's light and with the target's pose."""
+    try:
+        place, turn, scale = roles.find(scene, "target").matrix_world.decompose()
+        pose = [f"{v:.5f}" for v in (*place, *turn, *scale)]
+        return f"{_hash(scene)} {read_scene(scene)} {pose}"
+    except NlosError as error:
+        return str(error)
+
+
 def _hash(scene: Any) -> str:
     try:
         world, _ = survey.world(scene, resolution=(_PIXELS, _PIXELS))
@@ -57,16 +81,19 @@ def _hash(scene: Any) -> str:
 
 
 def _read() -> None:
-    global _read_at, _found
+    global _read_at, _found, _now
     scene = bpy.context.scene
     if scene is None or state.rendering_now():
         return
-    before, _read_at = _found, _changes
+    before = _found, _now
+    if state.of:
+        _now = _fingerprint(scene)
+    _read_at = _changes
     try:
         _found = differing(scene.nlos, read_scene(scene)) if roles.GRID_SHAPE in scene else ([], [])
     except NlosError:  # it is told elsewhere
         _found = [], []
-    if _found != before:
+    if (_found, _now) != before:
         state.redraw("VIEW_3D")
 
 

@@ -318,6 +318,22 @@ def test_the_panels_know_what_is_not_in_the_scene_and_what_build_would_discard(p
         assert differs.edited(scene), "what Apply writes is no edit by hand, but that still is one"
         bpy.ops.nlos.build_scene()
         assert not differs.edited(scene)
+
+        # A result is stale once the scene has moved on, and not any more when it is as it was.
+        target = roles.find(scene, "target")
+        assert not differs.is_stale("check")
+        differs.note("check")
+        for change, back in (
+            (lambda: setattr(target.location, "x", 1.3), lambda: setattr(target.location, "x", place)),
+            (lambda: setattr(lamp, "energy", 2.0 * power), lambda: setattr(lamp, "energy", power)),
+        ):
+            place, lamp = target.location.x, roles.find(scene, "spot").data
+            power = lamp.energy
+            for edit, stale in ((change, True), (back, False)):
+                assert found() is not None and differs.is_stale("check") != stale
+                edit()
+                found()
+                assert differs.is_stale("check") == stale
         """,
     )
 
