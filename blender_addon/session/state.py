@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass
 from typing import Any
 
@@ -38,6 +39,7 @@ answer_words: str = ""
 of: dict[str, str] = {}
 """What each result was of, by its topic: check, picture, experiment, answer (`view.differs.note`)."""
 environment_words: str = ""
+is_reading: bool = False
 
 
 def forget() -> None:
@@ -47,6 +49,21 @@ def forget() -> None:
     answer.clear()
     of.clear()
     checking, rendering, experiment, shown, answer_words = False, "", "", None, ""
+
+
+@contextmanager
+def reading() -> Iterator[None]:
+    """Read the scene, which moves the target and puts it back: handlers that follow the scene let that pass."""
+    global is_reading
+    outer = is_reading
+    if not outer:
+        bpy.context.view_layer.update()  # what was changed before is no part of it; after undo, things are moved here
+    is_reading = True
+    try:
+        yield
+    finally:
+        bpy.context.view_layer.update()  # tells handlers now what they would be told later
+        is_reading = outer
 
 
 def rendering_now() -> bool:

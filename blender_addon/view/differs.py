@@ -40,8 +40,8 @@ def found() -> tuple[list[str], list[str]]:
 def note(topic: str) -> None:
     """Note that a result is of the scene as it stands."""
     global _now
-    bpy.context.view_layer.update()
-    _now = state.of[topic] = _fingerprint(bpy.context.scene)
+    with state.reading():
+        _now = state.of[topic] = _fingerprint(bpy.context.scene)
 
 
 def is_stale(topic: str) -> bool:
@@ -74,7 +74,8 @@ def _fingerprint(scene: Any) -> str:
 
 def _hash(scene: Any) -> str:
     try:
-        world, _ = survey.world(scene, resolution=(_PIXELS, _PIXELS))
+        with state.reading():
+            world, _ = survey.world(scene, resolution=(_PIXELS, _PIXELS))
     except NlosError:
         return ""
     return "" if world is None else world_hash(world)
@@ -85,14 +86,14 @@ def _read() -> None:
     scene = bpy.context.scene
     if scene is None or state.rendering_now():
         return
-    before = _found, _now
-    if state.of:
-        _now = _fingerprint(scene)
-    _read_at = _changes
-    try:
-        _found = differing(scene.nlos, read_scene(scene)) if roles.GRID_SHAPE in scene else ([], [])
-    except NlosError:  # it is told elsewhere
-        _found = [], []
+    before, _read_at = (_found, _now), _changes
+    with state.reading():
+        if state.of:
+            _now = _fingerprint(scene)
+        try:
+            _found = differing(scene.nlos, read_scene(scene)) if roles.GRID_SHAPE in scene else ([], [])
+        except NlosError:  # it is told elsewhere
+            _found = [], []
     if (_found, _now) != before:
         state.redraw("VIEW_3D")
 
@@ -100,7 +101,7 @@ def _read() -> None:
 @persistent  # type: ignore[untyped-decorator]
 def _changed(*_: Any) -> None:
     global _changes
-    _changes += 1
+    _changes += not state.is_reading
 
 
 def _handlers() -> tuple[Any, ...]:

@@ -66,7 +66,6 @@ class _Look:
     around: tuple[Any, ...] = ()
     world_changed: bool = True
     last_change: float = 0.0
-    busy: bool = False
     words: str = ""
     pose: tuple[tuple[float, ...], tuple[float, ...]] | None = None
     asked: int = 0
@@ -161,7 +160,7 @@ def _restored(*_: Any) -> None:
 @persistent  # type: ignore[untyped-decorator]
 def _noted(scene: Any, depsgraph: Any) -> None:
     """Record an update of the scene."""
-    if _look.busy:
+    if state.is_reading:
         return
     players = roles.players(scene, "target")
     moved = False
@@ -204,46 +203,43 @@ def _ask() -> float | None:
     if state.rendering_now():
         return _REST
     start = time.perf_counter()
-    rest = time.monotonic() - _look.last_change
-    _look.busy = True  # reading the scene moves the target and puts it back
     try:
-        bpy.context.view_layer.update()  # after undo, objects stand where they are said to only then
-        place, turn, scale = _pose(scene)
-        around = (*_around(scene), *(f"{s:.5g}" for s in scale))  # rotation changes its last digits
-        if _look.scene != scene.name or _look.around != around:
-            _look.world_changed, _look.around = True, around
-        if _look.world is None and _look.pose != (place, turn):
-            _look.world_changed = True
-        if _look.world_changed:
-            if _look.world is not None and rest < _REST:
-                return _REST
-            _look.pose = place, turn  # a scene that cannot be read is not tried again until the pose changes
-            _read(scene)
-        if _look.world is None or (place, turn) == _look.pose:
-            return None
-        _look.pose, _look.asked = (place, turn), _look.asked + 1
-        _look.at = {**dict(list(_look.at.items())[-_TIMES:]), _look.asked: start}
-        _look.resident.ask(
-            Question(
-                number=_look.asked,
-                world=str(_look.world),
-                accuracy=ACCURACY,
-                position=place,
-                rotation=turn,
-                shadows=scene.nlos.look_shadows,
+        with state.reading():
+            rest = time.monotonic() - _look.last_change
+            place, turn, scale = _pose(scene)
+            around = (*_around(scene), *(f"{s:.5g}" for s in scale))  # rotation changes its last digits
+            if _look.scene != scene.name or _look.around != around:
+                _look.world_changed, _look.around = True, around
+            if _look.world is None and _look.pose != (place, turn):
+                _look.world_changed = True
+            if _look.world_changed:
+                if _look.world is not None and rest < _REST:
+                    return _REST
+                _look.pose = place, turn  # a scene that cannot be read is not tried again until the pose changes
+                _read(scene)
+            if _look.world is None or (place, turn) == _look.pose:
+                return None
+            _look.pose, _look.asked = (place, turn), _look.asked + 1
+            _look.at = {**dict(list(_look.at.items())[-_TIMES:]), _look.asked: start}
+            _look.resident.ask(
+                Question(
+                    number=_look.asked,
+                    world=str(_look.world),
+                    accuracy=ACCURACY,
+                    position=place,
+                    rotation=turn,
+                    shadows=scene.nlos.look_shadows,
+                )
             )
-        )
-        is_new_world = _look.first == _look.asked  # reading it took its time, and so will its first picture
-        if _show(0.0 if is_new_world else _SOON) is not None:
-            state.once(_show, _OFTEN)
-        return None
+            is_new_world = _look.first == _look.asked  # reading it took its time, and so will its first picture
+            if _show(0.0 if is_new_world else _SOON) is not None:
+                state.once(_show, _OFTEN)
+            return None
     except NlosError as error:
         _say(str(error))
         images.darken(images.LOOK)
         return None
     finally:
-        bpy.context.view_layer.update()
-        _look.busy = False
         _note_stall(start)
 
 

@@ -319,6 +319,19 @@ def test_the_panels_know_what_is_not_in_the_scene_and_what_build_would_discard(p
         bpy.ops.nlos.build_scene()
         assert not differs.edited(scene)
 
+        # Reading is no change of its own, or it would follow itself for ever; a move before it is one.
+        live = module("view.live")
+        bpy.context.window_manager.nlos.look = True
+        found()
+        for moved in (False, True, False):
+            if moved:
+                roles.find(scene, "target").location.x += 0.1
+            before, noted = differs._changes, live._look.last_change
+            found()
+            bpy.context.view_layer.update()
+            assert (differs._changes > before) == (live._look.last_change > noted) == moved
+        bpy.context.window_manager.nlos.look = False
+
         # A result is stale once the scene has moved on, and not any more when it is as it was.
         target = roles.find(scene, "target")
         assert not differs.is_stale("check")
