@@ -29,12 +29,14 @@ class Resident:
     ----------
     words : str
         What an artist should know: that it starts, that it compiles first, or why there is none.
+    note : str
+        Why the best way to start it was not taken; empty if it was.
     ended : bool
         Whether it is over: no way to start it is left, or it died at work.
     """
 
     def __init__(self, launches: Sequence[Launch]) -> None:
-        self.words, self.ended = "The engine starts ...", False
+        self.words, self.note, self.ended = "The engine starts ...", "", False
         self._launches = launches
         self._lock = threading.Lock()
         self._worker: Worker | None = None
@@ -79,6 +81,8 @@ class Resident:
             except OSError as error:
                 notes.append(f"it cannot be run ({error.strerror or error})")
                 continue
+            if notes:
+                self.note = f"The Python in the preferences does not draw it: {notes[0]}"
             with worker:
                 with self._lock:
                     self._worker = worker

@@ -5,6 +5,7 @@ A handler only counts changes. Panels ask while they are drawn, where the scene 
 
 from __future__ import annotations
 
+import time
 from typing import Any
 
 import bpy
@@ -20,11 +21,12 @@ from ..draft import differing
 from ..session import state
 
 _AFTER = 0.2
-"""Seconds from a change until the scene is read, once for several quick changes."""
+"""Seconds from the last of several quick changes until the scene is read."""
 _PIXELS = 8
 _BUILT_AS = "nlos_built_as"
 
 _changes = 0
+_changed_at = 0.0
 _read_at = -1
 _found: tuple[list[str], list[str]] = [], []
 _now = ""
@@ -81,7 +83,16 @@ def _hash(scene: Any) -> str:
     return "" if world is None else world_hash(world)
 
 
-def _read() -> None:
+def _read() -> float | None:
+    """Read the scene once it rests; return the seconds until another try, None for none."""
+    if time.monotonic() - _changed_at < _AFTER:
+        return _AFTER
+    read()
+    return None
+
+
+def read() -> None:
+    """Read the scene as it is."""
     global _read_at, _found, _now
     scene = bpy.context.scene
     if scene is None or state.rendering_now():
@@ -100,8 +111,9 @@ def _read() -> None:
 
 @persistent  # type: ignore[untyped-decorator]
 def _changed(*_: Any) -> None:
-    global _changes
-    _changes += not state.is_reading
+    global _changes, _changed_at
+    if not state.is_reading:
+        _changes, _changed_at = _changes + 1, time.monotonic()
 
 
 def _handlers() -> tuple[Any, ...]:

@@ -86,7 +86,8 @@ _look = _Look()
 
 def words() -> str:
     """Return the text for the panel: why there is no picture, or how long the last one took."""
-    return _look.words
+    note = _look.resident.note if _look.resident is not None else ""
+    return f"{_look.words}. {note}" if note else _look.words
 
 
 def waits() -> bool:

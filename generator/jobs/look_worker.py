@@ -67,11 +67,6 @@ class _Desk:
         assert self._newest is not None
         return self._newest
 
-    @property
-    def has_newer(self) -> bool:
-        """Whether a question waits."""
-        return self._came.is_set()
-
     def droppable(self, on: bool) -> None:
         """Say whether what follows may be dropped for a newer question."""
         self._may_drop = on
@@ -89,12 +84,13 @@ class _Painter:
         self._draft: Transport | None = None
         self._of: tuple[str, float] = "", 0.0
         self._seconds = float("inf")
+        self._is_warm = not COMPILED
 
     def paint(self, question: Question) -> None:
         """Send the pictures that a question asks for."""
         start = time.perf_counter()
         try:
-            self._desk.droppable(True)
+            self._desk.droppable(self._is_warm)  # what compiles is not dropped, or it might never end
             engine = self._prepared(question)
             if question.shadows and self._seconds > _SOON:
                 self._send(question, self._draft or engine, start, shadows=False, whole=False)
@@ -102,6 +98,7 @@ class _Painter:
                     self._send(question, self._draft, start, shadows=True, whole=False)
             begun = time.perf_counter()
             self._send(question, engine, start, shadows=question.shadows, whole=True)
+            self._is_warm = True
             if question.shadows:
                 self._seconds = time.perf_counter() - begun
         except NlosError as error:
@@ -131,7 +128,7 @@ class _Painter:
             pixels=base64.b64encode(picture.tobytes()).decode("ascii"),
             seconds=time.perf_counter() - start,
         )
-        self._desk.droppable(True)
+        self._desk.droppable(self._is_warm)
 
 
 def main(arguments: Sequence[str] = ()) -> int:

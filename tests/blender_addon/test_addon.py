@@ -292,7 +292,7 @@ def test_the_panels_know_what_is_not_in_the_scene_and_what_build_would_discard(p
 
         def found():
             bpy.context.view_layer.update()
-            differs._read()
+            differs.read()
             return differs.found()
 
         assert found() == ([], []) and not differs.edited(scene)
@@ -422,7 +422,7 @@ def test_the_live_look_goes_without_the_python_that_cannot_draw_it(package: Path
         for path in ({str(broken)!r}, {str(tmp_path)!r}):
             bpy.context.preferences.addons[MODULE].preferences.python = path
             session.look = True
-            assert drawn().any()
+            assert drawn().any() and "does not draw it" in live.words(), live.words()
             session.look = False
         bpy.context.preferences.addons[MODULE].preferences.python = sys.executable
         session.look = True
