@@ -248,6 +248,8 @@ def _show(patience: float = 0.0) -> float | None:
     """Show a picture that has come, or comes within a time; return the seconds to the next call, None if none is."""
     if _look.resident is None:
         return None
+    if state.rendering_now():
+        return _REST
     start = time.perf_counter()
     fields = _look.resident.take(patience)
     if fields is None:
