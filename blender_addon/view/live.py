@@ -34,7 +34,7 @@ ACCURACY = 1e-2
 _REST = 0.4
 """Seconds after the last change until the slower steps are done."""
 
-_OFTEN, _SOON = 0.01, 0.01
+_OFTEN, _SOON = 0.01, 0.02
 """Seconds between two looks for an answer; and after which one that is not there yet is waited for elsewhere: Blender
 draws its window next, which takes longer than most answers."""
 
