@@ -108,7 +108,7 @@ def test_every_module_of_the_extension_and_what_it_draws(bare, tmp_path):
     shutil.unpack_archive(package, tmp_path / "addons" / "nlos_lab")
     said = bare(
         """
-        import importlib, sys
+        import importlib, sys, time
         from pathlib import Path
         import bpy, numpy as np
         sys.path.insert(0, "addons")
@@ -135,8 +135,12 @@ def test_every_module_of_the_extension_and_what_it_draws(bare, tmp_path):
         settings.preset, settings.target_kind, settings.samples, settings.resolution = "tabletop", "sphere", 4, (8, 8)
         assert bpy.ops.nlos.build_scene() == {"FINISHED"}
         manager.nlos.look = True
-        live._draw()
-        assert live.pictures() == 1 and "ms" in live.words(), live.words()
+        end = time.monotonic() + 120.0
+        live._ask()
+        while live.waits() and not live._look.resident.ended and time.monotonic() < end:
+            live._show()
+            time.sleep(0.01)
+        assert live.pictures() and "ms" in live.words(), live.words()
         manager.nlos.look = False
         bpy.ops.nlos.check()
         assert state.findings and "No module" not in " ".join(f.text for f in state.findings), state.findings
