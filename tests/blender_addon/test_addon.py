@@ -375,6 +375,7 @@ LOOK = """
 """
 
 
+@pytest.mark.slow
 def test_the_live_look_is_drawn_by_another_process(package: Path, tmp_path: Path) -> None:
     """It follows the object, takes its picture away where there is none, and leaves neither process nor file."""
     blender(

@@ -558,6 +558,7 @@ def test_where_surfel_cannot_be_asked_a_range_is_told():
     assert abs(found.share - (wall - without).mean() / wall.mean()) < 5.0 * found.error  # 1 in 10^6 by chance
 
 
+@pytest.mark.slow
 def test_what_no_sample_met_is_bounded_and_no_error():
     scene = small(0.02)
     rough_target(scene)

@@ -47,7 +47,7 @@ def pixels(fields):
 def world(tmp_path_factory):
     """A room, and its file."""
     path = tmp_path_factory.mktemp("look") / "room.npz"
-    made = worlds.room()
+    made = worlds.room(order=3)
     save_world(path, made)
     return path, made
 
@@ -88,10 +88,9 @@ def test_a_coarse_picture_comes_first_and_both_are_the_engines(world, worker):
     np.testing.assert_array_equal(pixels(alone), pixels(coarse))
 
 
-def test_without_a_compiler_a_draft_with_shadows_comes_second(tmp_path):
+def test_without_a_compiler_a_draft_with_shadows_comes_second(world):
     """Then comes what was asked for."""
-    path, room = tmp_path / "room.npz", worlds.room(order=3)
-    save_world(path, room)
+    path, room = world
 
     def plain(arguments):
         code = "import sys, runpy; sys.modules['numba'] = None; sys.argv = ['look', '{}']; "

@@ -14,6 +14,7 @@ from generator.files.pictures import read_picture
 from generator.sets.dataset import Dataset
 from generator.sets.simulated import open_set
 
+pytestmark = pytest.mark.slow
 VARY = ("target.albedo=0.3:1", "wall.albedo=0.4:0.9", "room.albedo=0.2:0.8", "spot.power=500:1500")
 OPTIONS = ["--targets", "2", *(word for text in VARY for word in ("--vary", text))]
 SMALL = ("--resolution", "8", "--workers", "1", *OPTIONS)

@@ -423,6 +423,7 @@ def ball_of_triangles(radius, cuts, albedo):
     return Mesh(triangles, np.full((len(triangles), 3), albedo))
 
 
+@pytest.mark.slow
 def test_a_fine_mesh_is_followed_by_parts(monkeypatch):
     """A ball of 512 triangles changes what the sphere of its area does, where lines are too many to make noise."""
     monkeypatch.setattr(change, "_LINES", 1 << 17)

@@ -216,6 +216,7 @@ def test_derivatives_of_the_sky_that_a_sphere_hides_are_those_of_its_form_factor
         assert worlds.error(slopes[axis], expected) < 0.03
 
 
+@pytest.mark.slow
 def test_size_and_brightness_change_nothing_else():
     floor = worlds.quad((-2.0, 0.0, -1.0), (4.0, 0.0, 0.0), (0.0, 3.0, 0.0), 0.7)
     world = under_sky(ball(albedo=0.6), room=(floor,))
