@@ -268,6 +268,7 @@ def test_the_command_tells_its_time_once_and_a_set_goes_on_without(tmp_path, com
     assert plain.meta["fingerprint"] == known["fingerprint"], "the check is no setting"
 
 
+@pytest.mark.slow
 def test_bulk_is_checked_too(tmp_path, command):
     source = made(tmp_path / "a.blend", _nothing)
     some = ("--pictures", "9", "--resolution", "8", "--accuracy", "0.01", "--workers", "1")

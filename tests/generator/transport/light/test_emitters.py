@@ -100,7 +100,7 @@ def test_a_shadow_in_a_corner_of_the_picture_is_as_deep_as_geometry_says():
     assert worlds.error(made, -shadow) < 0.02
 
 
-@pytest.mark.parametrize("name", ["panel", "lamp"])
+@pytest.mark.parametrize("name", [pytest.param("panel", marks=pytest.mark.slow), "lamp"])
 def test_a_closed_room_receives_what_is_sent(name):
     """pi L A of a Lambertian panel, 4 pi I of a lamp."""
     glow = emitters(panels=[CEILING]) if name == "panel" else emitters(lamps=[LAMP])
@@ -178,6 +178,7 @@ def test_all_reflections_and_derivatives_of_emitters():
     assert worlds.error(slopes[1], (moves[0] - moves[1]) / (2.0 * step)) < 0.1
 
 
+@pytest.mark.slow
 def test_points_of_the_target_and_lines_to_it_show_the_same():
     """Two ways to see a target from the wall: over its surface, in both forms, and into the cone around it."""
     field = LightField(Setting(room(order=5)), 5)
