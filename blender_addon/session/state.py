@@ -55,15 +55,16 @@ def forget() -> None:
 def reading() -> Iterator[None]:
     """Read the scene, which moves the target and puts it back: handlers that follow the scene let that pass."""
     global is_reading
-    outer = is_reading
-    if not outer:
-        bpy.context.view_layer.update()  # what was changed before is no part of it; after undo, things are moved here
+    if is_reading:
+        yield
+        return
+    bpy.context.view_layer.update()  # what was changed before is no part of it; after undo, things are moved here
     is_reading = True
     try:
         yield
     finally:
         bpy.context.view_layer.update()  # tells handlers now what they would be told later
-        is_reading = outer
+        is_reading = False
 
 
 def rendering_now() -> bool:

@@ -15,6 +15,7 @@ from generator.blender.engines import survey
 from generator.blender.scene import roles
 from generator.blender.scene.description import read_scene
 from generator.model.errors import NlosError
+from generator.model.scene import Scene
 from generator.transport.world_file import world_hash
 
 from ..draft import differing
@@ -64,12 +65,12 @@ def edited(scene: Any) -> bool:
     return bool(built) and _hash(scene) != built
 
 
-def _fingerprint(scene: Any) -> str:
+def _fingerprint(scene: Any, described: Scene | None = None) -> str:
     """Return a text that changes with the scene's light and with the target's pose."""
     try:
         place, turn, scale = roles.find(scene, "target").matrix_world.decompose()
         pose = [f"{v:.5f}" for v in (*place, *turn, *scale)]
-        return f"{_hash(scene)} {read_scene(scene)} {pose}"
+        return f"{_hash(scene)} {described or read_scene(scene)} {pose}"
     except NlosError as error:
         return str(error)
 
@@ -99,12 +100,13 @@ def read() -> None:
         return
     before, _read_at = (_found, _now), _changes
     with state.reading():
-        if state.of:
-            _now = _fingerprint(scene)
         try:
-            _found = differing(scene.nlos, read_scene(scene)) if roles.GRID_SHAPE in scene else ([], [])
+            described = read_scene(scene) if roles.GRID_SHAPE in scene else None
         except NlosError:  # it is told elsewhere
-            _found = [], []
+            described = None
+        _found = differing(scene.nlos, described) if described else ([], [])
+        if state.of:
+            _now = _fingerprint(scene, described)
     if (_found, _now) != before:
         state.redraw("VIEW_3D")
 

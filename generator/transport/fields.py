@@ -32,6 +32,9 @@ elements that each took."""
 Shaded = Callable[[Floats, float, int], tuple[Floats, int]]
 """Given wall points (k, 3), the finest cell and the pose, return values (groups, k) and the number of elements."""
 
+Summed = Callable[[Floats, Floats, Floats], Floats]
+"""Given owners and boxes of panels and places on them, return values (panels, groups, places)."""
+
 _SINGLE = 5e-5
 """Relative accuracy down to which sums are computed in single precision."""
 
@@ -213,20 +216,19 @@ class Fields:
         cells = self._target()._replace(
             flat=setting.room_cells, balls=np.zeros((0, elements.WIDTH)), albedo=setting.room.tint
         )
-        summed = 1, cells.albedo.shape[1], setting.room.extent, None, 0.05
+        evaluate, groups = self._reflected_arrays(cells, poses), cells.albedo.shape[1]
+        summed = evaluate, 1, groups, setting.room.extent, None, 0.05
         if len(setting.room.origin) <= _CUT_ROOM:  # whatever the target, which is absent here
-            orders = poses.orders.copy()
             if not compiled.COMPILED:
-                evaluate = self._reflected_arrays(cells, poses)
-                if self._settled(evaluate, *summed, halvings=_PATIENCE)[2]:
-                    return self._refined(evaluate, *summed)[0][0]
-            poses.orders[:] = self._light.order(setting.room.samples())
-            pixels, _, lost = self._received(cells, poses)
+                on_panels, _, agree = self._settled(*summed, _PATIENCE)
+                if agree:
+                    return self._drawn(on_panels, 1, groups)[0][0]
+            orders = np.full(1, self._light.order(setting.room.samples()), dtype=np.int64)
+            pixels, _, lost = self._received(cells, poses._replace(orders=orders))
             if not lost.any():
                 image: Floats = pixels[0, :, 0]
                 return image
-            poses.orders[:] = orders
-        return self._refined(self._reflected_arrays(cells, poses), *summed)[0][0]
+        return self._refined(*summed)[0][0]
 
     def hidden(self, turns: Floats, places: Floats, moving: bool, level: Floats) -> tuple[Floats, Floats]:
         """Return the light of the room that a target hides.
@@ -439,16 +441,21 @@ class Fields:
         two resolutions agree if they differ by at most ``care`` times the accuracy.
         """
         on_panels, most, _ = self._settled(evaluate, n, groups, extent, level, care, self._halvings)
-        pixels, used = picture.draw(
+        return (*self._drawn(on_panels, n, groups, level), most)
+
+    def _drawn(
+        self, on_panels: Summed, n: int, groups: int, level: Floats | None = None
+    ) -> tuple[Floats, picture.Panels]:
+        """Draw fields that `_settled` has refined."""
+        return picture.draw(
             lambda owner, boxes: (on_panels(owner, boxes, self._rule.places), np.zeros(len(owner))),
             *(self._rule, picture.Parts.whole(n), self._shape(n, groups), _LOOSE * self._accuracy),
             level=level,
         )
-        return pixels, used, most
 
     def _settled(
         self, evaluate: Traced, n: int, groups: int, extent: float, level: Floats | None, care: float, halvings: int
-    ) -> tuple[Callable[[Floats, Floats, Floats], Floats], Floats, bool]:
+    ) -> tuple[Summed, Floats, bool]:
         """Refine as `_refined` does; return the field on panels, most elements of each, and whether they agree."""
         finest, most = np.full(n, extent / 8.0), np.zeros(n)
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 import time
 
 import bpy
@@ -46,7 +45,7 @@ def minutes():
     """Moves, undo and rebuilds: no step of the look holds the window for long."""
     looking, roles = module("view.live"), module("generator.blender.scene.roles")
     looking.stalls(clear=True)
-    end = time.monotonic() + float(os.environ.get("NLOS_GUI_STALLS", "60"))
+    end = time.monotonic() + 60.0
     rng, moves = np.random.default_rng(0), 0
     while time.monotonic() < end:
         for _ in range(30):
