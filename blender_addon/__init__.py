@@ -10,7 +10,7 @@ def _modules() -> tuple[Any, ...]:
     from . import handlers
     from .operators import answer, dataset, scene
     from .session import background
-    from .ui import menus, panels, properties, translations
+    from .ui import menus, panels, properties
     from .view import caption, differs, live, overlay
 
     rest = (
@@ -25,7 +25,6 @@ def _modules() -> tuple[Any, ...]:
         differs,
         caption,
         handlers,
-        translations,
     )
     return (properties, *rest)
 

@@ -18,7 +18,7 @@ from generator.model.quantities import radiance
 
 from ..draft import fill, grid_of, spec_of, sweep_of
 from ..session import background, state
-from ..view import differs, images, live
+from ..view import differs, images, live, views
 
 _ROLE_WORDS = {
     "relay_wall": ("Relay Wall", "What lamp and camera look at"),
@@ -327,20 +327,24 @@ class NLOS_OT_experiment(_Task, bpy.types.Operator):
 
 
 class NLOS_OT_open_image_editor(bpy.types.Operator):
-    """Cut an Image Editor off the 3D view, for the pictures"""
+    """Show the live look, or the last picture, in an Image Editor; if none is open, cut one off the 3D view"""
 
     bl_idname = "nlos.open_image_editor"
     bl_label = "Open Image Editor"
 
     @classmethod
     def poll(cls: Any, context: Any) -> bool:
-        """Return whether the area is a 3D view that does not fill the window."""
+        """Return whether an Image Editor is open, or the area is a 3D view that does not fill the window."""
         cls.poll_message_set("Needs a 3D view that is not maximised")
         inside = context.area is not None and context.area.type == "VIEW_3D"
-        return bool(inside and bpy.ops.screen.area_split.poll())
+        return images.is_editor_open() or bool(inside and bpy.ops.screen.area_split.poll())
 
     def execute(self: Any, context: Any) -> set[str]:
-        """Split the area."""
+        """Show the image; split the area if need be."""
+        image = images.look_image() if context.window_manager.nlos.look else bpy.data.images.get(images.PREVIEW)
+        image = image or images.look_image()
+        if images.show(image):
+            return {"FINISHED"}
         old_areas = set(context.screen.areas)
         bpy.ops.screen.area_split(direction="VERTICAL", factor=0.4)
         [area] = set(context.screen.areas) - old_areas or [None]
@@ -348,9 +352,10 @@ class NLOS_OT_open_image_editor(bpy.types.Operator):
             self.report({"ERROR"}, "The 3D view is too small to be split")
             return {"CANCELLED"}
         area.type = "IMAGE_EDITOR"
-        image = next((i for n in (images.LOOK, images.PREVIEW) if (i := bpy.data.images.get(n))), None)
-        if image is not None:
-            area.spaces.active.image = image
+        area.spaces.active.image = image
+        name = image.name
+        # The editor has its size only once it has been drawn.
+        state.after_drawing(lambda: images.show(bpy.data.images.get(name)))
         return {"FINISHED"}
 
 
@@ -387,7 +392,11 @@ class NLOS_OT_new_room(bpy.types.Operator):
         except NlosError as error:
             self.report({"ERROR"}, str(error))
             return {"CANCELLED"}
+        differs.mark(scene)
         state.remember("New Room")
+        if not bpy.app.background:
+            bpy.context.window_manager.nlos.overlay = True
+            state.after_drawing(views.enter)
         return {"FINISHED"}
 
 

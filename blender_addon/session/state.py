@@ -90,6 +90,16 @@ def redraw(*kinds: str) -> None:
                 area.tag_redraw()
 
 
+def after_drawing(function: Callable[[], Any], seconds: float = 0.1) -> None:
+    """Call a function once the windows have been drawn anew."""
+
+    def run() -> None:
+        function()
+
+    redraw()
+    bpy.app.timers.register(run, first_interval=seconds)
+
+
 def once(function: Callable[[], Any], after: float = 0.0) -> None:
     """Call a function from the event loop, unless that is already scheduled; opening a file does not cancel it."""
     if not bpy.app.timers.is_registered(function):

@@ -1,1 +1,1 @@
-"""Settings, panels, menus and translations."""
+"""Settings, panels and menus."""

@@ -13,7 +13,7 @@ from generator.model.engines import AUTO, traits_of
 
 from ..operators import dataset
 from ..session import environment, state
-from ..view import differs, live
+from ..view import differs, live, views
 from . import menus
 
 _ICONS = {GOOD: "CHECKMARK", NOTE: "INFO", WARNING: "ERROR", ERROR: "CANCEL"}
@@ -24,7 +24,16 @@ _LETTER = 6.3
 class _Tab:
     bl_space_type = "VIEW_3D"
     bl_region_type = "UI"
-    bl_category = "NLOS"
+    bl_category = views.TAB
+
+
+class _OfScene(_Tab):
+    """A panel that is there once there is a scene to work on."""
+
+    @classmethod
+    def poll(cls, context: Any) -> bool:
+        """Return whether the scene has voxels, which are written last."""
+        return roles.GRID_SHAPE in context.scene
 
 
 def _split(layout: Any) -> None:
@@ -62,6 +71,10 @@ def _result(layout: Any, topic: str) -> Any:
         column.active = False
         column.label(text="Of the scene before its last edits", icon="TIME")
     return column
+
+
+def _is_noisy(settings: Any) -> bool:
+    return settings.engine == AUTO or traits_of(settings.engine).noisy
 
 
 def _listed(settings: Any, names: list[str]) -> str:
@@ -155,6 +168,7 @@ class NLOS_PT_target(_Tab, bpy.types.Panel):
     """The hidden object."""
 
     bl_label = "Target"
+    bl_parent_id = "NLOS_PT_scene"
     bl_options = {"DEFAULT_CLOSED"}  # noqa: RUF012
 
     def draw(self, context: Any) -> None:
@@ -172,6 +186,7 @@ class NLOS_PT_light(_Tab, bpy.types.Panel):
     """The spot lamp."""
 
     bl_label = "Light"
+    bl_parent_id = "NLOS_PT_scene"
     bl_options = {"DEFAULT_CLOSED"}  # noqa: RUF012
 
     def draw(self, context: Any) -> None:
@@ -205,6 +220,7 @@ class NLOS_PT_voxels(_Tab, bpy.types.Panel):
     """The voxels in which the object may hide."""
 
     bl_label = "Hidden Voxels"
+    bl_parent_id = "NLOS_PT_scene"
     bl_options = {"DEFAULT_CLOSED"}  # noqa: RUF012
 
     def draw(self, context: Any) -> None:
@@ -215,37 +231,30 @@ class NLOS_PT_voxels(_Tab, bpy.types.Panel):
             _setting(layout.column(), settings, name)
 
 
-class NLOS_PT_rendering(_Tab, bpy.types.Panel):
-    """Settings of the renderer."""
+class NLOS_PT_look(_OfScene, bpy.types.Panel):
+    """Live picture of the light that the object changes on the wall."""
 
-    bl_label = "Rendering"
+    bl_label = "Look"
 
     def draw(self, context: Any) -> None:
-        """Draw the renderer's settings and its button."""
-        layout, settings = self.layout, context.scene.nlos
-        _split(layout)
-        layout.prop(settings, "engine")
-        _setting(layout, settings, "reflection_order")
-        noisy = settings.engine == AUTO or traits_of(settings.engine).noisy
-        if noisy:
-            layout.prop(settings, "samples")
-            layout.prop(settings, "seed")
-        if settings.engine == AUTO or not noisy:
-            layout.prop(settings, "accuracy")
-        layout.prop(settings, "quality")
-        if settings.quality != "figures":
-            layout.prop(settings, "minutes" if settings.quality == "time" else "error")
-        column = layout.column(align=True)
-        _setting(column, settings, "resolution", index=0, text="Resolution X")
-        column.prop(settings, "resolution", index=1, text="Y")
-        layout.prop(settings, "difference")
-        if noisy:
-            layout.prop(settings, "denoise")
+        """Draw the switch, its settings and the experiments."""
+        layout, settings, session = self.layout, context.scene.nlos, context.window_manager.nlos
+        row = layout.row(align=True)
+        row.scale_y = 1.4
+        row.prop(session, "look", toggle=True, icon="HIDE_OFF" if session.look else "HIDE_ON")
+        row.operator("nlos.open_image_editor", text="", icon="IMAGE_DATA")
         column = layout.column()
-        column.scale_y = 1.4
-        column.operator("nlos.render_wall", icon="RENDER_STILL")
-        if state.rendering:
-            _sentence(context, _result(layout, "picture"), state.rendering)
+        _split(column)
+        column.prop(settings, "look_resolution")
+        column.prop(settings, "look_shadows")
+        if session.look and live.words():
+            _sentence(context, layout, live.words(), "SORTTIME" if live.waits() else "NONE")
+        layout.label(text="The paper's experiments")
+        row = layout.row(align=True)
+        for number, name in ((1, "Sphere"), (2, "Sheet"), (3, "Turned")):
+            row.operator("nlos.experiment", text=f"{number} {name}").number = number
+        if state.experiment:
+            _sentence(context, layout, state.experiment)
 
 
 class NLOS_PT_check(_Tab, bpy.types.Panel):
@@ -273,33 +282,52 @@ class NLOS_PT_check(_Tab, bpy.types.Panel):
             layout.label(text="Measuring signal and noise ...", icon="SORTTIME")
 
 
-class NLOS_PT_look(_Tab, bpy.types.Panel):
-    """Live picture of the light that the object changes on the wall."""
+class NLOS_PT_rendering(_Tab, bpy.types.Panel):
+    """A picture of the wall, and the settings of the renderer."""
 
-    bl_label = "Look"
+    bl_label = "Rendering"
 
     def draw(self, context: Any) -> None:
-        """Draw the switch, its settings and the experiments."""
-        layout, settings, session = self.layout, context.scene.nlos, context.window_manager.nlos
-        row = layout.row(align=True)
-        row.scale_y = 1.4
-        row.prop(session, "look", toggle=True, icon="HIDE_OFF" if session.look else "HIDE_ON")
-        row.operator("nlos.open_image_editor", text="", icon="IMAGE_DATA")
+        """Draw the button, what the picture is to be, and what it was."""
+        layout, settings = self.layout, context.scene.nlos
         column = layout.column()
-        _split(column)
-        column.prop(settings, "look_resolution")
-        column.prop(settings, "look_shadows")
-        if session.look and live.words():
-            _sentence(context, layout, live.words(), "SORTTIME" if live.waits() else "NONE")
-        layout.label(text="The paper's experiments")
-        row = layout.row(align=True)
-        for number, name in ((1, "Sphere"), (2, "Sheet"), (3, "Turned")):
-            row.operator("nlos.experiment", text=f"{number} {name}").number = number
-        if state.experiment:
-            _sentence(context, layout, state.experiment)
+        column.scale_y = 1.4
+        column.operator("nlos.render_wall", icon="RENDER_STILL")
+        row = layout.row()
+        row.prop(settings, "difference")
+        if _is_noisy(settings):
+            row.prop(settings, "denoise")
+        if state.rendering:
+            _sentence(context, _result(layout, "picture"), state.rendering)
 
 
-class NLOS_PT_dataset(_Tab, bpy.types.Panel):
+class NLOS_PT_renderer(_Tab, bpy.types.Panel):
+    """Settings of the renderer."""
+
+    bl_label = "Settings"
+    bl_parent_id = "NLOS_PT_rendering"
+    bl_options = {"DEFAULT_CLOSED"}  # noqa: RUF012
+
+    def draw(self, context: Any) -> None:
+        """Draw the renderer's settings."""
+        layout, settings = self.layout, context.scene.nlos
+        _split(layout)
+        layout.prop(settings, "engine")
+        _setting(layout, settings, "reflection_order")
+        if _is_noisy(settings):
+            layout.prop(settings, "samples")
+            layout.prop(settings, "seed")
+        if settings.engine == AUTO or not _is_noisy(settings):
+            layout.prop(settings, "accuracy")
+        layout.prop(settings, "quality")
+        if settings.quality != "figures":
+            layout.prop(settings, "minutes" if settings.quality == "time" else "error")
+        column = layout.column(align=True)
+        _setting(column, settings, "resolution", index=0, text="Resolution X")
+        column.prop(settings, "resolution", index=1, text="Y")
+
+
+class NLOS_PT_dataset(_OfScene, bpy.types.Panel):
     """Rendering of a data set."""
 
     bl_label = "Data Set"
@@ -328,7 +356,7 @@ class NLOS_PT_dataset(_Tab, bpy.types.Panel):
         layout.operator("nlos.open_folder", icon="FILE_FOLDER")
 
 
-class NLOS_PT_answer(_Tab, bpy.types.Panel):
+class NLOS_PT_answer(_OfScene, bpy.types.Panel):
     """The voxel that a trained model predicts."""
 
     bl_label = "Answer"
@@ -370,9 +398,10 @@ _CLASSES = (
     NLOS_PT_light,
     NLOS_PT_ambient,
     NLOS_PT_voxels,
-    NLOS_PT_rendering,
-    NLOS_PT_check,
     NLOS_PT_look,
+    NLOS_PT_check,
+    NLOS_PT_rendering,
+    NLOS_PT_renderer,
     NLOS_PT_dataset,
     NLOS_PT_answer,
 )

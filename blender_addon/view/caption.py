@@ -1,4 +1,4 @@
-"""Draws a caption in the Image Editors that explains the colours and pixels of our images."""
+"""Draws captions that explain the colours and pixels of our images, and the live picture, in the Image Editors."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from gpu_extras.batch import batch_for_shader
 
 from generator.model.quantities import radiance
 
-from . import images
+from . import images, texture
 
 _handles: list[Any] = []
 _STEPS = 48
@@ -49,8 +49,36 @@ def _draw() -> None:
     if caption is None:
         return
     scale = context.preferences.system.ui_scale
-    margin, wide, high = 18.0 * scale, 180.0 * scale, 14.0 * scale
-    x, y = margin, margin + 20.0 * scale
+    left, bottom = context.region.view2d.view_to_region(0.0, 0.0, clip=False)
+    if image.name == images.LOOK and images.shown is not None:
+        right, top = context.region.view2d.view_to_region(1.0, 1.0, clip=False)
+        texture.draw(images.shown.colours, np.array([[left, top], [right, top], [left, bottom], [right, bottom]]))
+    legend(caption, 18.0 * scale, 38.0 * scale, scale)
+    if caption.width:
+        length = ruler(caption.width)
+        right, _ = context.region.view2d.view_to_region(length / caption.width, 0.0, clip=False)
+        line(np.array([[left, bottom - 8.0], [right, bottom - 8.0]]), scale)
+        write(named(length), left, bottom - 26.0 * scale, scale)
+
+
+def named(length: float) -> str:
+    """Return a length, metres, in words."""
+    return f"{100.0 * length:g} cm" if length < 1.0 else f"{length:g} m"
+
+
+def line(ends: Any, scale: float) -> None:
+    """Draw a white line between two points, pixels of the region."""
+    shader = gpu.shader.from_builtin("UNIFORM_COLOR")
+    shader.bind()
+    shader.uniform_float("color", (1.0, 1.0, 1.0, 1.0))
+    gpu.state.line_width_set(2.0 * scale)
+    batch_for_shader(shader, "LINES", {"pos": ends.astype(np.float32)}).draw(shader)
+    gpu.state.line_width_set(1.0)
+
+
+def legend(caption: images.Caption, x: float, y: float, scale: float) -> None:
+    """Draw the scale of colours with its texts, its lower left corner at a point of the region, pixels."""
+    wide, high = 180.0 * scale, 14.0 * scale
     gpu.state.blend_set("ALPHA")
     steps = np.linspace(-1.0, 1.0, _STEPS)
     columns = x + (steps + 1.0) / 2.0 * wide
@@ -60,25 +88,14 @@ def _draw() -> None:
     shader = gpu.shader.from_builtin("SMOOTH_COLOR")
     batch_for_shader(shader, "TRI_STRIP", {"pos": corners, "color": colours}).draw(shader)
     above, below = lines(caption)
-    _write(above, x, y + high + 6.0 * scale, scale)
-    _write(below, x, margin, scale)
-    if caption.width:
-        length = ruler(caption.width)
-        left, bottom = context.region.view2d.view_to_region(0.0, 0.0, clip=False)
-        right, _ = context.region.view2d.view_to_region(length / caption.width, 0.0, clip=False)
-        bar = np.array([[left, bottom - 8.0], [right, bottom - 8.0]], dtype=np.float32)
-        line_shader = gpu.shader.from_builtin("UNIFORM_COLOR")
-        line_shader.bind()
-        line_shader.uniform_float("color", (1.0, 1.0, 1.0, 1.0))
-        gpu.state.line_width_set(2.0 * scale)
-        batch_for_shader(line_shader, "LINES", {"pos": bar}).draw(line_shader)
-        gpu.state.line_width_set(1.0)
-        _write(f"{100.0 * length:g} cm" if length < 1.0 else f"{length:g} m", left, bottom - 26.0 * scale, scale)
+    write(above, x, y + high + 6.0 * scale, scale)
+    write(below, x, y - 20.0 * scale, scale)
     gpu.state.blend_set("NONE")
 
 
-def _write(text: str, x: float, y: float, scale: float) -> None:
-    blf.size(0, 12.0 * scale)
+def write(text: str, x: float, y: float, scale: float, size: float = 12.0) -> None:
+    """Write a white text that can be read over anything, from a point of the region, pixels."""
+    blf.size(0, size * scale)
     blf.color(0, 1.0, 1.0, 1.0, 1.0)
     blf.enable(0, blf.SHADOW)
     blf.shadow(0, 3, 0.0, 0.0, 0.0, 1.0)

@@ -116,6 +116,13 @@ def _changed(*_: Any) -> None:
     global _changes, _changed_at
     if not state.is_reading:
         _changes, _changed_at = _changes + 1, time.monotonic()
+        if not bpy.app.background:
+            state.once(_remind, _AFTER)
+
+
+def _remind() -> None:
+    """Have panels that are shown ask again: not every change makes Blender draw them."""
+    state.redraw("VIEW_3D")
 
 
 def _handlers() -> tuple[Any, ...]:
@@ -133,5 +140,6 @@ def unregister() -> None:
     """Stop counting."""
     for callbacks in _handlers():
         callbacks.remove(_changed)
-    if bpy.app.timers.is_registered(_read):
-        bpy.app.timers.unregister(_read)
+    for timer in (_read, _remind):
+        if bpy.app.timers.is_registered(timer):
+            bpy.app.timers.unregister(timer)

@@ -44,7 +44,29 @@ captions: dict[str, Caption] = {}
 """Captions by the names of their images."""
 
 
-def store(name: str, picture: Picture, *, keep: bool = True) -> Any:
+@dataclass(frozen=True)
+class Look:
+    """The live picture, which is drawn on the wall and in Image Editors but is no image's pixels.
+
+    Attributes
+    ----------
+    colours : ndarray of shape (height, width, 3), float32
+        Row 0 is the top.
+    corners : ndarray of shape (4, 3)
+        Upper left, upper right, lower left and lower right corner on the wall, metres.
+    """
+
+    colours: Picture
+    corners: Any
+
+
+shown: Look | None = None
+"""The live picture as it is now; None if there is none."""
+
+_CORNERS = np.array([[0.0, 0.0], [1.0, 0.0], [0.0, 1.0], [1.0, 1.0]])
+
+
+def store(name: str, picture: Picture) -> Any:
     """Store a picture in the image of that name, created if it is missing, and return the image.
 
     Parameters
@@ -52,8 +74,6 @@ def store(name: str, picture: Picture, *, keep: bool = True) -> Any:
     name : str
     picture : ndarray of shape (height, width, 3), float32
         Row 0 is the top.
-    keep : bool
-        Whether to save it with the file. Otherwise it is lost once the file is reopened, but is stored far faster.
     """
     height, width = picture.shape[:2]
     old = bpy.data.images.get(name)
@@ -68,9 +88,8 @@ def store(name: str, picture: Picture, *, keep: bool = True) -> Any:
     rgba[..., :3] = picture[::-1]
     image.pixels.foreach_set(rgba.ravel())
     image.update()
-    if keep:
-        image.use_fake_user = True
-        image.pack()
+    image.use_fake_user = True
+    image.pack()  # saved with the file
     return image
 
 
@@ -84,8 +103,10 @@ def preview(picture: Picture) -> Any:
     return store(PREVIEW, np.clip(picture / white, 0.0, 1.0) if white > 0 else np.zeros_like(picture))
 
 
-def look(picture: Picture, watched: Any, reference: float) -> Any:
-    """Store a difference picture in the colours of `signed`, with its caption, and return the image.
+def look(picture: Picture, watched: Any, reference: float) -> None:
+    """Show a difference picture in the colours of `signed`, with its caption, in place of the last.
+
+    Its pixels are drawn (`view.wall`), not stored in an image: Blender would ask to save that when it quits.
 
     Parameters
     ----------
@@ -96,28 +117,45 @@ def look(picture: Picture, watched: Any, reference: float) -> Any:
     reference : float
         Radiance of the lit patch, W/m^2/sr.
     """
-    ends = watched.points(np.array([[0.0, 0.5], [1.0, 0.5]]))
-    image = coloured(LOOK, picture, reference, float(np.linalg.norm(ends[1] - ends[0])), keep=False)
+    global shown
+    corners = watched.points(_CORNERS)
+    sides = corners[1] - corners[0], corners[3] - corners[2]
+    width = float(np.mean([np.linalg.norm(side) for side in sides]))
+    shown = Look(_colours(LOOK, picture, reference, width), corners)
+    image = bpy.data.images.get(LOOK)
+    if image is not None and tuple(image.size) != shown.colours.shape[1::-1]:
+        image.generated_height, image.generated_width = shown.colours.shape[:2]
     # Undoing a step from before the image was made removes the image.
     if any(area.spaces.active.image is None for _, area in _editors()):
-        show(image)
+        show(look_image())
+
+
+def darken() -> None:
+    """Take the live picture and its caption away: what it showed is not so any more."""
+    global shown
+    shown = None
+    captions.pop(LOOK, None)
+
+
+def look_image() -> Any:
+    """Return the black image over which Image Editors draw the live picture, created if it is missing."""
+    image = bpy.data.images.get(LOOK)
+    if image is None:
+        height, width = shown.colours.shape[:2] if shown else (64, 64)
+        image = bpy.data.images.new(LOOK, width, height, alpha=False, float_buffer=True, is_data=True)
     return image
 
 
-def darken(name: str) -> None:
-    """Make an image black, if it is there, and take its caption away: what it showed is not so any more."""
-    image = bpy.data.images.get(name)
-    captions.pop(name, None)
-    if image is not None and image.size[0]:
-        store(name, np.zeros((image.size[1], image.size[0], 3), dtype=np.float32), keep=False)
-
-
-def coloured(name: str, picture: Picture, reference: float, width: float, *, keep: bool = True) -> Any:
+def coloured(name: str, picture: Picture, reference: float, width: float) -> Any:
     """Store a difference picture in colours, with its caption, and return the image; see `look`."""
+    return store(name, _colours(name, picture, reference, width))
+
+
+def _colours(name: str, picture: Picture, reference: float, width: float) -> Picture:
     level = picture.mean(axis=2)
     top = round_up(float(np.quantile(np.abs(level), 0.995)) or float(np.abs(level).max()))
     captions[name] = Caption(top, reference / top if top else 0.0, width)
-    return store(name, signed(level / top if top else level), keep=keep)
+    return signed(level / top if top else level)
 
 
 def signed(values: Picture) -> Picture:
@@ -138,8 +176,8 @@ def round_up(value: float) -> float:
 
 
 def show(image: Any) -> bool:
-    """Show an image in the first Image Editor that is open; return whether there is one."""
-    for window, area in _editors()[:1]:
+    """Show an image in the first Image Editor that is open, as large as fits; return whether there is one."""
+    for window, area in _editors()[:1] if image is not None else ():
         previous, area.spaces.active.image = area.spaces.active.image, image
         if previous is None or previous == image or tuple(previous.size) != tuple(image.size):
             region = next(r for r in area.regions if r.type == "WINDOW")
@@ -148,6 +186,11 @@ def show(image: Any) -> bool:
         area.tag_redraw()
         return True
     return False
+
+
+def is_editor_open() -> bool:
+    """Return whether an Image Editor is open."""
+    return bool(_editors())
 
 
 def _editors() -> list[tuple[Any, Any]]:

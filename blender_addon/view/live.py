@@ -26,7 +26,7 @@ from generator.transport.world_file import save_world
 
 from ..session import background, state
 from ..session.resident import Resident, launches, pixels
-from . import images
+from . import images, wall
 
 ACCURACY = 1e-2
 """Accuracy of the live picture: errors of this size are not visible."""
@@ -127,6 +127,7 @@ def switch(on: bool) -> None:
         _look = _Look(resident=Resident(launches()))
         for callbacks, function in handlers:
             callbacks.append(function)
+        wall.switch(True)
         changed()
     elif not on and running:
         for callbacks, function in handlers:
@@ -136,6 +137,9 @@ def switch(on: bool) -> None:
                 bpy.app.timers.unregister(timer)
         assert _look.resident is not None
         _look.resident.stop()
+        wall.switch(False)
+        images.darken()
+        state.redraw("IMAGE_EDITOR", "VIEW_3D")
         if _look.world is not None:
             _look.world.unlink(missing_ok=True)
         _look = _Look()
@@ -238,7 +242,8 @@ def _ask() -> float | None:
             return None
     except NlosError as error:
         _say(str(error))
-        images.darken(images.LOOK)
+        images.darken()
+        state.redraw("IMAGE_EDITOR", "VIEW_3D")
         return None
     finally:
         _note_stall(start)
@@ -262,7 +267,8 @@ def _show(patience: float = 0.0) -> float | None:
     if "refused" in fields:
         _look.shown = number
         _say(fields["refused"])
-        images.darken(images.LOOK)
+        images.darken()
+        state.redraw("IMAGE_EDITOR", "VIEW_3D")
         return _OFTEN if waits() else None
     images.look(pixels(fields), _look.watched, _look.reference)
     since = time.perf_counter() - _look.at[number]

@@ -17,6 +17,7 @@ from generator.blender.scene import geometry, outlines, roles
 from generator.model.errors import NlosError
 
 from ..session import state
+from . import caption
 
 _COLOURS = {
     "voxels": (0.35, 0.75, 1.0, 0.75),
@@ -25,7 +26,7 @@ _COLOURS = {
     "legs": (1.0, 0.55, 0.15, 0.9),
     "poses": (1.0, 0.35, 0.6, 0.9),
 }
-_LETTERS = (1.0, 1.0, 1.0, 1.0)
+_SIZE = 15.0
 _PROBABLE = (1.0, 0.3, 0.1)
 _MOST_LETTERS = 200
 """Most labels of voxels that are drawn; more would hide the scene."""
@@ -188,9 +189,6 @@ def _draw_letters() -> None:
     if not _lines:
         return
     scale = context.preferences.system.ui_scale
-    font = 0
-    blf.size(font, 15 * scale)
-    blf.color(font, *_LETTERS)
     for label, centre in _lines["letters"]:
         place = location_3d_to_region_2d(context.region, context.region_data, Vector(centre))
         if place is None:
@@ -198,9 +196,9 @@ def _draw_letters() -> None:
         text = label
         if state.answer:
             text = f"{label} {state.answer.get(label, 0.0):.0%}"
-        width, height = blf.dimensions(font, text)
-        blf.position(font, place.x - width / 2.0, place.y - height / 2.0, 0.0)
-        blf.draw(font, text)
+        blf.size(0, _SIZE * scale)
+        width, height = blf.dimensions(0, text)
+        caption.write(text, place.x - width / 2.0, place.y - height / 2.0, scale, _SIZE)
 
 
 def register() -> None:

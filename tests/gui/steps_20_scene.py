@@ -12,6 +12,13 @@ def fresh():
     check(result == {"FINISHED"}, f"File > New > NLOS Room: {result}")
     yield 1.0
     check(set(roles()) >= {"relay_wall", "spot", "camera", "target"}, f"a room stands there: {roles()}")
+    check(bpy.context.window_manager.nlos.overlay, "the overlay is on")
+    with view3d("UI") as (area, region):
+        check(area.spaces.active.show_region_ui, "the sidebar is open")
+        check(region.active_panel_category == "NLOS", f"at its tab: {region.active_panel_category}")
+    differs = module("view.differs")
+    yield from until(lambda: differs.found() == ([], []), "no setting differs from what was built")
+    yield from screenshot("20-new-room")
     yield from tab("NLOS")
 
 

@@ -20,16 +20,6 @@ def panels():
         redraw()
         yield from screenshot(f"70-panels-{page + 1}")
         yield from scroll(12)
-    bpy.context.preferences.view.language = "de_DE" if "de_DE" in languages() else "en_US"
-    yield 1.0
-    yield from scroll(-100)
-    yield from screenshot("70-german")
-    bpy.context.preferences.view.language = "en_US"
-    yield 0.5
-
-
-def languages():
-    return [item.identifier for item in bpy.types.PreferencesView.bl_rna.properties["language"].enum_items]
 
 
 STEPS = [panels]
