@@ -65,11 +65,19 @@ class Job:
         """Stop the sweep; finished pictures are kept."""
         self._cancelled = True
         self._task.stop.set()
+        self._shown(self._task)
+
+    @property
+    def share(self) -> float:
+        """Share of the pictures that is finished, 0 to 1."""
+        return self.done / self.total if self.total else 0.0
 
     def status(self) -> str:
         """Return the progress, or how the sweep ended, in one line."""
         if not self.running:
             return self.words
+        if self._cancelled:
+            return "Cancelling: the pictures that are being rendered are given up"
         if not self.total:
             measuring = self._measures and not self.told
             return "Rendering a few pictures, to learn what they take" if measuring else "Planning the poses"

@@ -97,7 +97,7 @@ def after_drawing(function: Callable[[], Any], seconds: float = 0.1) -> None:
         function()
 
     redraw()
-    bpy.app.timers.register(run, first_interval=seconds)
+    bpy.app.timers.register(run, first_interval=seconds, persistent=True)
 
 
 def once(function: Callable[[], Any], after: float = 0.0) -> None:

@@ -299,6 +299,14 @@ class NLOS_PT_rendering(_Tab, bpy.types.Panel):
             row.prop(settings, "denoise")
         if state.rendering:
             _sentence(context, _result(layout, "picture"), state.rendering)
+        else:
+            _sentence(
+                context,
+                layout,
+                "F12 and rendered views find the lit patch only by chance, so they show black with bright dots: "
+                "use Render Wall",
+                "INFO",
+            )
 
 
 class NLOS_PT_renderer(_Tab, bpy.types.Panel):
@@ -342,7 +350,8 @@ class NLOS_PT_dataset(_OfScene, bpy.types.Panel):
         column.prop(settings, "inside")
         column.prop(settings, "workers")
         if job is not None and job.running:
-            layout.progress(factor=job.done / job.total if job.total else 0.0, text=job.status())
+            layout.progress(factor=job.share)
+            _sentence(context, layout, job.status())
             layout.operator("nlos.sweep_cancel", icon="CANCEL")
         else:
             row = layout.row(align=True)

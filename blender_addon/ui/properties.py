@@ -49,8 +49,8 @@ _KINDS = (
 )
 # Files store an item's number, so a number is never reused.
 _ENGINES = (
-    *((n, ENGINES[n].title, sentence(ENGINES[n].help), i) for i, n in enumerate(("patch", "path", "surfel"))),
-    (AUTO, "Automatic", sentence(AUTO_HELP), 3),
+    *((n, n, sentence(ENGINES[n].help), i) for i, n in enumerate(("patch", "path", "surfel"))),
+    (AUTO, AUTO, sentence(AUTO_HELP), 3),
 )
 
 

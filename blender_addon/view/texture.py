@@ -14,7 +14,7 @@ _AT_CORNERS = np.array([[0.0, 0.0], [1.0, 0.0], [0.0, 1.0], [1.0, 1.0]], dtype=n
 _kept: tuple[Picture, Any] | None = None
 
 
-def draw(colours: Picture, corners: Any) -> None:
+def draw(colours: Picture, corners: Any, opacity: float = 1.0) -> None:
     """Draw a picture; to be called where Blender draws.
 
     Parameters
@@ -23,6 +23,8 @@ def draw(colours: Picture, corners: Any) -> None:
         Row 0 is the top. The texture of the last one is kept.
     corners : ndarray of shape (4, 2) or (4, 3)
         Where its upper left, upper right, lower left and lower right corner are, in the space that is drawn in.
+    opacity : float
+        0 to 1.
     """
     global _kept
     if _kept is None or _kept[0] is not colours:
@@ -31,11 +33,14 @@ def draw(colours: Picture, corners: Any) -> None:
         rgba[..., :3] = colours
         buffer = gpu.types.Buffer("FLOAT", rgba.size, rgba.ravel())
         _kept = colours, gpu.types.GPUTexture((width, height), format="RGBA16F", data=buffer)
-    shader = gpu.shader.from_builtin("IMAGE")
+    shader = gpu.shader.from_builtin("IMAGE_COLOR")
+    gpu.state.blend_set("ALPHA")
     shader.bind()
+    shader.uniform_float("color", (1.0, 1.0, 1.0, opacity))
     shader.uniform_sampler("image", _kept[1])
     batch = batch_for_shader(shader, "TRI_STRIP", {"pos": corners.astype(np.float32), "texCoord": _AT_CORNERS})
     batch.draw(shader)
+    gpu.state.blend_set("NONE")
 
 
 def forget() -> None:

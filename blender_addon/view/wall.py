@@ -14,6 +14,8 @@ from . import caption, images, texture
 
 _BEFORE = 0.002
 """Metres by which the picture stands before the wall, or the wall would cover it in places."""
+_THROUGH = 0.35
+"""Opacity with which it is seen through what stands before it: a rendered view shows rooms closed."""
 _BELOW = 0.05
 """Share of the picture's height by which the bar that tells its size lies below it."""
 
@@ -37,8 +39,10 @@ def _draw_picture() -> None:
         return
     across, down = look.corners[1] - look.corners[0], look.corners[2] - look.corners[0]
     inwards = np.cross(down, across)
+    corners = look.corners + _BEFORE * inwards / np.linalg.norm(inwards)
+    texture.draw(look.colours, corners, _THROUGH)
     gpu.state.depth_test_set("LESS_EQUAL")
-    texture.draw(look.colours, look.corners + _BEFORE * inwards / np.linalg.norm(inwards))
+    texture.draw(look.colours, corners)
     gpu.state.depth_test_set("NONE")
 
 

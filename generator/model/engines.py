@@ -14,8 +14,8 @@ class Traits:
 
     Attributes
     ----------
-    name, title, help : str
-        Name in settings, name for people, and a phrase that describes it.
+    name, help : str
+        Its one name, and a phrase that describes it.
     noisy : bool
         Whether its pictures depend on samples and a seed, as those of Cycles do.
     from_patch : bool
@@ -27,7 +27,6 @@ class Traits:
     """
 
     name: str
-    title: str
     help: str
     noisy: bool
     from_patch: bool
@@ -40,15 +39,15 @@ ENGINES = {
     traits.name: traits
     for traits in (
         Traits(
-            "path", "Full Path", "Cycles from the spot lamp, any scene, very noisy",
+            "path", "Cycles from the spot lamp, any scene, very noisy",
             noisy=True, from_patch=False, settings=_OF_CYCLES,
         ),
         Traits(
-            "patch", "Lit Patch", "the lit patch as an emitter, same picture, far less noise",
+            "patch", "the lit patch as an emitter, same picture, far less noise",
             noisy=True, from_patch=True, settings=_OF_CYCLES,
         ),
         Traits(
-            "surfel", "Integral",
+            "surfel",
             "the integral itself, plain diffuse scenes, no noise, far faster; the sky's light, and that of more than "
             "three reflections, to a hundredth of the change",
             noisy=False, from_patch=True, settings=("accuracy",), largest_batch=32,
