@@ -72,8 +72,7 @@ def run_scene(options: argparse.Namespace) -> Answer:
     from generator.blender.scene import blend_file, build
     from generator.blender.scene.description import read_scene
 
-    blender_scene = blend_file.new_file()
-    build.build(blender_scene, scene)
+    blender_scene = build.new_scene(scene)
     if deviation := unlike(scene, read_scene(blender_scene)):  # a sweep reads the scene from the file
         raise NlosError(f"{deviation}; take a figure that it can hold")
     blend_file.save_file(options.output)

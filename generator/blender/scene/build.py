@@ -18,6 +18,7 @@ import bmesh  # exists only once bpy is imported
 import mathutils
 import numpy as np
 
+from generator.blender.scene import viewports
 from generator.blender.scene.blend_file import literal, new_file
 from generator.blender.scene.quiet import quiet
 from generator.blender.scene.roles import (
@@ -65,6 +66,7 @@ def new_scene(wanted: Scene) -> bpy.types.Scene:
     """
     scene = new_file()
     build(scene, wanted)
+    viewports.frame(scene, list(bpy.data.screens))
     return scene
 
 
