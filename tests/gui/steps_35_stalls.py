@@ -2,21 +2,19 @@
 
 from __future__ import annotations
 
+import os
 import time
 
 import bpy
 import numpy as np
-from helpers import call, check, module, say, until, view3d
+from helpers import MODULE, WORK, call, check, module, say, until, view3d
+from watch import Watch
 
 PLACES = ((1.55, 1.15, 1.3), (1.2, 1.6, 1.0), (1.9, 1.5, 1.3), (0.93, 1.99, 0.79))
 """Where the target stands in the room: shadows of its screen, its corner and its far end."""
+MINUTES = float(os.environ.get("NLOS_GUI_MINUTES", "5"))
 LONGEST = 0.05
 """Seconds that no step of the extension may hold the window for."""
-
-
-def told(seconds):
-    worst, tail = 1e3 * max(seconds), 1e3 * float(np.quantile(seconds, 0.99))
-    return f"{len(seconds)} steps, 99th percentile {tail:.0f} ms, longest {worst:.0f} ms"
 
 
 def places():
@@ -42,30 +40,67 @@ def places():
 
 
 def minutes():
-    """Moves, undo and rebuilds: no step of the look holds the window for long."""
-    looking, roles = module("view.live"), module("generator.blender.scene.roles")
-    looking.stalls(clear=True)
-    end = time.monotonic() + 60.0
-    rng, moves = np.random.default_rng(0), 0
-    while time.monotonic() < end:
-        for _ in range(30):
-            target = roles.find(bpy.context.scene, "target")
-            target.location.x += float(rng.uniform(-0.02, 0.02))
-            target.location.y += float(rng.uniform(-0.02, 0.02))
-            moves += 1
-            yield 0.02
-        with view3d():
-            bpy.ops.ed.undo_push(message="moved")
-        call(bpy.ops.ed.undo)
-        yield 0.2
-        call(bpy.ops.ed.redo)
-        roles.find(bpy.context.scene, "spot").data.energy *= 1.01
-        yield 0.6
-    found = looking.stalls()
-    say(f"the look, {moves} moves with undo and a changing lamp: {told(found)}")
-    check(max(found) < LONGEST, f"no step takes {1e3 * LONGEST:.0f} ms")
-    yield from until(lambda: not looking.waits(), "the last picture is whole", 60.0)
-    bpy.context.window_manager.nlos.look = False
+    """Five minutes of work: moves, undo, the lamp, a new build, a check, a data set, an answer."""
+    session, settings = bpy.context.window_manager.nlos, bpy.context.scene.nlos
+    session.overlay = True
+    settings.engine, settings.samples, settings.poses, settings.workers = "surfel", 16, 20, 1
+    others = {40.0: build, 80.0: checked, 110.0: data_set, 200.0: answered, 250.0: build}
+    rng, begun = np.random.default_rng(0), time.monotonic()
+    with Watch(MODULE.rpartition(".")[2]) as watch:
+        while (since := time.monotonic() - begun) < MINUTES * 60.0:
+            due = [at for at in others if at <= since]
+            for at in due:
+                yield from others.pop(at)()
+            yield from moved(rng)
+    for line in watch.told():
+        say(line)
+    longest, name = max(watch.steps)
+    check(longest < LONGEST, f"no step takes {1e3 * LONGEST:.0f} ms: {name} took {1e3 * longest:.0f}")
+    check(not others, f"all of it was done: {others}")
+    yield from until(lambda: not module("view.live").waits(), "the last picture is whole", 60.0)
+    session.look = session.overlay = False
+
+
+def moved(rng):
+    roles = module("generator.blender.scene.roles")
+    for _ in range(30):
+        target = roles.find(bpy.context.scene, "target")
+        target.location.x += float(rng.uniform(-0.02, 0.02))
+        target.location.y += float(rng.uniform(-0.02, 0.02))
+        yield 0.02
+    with view3d():
+        bpy.ops.ed.undo_push(message="moved")
+    call(bpy.ops.ed.undo)
+    yield 0.2
+    call(bpy.ops.ed.redo)
+    roles.find(bpy.context.scene, "spot").data.energy *= 1.01
+    yield 0.6
+
+
+def build():
+    check(call(bpy.ops.nlos.build_scene) == {"FINISHED"}, "it is built anew")
+    yield 0.5
+
+
+def checked():
+    check(call(bpy.ops.nlos.check) == {"FINISHED"}, "it is checked")
+    yield 0.5
+
+
+def data_set():
+    bpy.context.scene.nlos.dataset = str(WORK / "stalls")
+    check(call(bpy.ops.nlos.sweep_start) == {"FINISHED"}, "a data set is rendered")
+    yield 0.5
+
+
+def answered():
+    """A picture is rendered, and the model asked, if there is one."""
+    state = module("session.state")
+    check(call(bpy.ops.nlos.render_wall) == {"FINISHED"}, "the wall is rendered")
+    yield from until(lambda: state.shown is not None, "the picture comes", 60.0)
+    answer = call(bpy.ops.nlos.answer)
+    say(f"asked: {answer}")
+    yield 0.5
 
 
 STEPS = [places, minutes]
