@@ -180,10 +180,13 @@ class NLOS_OT_sweep_start(_Running, bpy.types.Operator):
         name="In Spite of Errors", description="Begin though Check finds errors", options={"SKIP_SAVE"}
     )
 
+    is_checked = False
+
     def invoke(self: Any, context: Any, event: Any) -> set[str]:
         """Ask for confirmation if the checks that need no rendering find an error."""
         doubts = misgivings.look(context.scene)
         if not doubts.errors:
+            self.is_checked = True
             return cast("set[str]", self.execute(context))
         self.force = True  # takes effect only if the user confirms
         answer: set[str] = context.window_manager.invoke_confirm(
@@ -196,7 +199,7 @@ class NLOS_OT_sweep_start(_Running, bpy.types.Operator):
         path = folder(scene)
         if Dataset.exists(path):
             raise NlosError(f"{path} holds a data set already: resume it, or name another folder")
-        if not self.force:
+        if not (self.force or self.is_checked):
             misgivings.refuse(misgivings.look(scene))
         source = background.snapshot("dataset.blend")
         settings = scene.nlos

@@ -184,6 +184,7 @@ class Location:
     deviation: list[float] = described("standard deviation of that along x, y and z, metres")
     evidence: float = described("logarithm of how much likelier an object is than an empty scene")
     detected: bool = described("whether an object is found")
+    misfit: float = described("probability that a picture of the atlas' scene and object fits it as badly")
 
 
 @json_object
@@ -359,8 +360,11 @@ def _locations(answers: Evaluation) -> list[Location]:
             deviation=np.sqrt(np.diag(place.covariance)).tolist(),
             evidence=float(evidence),
             detected=bool(evidence > answers.detector.threshold),
+            misfit=float(misfit),
         )
-        for record, place, evidence in zip(answers.records, answers.places, answers.evidence, strict=True)
+        for record, place, evidence, misfit in zip(
+            answers.records, answers.places, answers.evidence, answers.misfits, strict=True
+        )
     ]
 
 

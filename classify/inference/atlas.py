@@ -195,7 +195,16 @@ class Atlas:
     def code(
         self, picture: Picture, background: Picture | None = None, *, name: str = "picture"
     ) -> NDArray[np.float32]:
-        """Return the code of a measured picture, (k,).
+        """Return the code of a measured picture, (k,); see `difference`."""
+        return self.code_of(self.difference(picture, background, name=name))
+
+    def code_of(self, difference: Array) -> NDArray[np.float32]:
+        """Return the code (k,) of a difference from the empty scene, (height * width,)."""
+        code: NDArray[np.float32] = self.basis @ difference.astype(np.float32)
+        return code
+
+    def difference(self, picture: Picture, background: Picture | None = None, *, name: str = "picture") -> Array:
+        """Return how a measured picture differs from the empty scene, on the scale of unit noise, (height * width,).
 
         Parameters
         ----------
@@ -216,9 +225,8 @@ class Atlas:
             self._check(background, f"{name}: its background")
             empty = self.sensor.stabilised_mean(background)  # averages so many frames that it counts as known
         self._check(picture, name)
-        difference = self.sensor.stabilised(picture) - empty
-        code: NDArray[np.float32] = self.basis @ difference.ravel().astype(np.float32)
-        return code
+        difference: Array = (self.sensor.stabilised(picture) - empty).ravel()
+        return difference
 
     def _check(self, picture: Picture, name: str) -> None:
         height, width = self.empty.shape

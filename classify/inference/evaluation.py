@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 import numpy as np
@@ -14,6 +14,7 @@ from scipy.stats import chi2
 
 from classify.inference.atlas import Atlas
 from classify.inference.detect import Detector, evidence
+from classify.inference.misfit import Misfits, doubt
 from classify.inference.posterior import Place, holds, locate
 from classify.intervals import Interval, exceedance, median, share
 from classify.pictures.leak import refuse_shared
@@ -53,6 +54,8 @@ class Evaluation:
         Factor on the exposure that makes the empty scene as bright as that of the atlas.
     doubts : tuple of str
         What speaks against the answers, in sentences.
+    misfits : ndarray of shape (n,)
+        Probability that a picture of the atlas' scene and object fits as badly, of each (`misfit.Misfit`).
     """
 
     records: list[PoseRecord]
@@ -66,6 +69,7 @@ class Evaluation:
     seconds: Array
     level: float = 1.0
     doubts: tuple[str, ...] = ()
+    misfits: Array = field(default_factory=lambda: np.zeros(0))
 
     @property
     def right(self) -> NDArray[np.bool_]:
@@ -152,13 +156,13 @@ class Evaluation:
             *(f"{w}_{a}" for w in ("found", "sd") for a in _AXES),
         ]
         rows = []
-        answers = zip(self.records, self.places, self.regions, self.evidence, strict=True)
-        for record, place, region, log_ratio in answers:
+        answers = zip(self.records, self.places, self.regions, self.evidence, self.misfits, strict=True)
+        for record, place, region, log_ratio, fit in answers:
             numbers = [*record.position, *place.position, *np.sqrt(np.diag(place.covariance))]
             label, prob = self.labels[place.voxels.argmax()], place.voxels.max()
-            verdict = [f"{region:.4f}", f"{log_ratio:.2f}", int(log_ratio > self.detector.threshold)]
+            verdict = [f"{region:.4f}", f"{log_ratio:.2f}", int(log_ratio > self.detector.threshold), f"{fit:.3g}"]
             rows.append([record.file, record.label, label, f"{prob:.4f}", *(f"{x:.5f}" for x in numbers), *verdict])
-        return csv_text([*header, "region", "evidence", "detected"], rows)
+        return csv_text([*header, "region", "evidence", "detected", "misfit"], rows)
 
 
 _AXES = ("x", "y", "z")
@@ -301,13 +305,16 @@ def run(
     draws, empty_draws = (np.arange(n) % len(measured) for n in (len(records), empty))
     if dataset.own_backgrounds:
         draws = np.arange(len(records))
+    misfit, misfits = Misfits(atlas, seed=seed), []
     codes, places, seconds = [], [], []
     for done, record in enumerate(records):
         picture = camera.picture(record)
         start = time.perf_counter()
         background = camera.background_of(record) if dataset.own_backgrounds else measured[draws[done]]
-        codes.append(atlas.code(picture, background, name=str(dataset.path / record.file)))
+        difference = atlas.difference(picture, background, name=str(dataset.path / record.file))
+        codes.append(atlas.code_of(difference))
         places.append(locate(atlas, codes[-1], seed=seed))
+        misfits.append(misfit(difference, codes[-1]).probability)
         seconds.append(time.perf_counter() - start)
         progress(done + 1, len(records))
     rng = np.random.default_rng([seed, 5])
@@ -328,5 +335,6 @@ def run(
         labels=tuple(atlas.grid.labels),
         seconds=np.array(seconds),
         level=camera.level,
-        doubts=tuple(doubts(atlas, dataset, camera)),
+        doubts=tuple(filter(None, [*doubts(atlas, dataset, camera), doubt(np.array(misfits))])),
+        misfits=np.array(misfits),
     )

@@ -93,8 +93,10 @@ class _Sight:
             for label, points in zip(self._labels, self._points, strict=True):
                 # The rays of an orthographic camera are parallel and start at different points.
                 is_camera = obj == self._camera
-                origins = _opposite(self._starts, self._corners, points) if is_camera else [lamp] * len(points)
-                if label not in direct and any(map(eyes.open, origins, points)):
+                origins = (
+                    _opposite(self._starts, self._corners, points) if is_camera else np.tile(lamp, (len(points), 1))
+                )
+                if label not in direct and eyes.clear(origins, points).any():
                     unhidden.append(label)
             if direct:
                 text = (

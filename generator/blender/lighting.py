@@ -33,7 +33,16 @@ _BARYCENTRIC = np.array(
 @dataclass(frozen=True)
 class _Obstacle:
     objects: tuple[bpy.types.Object, ...]
-    tree: BVHTree
+    corners: Array
+    triangles: Any
+
+
+def _tree(obstacles: Sequence[_Obstacle]) -> BVHTree:
+    """Return one tree of all triangles: a ray is cast once, not once an obstacle."""
+    starts = np.cumsum([0, *(len(o.corners) for o in obstacles)])
+    corners = [corner for o in obstacles for corner in o.corners.tolist()]
+    triangles = [t for o, start in zip(obstacles, starts, strict=False) for t in (o.triangles + start).tolist()]
+    return BVHTree.FromPolygons(corners, triangles)
 
 
 class Eyes:
@@ -48,6 +57,7 @@ class Eyes:
 
     def __init__(self, obstacles: Sequence[_Obstacle], size: float) -> None:
         self._obstacles = obstacles
+        self._tree = _tree(obstacles)
         self.size = size
 
     @classmethod
@@ -58,8 +68,7 @@ class Eyes:
             placed = shape.placed
             instanced = bpy.data.objects.get(shape.name)
             objects = (shape.owner, instanced) if instanced is not None else (shape.owner,)
-            tree = BVHTree.FromPolygons(placed.tolist(), np.asarray(shape.triangles).tolist())
-            obstacles.append(_Obstacle(objects, tree))
+            obstacles.append(_Obstacle(objects, placed, np.asarray(shape.triangles)))
             corners.append(placed)
         points = np.concatenate(corners)
         return cls(obstacles, float(np.linalg.norm(np.ptp(points, axis=0))) if len(points) else 1.0)
@@ -80,13 +89,17 @@ class Eyes:
 
     def open(self, start: Array, end: Array) -> bool:
         """Whether nothing stands between two points, each of shape (3,)."""
-        offset = end - start
-        length = float(np.linalg.norm(offset))
-        if length == 0.0:
-            return True
-        origin, direction = Vector(start + _SHORT * offset), Vector(offset / length)
-        reach = (1.0 - 2.0 * _SHORT) * length
-        return all(o.tree.ray_cast(origin, direction, reach)[0] is None for o in self._obstacles)
+        return bool(self.clear(start[None], end[None])[0])
+
+    def clear(self, starts: Array, ends: Array) -> Array:
+        """Return whether nothing stands between each of starts (n, 3) and its end (n, 3), as an array (n,)."""
+        offsets = ends - starts
+        lengths = np.linalg.norm(offsets, axis=1)
+        directions = offsets / np.where(lengths > 0.0, lengths, 1.0)[:, None]
+        origins, reaches = starts + _SHORT * offsets, (1.0 - 2.0 * _SHORT) * lengths
+        lines = zip(origins.tolist(), directions.tolist(), reaches.tolist(), strict=True)
+        cast = self._tree.ray_cast
+        return np.array([not reach or cast(origin, way, reach)[0] is None for origin, way, reach in lines])
 
     def passed(self, starts: Array, ends: Array) -> Array:
         """Return points (m, 3) along rays from starts (n, 3) to ends (n, 3), each up to the first obstacle."""
@@ -94,15 +107,17 @@ class Eyes:
         for start, end in zip(starts, ends, strict=True):
             origin, offset = Vector(start), Vector(end - start)
             length = offset.length
-            hits = [o.tree.ray_cast(origin, offset.normalized(), length)[3] for o in self._obstacles]
-            reach = min([hit for hit in hits if hit is not None], default=length) / (length or 1.0)
+            hit = self._tree.ray_cast(origin, offset.normalized(), length)[3]
+            reach = (length if hit is None else hit) / (length or 1.0)
             segments.append(start + reach * _STEPS[:, None] * (end - start))
         points: Array = np.concatenate(segments)
         return points
 
     def share(self, starts: Array, ends: Array) -> Array:
         """Return the unblocked share of the lines from each of starts (n, 3) to all ends (m, 3), as an array (n,)."""
-        return np.array([np.mean([self.open(a, b) for b in ends]) for a in starts])
+        is_clear = self.clear(np.repeat(starts, len(ends), axis=0), np.tile(ends, (len(starts), 1)))
+        shares: Array = is_clear.reshape(len(starts), len(ends)).mean(axis=1)
+        return shares
 
 
 class Beam:

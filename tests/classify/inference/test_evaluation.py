@@ -60,8 +60,9 @@ def test_another_scene_and_another_object_are_told(simulated, tmp_path):
         for name, floor in (("usual", FLOOR), ("other", half))
     )
     assert evaluation.run(atlas, usual, empty=0).doubts == ()
-    [doubt] = evaluation.run(atlas, other, empty=0).doubts
-    assert re.match(r"do not rely on these answers: the empty scene differs from that of the atlas by \d", doubt)
+    shape, misfit = evaluation.run(atlas, other, empty=0).doubts
+    assert re.match(r"do not rely on these answers: the empty scene differs from that of the atlas by \d", shape)
+    assert re.match(r"\d+ of 16 pictures do not fit the atlas", misfit)
     atlas = replace(atlas, about={**atlas.about, "targets": ["sheet"]})
     assert evaluation.run(atlas, usual, empty=0).doubts == (
         "the atlas is of a sheet, and these pictures are of a sphere",

@@ -1,0 +1,142 @@
+"""Whether a picture can be of an atlas' scene and object at all, wherever that stands.
+
+A posterior compares the atlas' poses with one another and always names one. What it does not say is whether any of
+them explains the picture: another room, a moved lamp, an object of another size leave something over, in the code or
+in what the code leaves out. Two tests say how probable so much is for a picture that is what the atlas is of.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.stats import binom, chi2, genpareto
+
+from classify.inference.atlas import Atlas
+from generator.model.arrays import Array
+
+RARE = 0.01
+"""Probability below which a picture is counted as one that does not fit."""
+_DRAWS = 1000
+_POSES = 20_000
+"""Most poses of the atlas that a code is compared with."""
+_TAIL = 0.1
+"""Share of the simulated distances that the distribution's tail is fitted to."""
+_CHANCE = 1e-4
+"""Probability of a false warning about a set."""
+
+
+@dataclass(frozen=True)
+class Misfit:
+    """How well a picture fits an atlas.
+
+    Attributes
+    ----------
+    code : float
+        Probability that a picture which is what the atlas is of has a code as far from those of all poses, and from
+        that of the empty scene.
+    pixels : float
+        Probability that the part of such a picture which its code leaves out is as large.
+    """
+
+    code: float
+    pixels: float
+
+    @property
+    def probability(self) -> float:
+        """Probability that one of both is so small by chance (Bonferroni's bound)."""
+        return min(1.0, 2.0 * min(self.code, self.pixels))
+
+
+class Misfits:
+    """Tests pictures against an atlas.
+
+    Parameters
+    ----------
+    atlas : Atlas
+    seed : int
+        Seed of the simulated pictures that tell how far codes are from one another.
+
+    Notes
+    -----
+    What a code leaves out has unit variance in every direction, times the atlas' ``spread``, if the picture is of its
+    scene: the sum of squares is chi-squared. The distance of a code from the nearest of the atlas', and from the
+    plane through the nearest few, depends on how densely these lie, so its distribution is simulated: poses of the
+    atlas, each left out of it, with noise. Beyond the simulated ones, excesses over a high threshold have a
+    generalised Pareto distribution (Pickands 1975).
+    """
+
+    def __init__(self, atlas: Atlas, *, seed: int = 0) -> None:
+        self._atlas = atlas
+        self._directions = np.linalg.qr(atlas.basis.T.astype(np.float64))[0]
+        self._subset = atlas.take(slice(None, None, -(-len(atlas.codes) // _POSES)))
+        free = int((np.ptp(np.concatenate([atlas.positions, atlas.rotations], axis=1), axis=0) > 0.0).sum())
+        count, size = self._subset.codes.shape
+        # Twice as many as the surface has, for it is curved; but most of the noise must be left over.
+        self._directions_between = min(2 * free, size // 3, count - 2)
+        rng = np.random.default_rng([seed, 7])
+        left_out = rng.integers(count, size=_DRAWS)
+        noise = rng.normal(size=(_DRAWS, size))
+        codes = np.array([self._subset.example(int(pose), rng) for pose in left_out]) + noise
+        own = [self._distance(code.astype(np.float32), int(pose)) for code, pose in zip(codes, left_out, strict=True)]
+        self._distances = np.sort(own)
+        self._threshold = float(np.quantile(self._distances, 1.0 - _TAIL))
+        excesses = self._distances[self._distances > self._threshold] - self._threshold
+        shape, _, scale = genpareto.fit(excesses, floc=0.0)
+        self._tail = genpareto(max(0.0, float(shape)), scale=float(scale))  # never a largest distance
+
+    def __call__(self, difference: Array, code: NDArray[np.float32]) -> Misfit:
+        """Test a picture.
+
+        Parameters
+        ----------
+        difference : ndarray of shape (height * width,)
+            From `Atlas.difference`.
+        code : ndarray of shape (k,)
+            Its code.
+        """
+        rest = difference - self._directions @ (difference @ self._directions)
+        freedom = len(difference) - self._directions.shape[1]
+        pixels = float(chi2.sf(rest @ rest / self._atlas.spread, freedom)) if freedom else 1.0
+        distance = self._distance(code)
+        if distance > self._threshold:
+            return Misfit(_TAIL * float(self._tail.sf(distance - self._threshold)), pixels)
+        beyond = len(self._distances) - np.searchsorted(self._distances, distance)
+        return Misfit(float(beyond / len(self._distances)), pixels)
+
+    def _distance(self, code: NDArray[np.float32], without: int | None = None) -> float:
+        """Squared distance of a code from the nearest, or from the plane through the nearest few if that is less.
+
+        With unknown strengths: from the likeliest, on their average.
+        """
+        logs = self._subset.logs(code)
+        if without is not None:
+            logs[without] = -np.inf
+        distance = float(code @ code) - 2.0 * max(0.0, float(logs.max()))
+        if not self._directions_between or self._subset.hiding is not None:
+            return distance
+        # The codes of an object that moves lie on a curved surface, and the atlas knows points of it.
+        near = np.argpartition(logs, -1 - self._directions_between)[-1 - self._directions_between :]
+        base = self._subset.codes[near[-1]].astype(np.float64)
+        sides = (self._subset.codes[near[:-1]] - base).T
+        rest = code - base
+        rest = rest - sides @ np.linalg.lstsq(sides, rest, rcond=1e-6)[0]
+        return min(distance, float(rest @ rest))
+
+
+def doubt(probabilities: Array) -> str:
+    """Return a sentence if more pictures do not fit than chance would have it; else an empty one.
+
+    Parameters
+    ----------
+    probabilities : ndarray of shape (n,)
+        `Misfit.probability` of pictures.
+    """
+    count, bad = len(probabilities), int((probabilities < RARE).sum())
+    if bad <= 2.0 * RARE * count or binom.sf(bad - 1, count, RARE) >= _CHANCE:
+        return ""
+    return (
+        f"{bad} of {count} pictures do not fit the atlas ({RARE:.0%} would by chance): scene, object or camera are "
+        "other than it knows them, and stated probabilities and regions cannot be relied on"
+    )
