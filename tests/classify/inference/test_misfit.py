@@ -30,7 +30,7 @@ def atlas(request, simulated):
 
 
 def misfits(atlas, bulk, change=lambda picture: picture, *, before=True, seed=0):
-    """The tests' results for pictures of a set, changed, each with one of thirty backgrounds, changed if ``before``."""
+    """Test the pictures of a set, changed, each with one of thirty backgrounds, which are changed if ``before``."""
     rng, test, sensor = np.random.default_rng(seed), Misfits(atlas), atlas.sensor
     empty = [sensor.measure(bulk.background, rng, frames=sensor.background_frames) for _ in range(30)]
     if before:
