@@ -10,8 +10,8 @@ import mathutils
 import numpy as np
 from mathutils import Matrix
 
-from generator.blender.scene import geometry, roles
-from generator.blender.scene.words import numbers, vector
+from generator.blender.scene import geometry, relay, roles
+from generator.blender.scene.words import vector
 from generator.model.arrays import Array, Vector
 from generator.model.errors import NlosError
 from generator.model.grid import VoxelGrid
@@ -90,19 +90,18 @@ def to_metres(scene: bpy.types.Scene) -> None:
 
 
 def align(scene: bpy.types.Scene) -> None:
-    """Turn and move the whole scene so that the relay wall lies in the plane y = 0 and faces +y.
+    """Turn and move the whole scene so that the relay plane (`relay.find`) is the plane y = 0, and the lamp at y > 0.
 
     Heights do not change if the wall is upright.
 
     Raises
     ------
     NlosError
-        There is not exactly one relay wall and one spot, or the wall is not flat.
+        There is not exactly one relay wall and one spot, the lamp's axis does not meet the wall, or something holds
+        an object in its place.
     """
-    wall, lamp = roles.find(scene, "relay_wall"), roles.find(scene, "spot")
-    normal, centre = _plane(wall)
-    if normal @ (numbers(lamp.matrix_world.translation) - centre) < 0.0:
-        normal = -normal
+    plane = relay.find(scene, geometry.snapshot(scene))
+    normal, centre = plane.normal, plane.point
     up = np.array([0.0, 0.0, 1.0]) if abs(normal[2]) < 0.99 else np.array([0.0, 1.0, 0.0])
     z = up - (up @ normal) * normal
     z /= np.linalg.norm(z)
@@ -135,21 +134,6 @@ def fit_grid(scene: bpy.types.Scene, shape: tuple[int, int, int] = (3, 3, 1)) ->
 def _rounded(values: Array) -> Vector:
     x, y, z = (round(float(v), 4) for v in values)
     return (x, y, z)
-
-
-def _plane(wall: bpy.types.Object) -> tuple[Array, Array]:
-    """Unit normal and centre of a wall in the world."""
-    points = geometry.placed_vertices(wall)
-    if len(points) < 3:
-        raise NlosError(f"the relay wall {wall.name!r} has no surface")
-    centre = (points.min(axis=0) + points.max(axis=0)) / 2.0
-    offsets = points - points.mean(axis=0)
-    _, spread, axes = np.linalg.svd(offsets, full_matrices=False)
-    if spread[2] > 1e-4 * spread[0] or spread[1] <= 1e-6 * spread[0]:
-        raise NlosError(f"the relay wall {wall.name!r} is not flat; use a flat object, or a part of it as its own")
-    normal: Array = axes[2]
-    # Projected onto the plane: the centre of a slanted wall's bounding box may lie off it.
-    return normal, centre - ((centre - points.mean(axis=0)) @ normal) * normal
 
 
 def _transform(scene: bpy.types.Scene, change: Matrix) -> None:

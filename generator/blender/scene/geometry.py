@@ -158,6 +158,9 @@ class Shape:
         Whether it only bounds a volume and is no surface.
     opaque : bool
         Whether it lets no light through.
+    materials : tuple of bpy.types.Material or None
+    slots : ndarray of shape (m,), int
+        Which of the materials each triangle has.
     """
 
     owner: bpy.types.Object
@@ -168,6 +171,8 @@ class Shape:
     triangles: Any
     air: bool = False
     opaque: bool = True
+    materials: tuple[Any, ...] = (None,)
+    slots: Any = 0
 
     @property
     def placed(self) -> Array:
@@ -213,29 +218,33 @@ def snapshot(scene: bpy.types.Scene) -> Snapshot:
                     seen.matrices[role] = numbers(instance.matrix_world)
             if not instance.show_self or not isinstance(obj.data, bpy.types.Mesh):
                 continue  # a curve or text is listed again, as the mesh made of it
-            vertices, triangles = _mesh_of(obj)
+            vertices, triangles, slots = _mesh_of(obj)
             if len(vertices):
                 owner = (instance.parent if instance.is_instance else obj).original
                 matrix = numbers(instance.matrix_world)
                 kinds = {kind for slot in obj.material_slots for kind in nodes.kinds(slot.material)}
                 air, opaque = kinds == {nodes.VOLUME}, not kinds & _THROUGH
-                shape = Shape(owner, obj.name, instance.is_instance, matrix, vertices, triangles, air, opaque)
-                seen.shapes.append(shape)
+                materials = tuple(slot.material and slot.material.original for slot in obj.material_slots) or (None,)
+                painted = materials, np.minimum(slots, len(materials) - 1)
+                surface = owner, obj.name, instance.is_instance, matrix, vertices, triangles
+                seen.shapes.append(Shape(*surface, air, opaque, *painted))
         return seen
 
     return as_rendered(scene, look)
 
 
-def _mesh_of(evaluated: bpy.types.Object) -> tuple[Array, Any]:
-    """Vertices (n, 3) and triangles (m, 3) of an evaluated object, in its own frame."""
+def _mesh_of(evaluated: bpy.types.Object) -> tuple[Array, Any, Any]:
+    """Vertices (n, 3) and triangles (m, 3) of an evaluated object, in its own frame, and their material slots."""
     mesh = evaluated.to_mesh()
     mesh.calc_loop_triangles()
     vertices = np.empty(3 * len(mesh.vertices), dtype=np.float32)
     mesh.vertices.foreach_get("co", vertices)
     triangles = np.empty(3 * len(mesh.loop_triangles), dtype=np.int32)
     mesh.loop_triangles.foreach_get("vertices", triangles)
+    slots = np.empty(len(mesh.loop_triangles), dtype=np.int32)
+    mesh.loop_triangles.foreach_get("material_index", slots)
     evaluated.to_mesh_clear()
-    return vertices.reshape(-1, 3).astype(np.float64), triangles.reshape(-1, 3)
+    return vertices.reshape(-1, 3).astype(np.float64), triangles.reshape(-1, 3), slots
 
 
 def target_shape(scene: bpy.types.Scene, seen: Snapshot | None = None) -> tuple[Array, Any]:
@@ -290,19 +299,6 @@ def evaluated_vertices(obj: bpy.types.Object) -> Array:
     return _vertices(obj.evaluated_get(bpy.context.evaluated_depsgraph_get()))
 
 
-def placed_vertices(obj: bpy.types.Object) -> Array:
-    """Return an object's vertices after modifiers, in the world, (n, 3), metres; empty if it has no surface."""
-    matrix = numbers(obj.matrix_world)
-    placed: Array = evaluated_vertices(obj) @ matrix[:3, :3].T + matrix[:3, 3]
-    return placed
-
-
-def in_frame(wall: bpy.types.Object, seen: Snapshot | None = None) -> bool:
-    """Whether a relay wall lies in the plane y = 0; True if it has no surface."""
-    points = _points(seen.of([wall])) if seen else placed_vertices(wall)
-    return not len(points) or bool(np.abs(points[:, 1]).max() <= 1e-5 * np.ptp(points, axis=0).max())
-
-
 def _vertices(evaluated: bpy.types.Object) -> Array:
     try:
         mesh = evaluated.to_mesh()
@@ -346,23 +342,28 @@ def view(scene: bpy.types.Scene, camera: bpy.types.Object, place: Array | None =
     NlosError
         The camera is neither perspective nor orthographic, or does not look at the wall.
     """
+    starts, ways = corner_rays(scene, camera, place)
+    if (ways[:, 1] >= 0.0).any() or (starts[:, 1] <= 0.0).any():
+        raise NlosError(
+            f"{file_name()}: the camera {camera.name!r} does not look at the relay wall (the plane y = 0)"
+        )
+    return starts, starts - ways * (starts[:, 1:2] / ways[:, 1:2])
+
+
+def corner_rays(scene: bpy.types.Scene, camera: bpy.types.Object, place: Array | None = None) -> tuple[Array, Array]:
+    """Return where the rays through a picture's corners start and which way they go, (4, 3) each; see `view`."""
     if camera.type != "CAMERA" or camera.data.type not in ("PERSP", "ORTHO"):
         raise NlosError(f"{file_name()}: the camera {camera.name!r} must be a perspective or orthographic camera")
     matrix = camera.matrix_world if place is None else Matrix(place.tolist())
     # Blender ignores the scale of cameras.
     matrix = Matrix.LocRotScale(*matrix.decompose()[:2], mathutils.Vector(map(_sign, matrix.to_scale())))
-    starts, corners = [], []
+    starts, ways = [], []
     for corner in camera.data.view_frame(scene=scene):
         parallel = camera.data.type == "ORTHO"
         start = matrix @ mathutils.Vector((corner.x, corner.y, 0.0)) if parallel else matrix.translation
-        ray = matrix @ corner - start
-        if ray.y >= 0.0 or start.y <= 0.0:
-            raise NlosError(
-                f"{file_name()}: the camera {camera.name!r} does not look at the relay wall (the plane y = 0)"
-            )
         starts.append(start)
-        corners.append(start - ray * (start.y / ray.y))
-    return np.array(starts), np.array(corners)
+        ways.append(matrix @ corner - start)
+    return np.array(starts, dtype=np.float64), np.array(ways, dtype=np.float64)
 
 
 def _sign(value: float) -> float:
