@@ -56,6 +56,8 @@ def read_surfaces(scene: bpy.types.Scene) -> Reading:
         reader = _Reader(played, parts[0], layer, roles.reflection_order(scene), reading)
         for instance in depsgraph.object_instances:
             reader.read(instance)
+        # An instancer may itself not be shown, and is not listed then.
+        reading.places.setdefault("target", numbers(parts[0].evaluated_get(depsgraph).matrix_world))
         reader.split_walls(reading.places.get("spot", numbers(roles.find(scene, "spot").matrix_world)))
         return reading
 

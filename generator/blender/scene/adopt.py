@@ -55,7 +55,7 @@ def assign(scene: bpy.types.Scene, role: str, objects: Sequence[bpy.types.Object
         if role == "camera" and obj.type != "CAMERA":
             raise NlosError(f"{obj.name!r} cannot be the camera: it is none")
         parts = [obj, *obj.children_recursive] if role == "target" else [obj]
-        if role not in ("", "spot", "camera") and not any(len(geometry.evaluated_vertices(o)) for o in parts):
+        if role not in ("", "spot", "camera") and not geometry.has_surface(parts):
             raise NlosError(f"{obj.name!r} cannot be the {label}: it has no surface")
     if role in roles.SINGLE_ROLES:
         for former in roles.players(scene, role):

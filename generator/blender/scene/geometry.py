@@ -208,9 +208,8 @@ def snapshot(scene: bpy.types.Scene) -> Snapshot:
 
     def look(depsgraph: Any) -> Snapshot:
         seen = Snapshot()
-        # The transform of an object that is not rendered is known to the viewport only.
-        for role, obj in singles.items():
-            seen.matrices[role] = numbers(obj.matrix_world)
+        for role, obj in singles.items():  # some are not listed below: hidden ones, and instancers that are not shown
+            seen.matrices[role] = numbers(obj.evaluated_get(depsgraph).matrix_world)
         for instance in depsgraph.object_instances:
             obj = instance.object
             if not instance.is_instance:
@@ -294,6 +293,16 @@ def hull(scene: bpy.types.Scene, seen: Snapshot | None = None) -> Array:
     return target_shape(scene, seen)[0]
 
 
+def has_surface(objects: Collection[bpy.types.Object]) -> bool:
+    """Whether any of the objects has a surface after modifiers, or shows instances that have."""
+    if any(len(evaluated_vertices(obj)) for obj in objects):
+        return True
+    return any(
+        instance.is_instance and instance.parent.original in objects and len(_vertices(instance.object))
+        for instance in bpy.context.evaluated_depsgraph_get().object_instances
+    )
+
+
 def evaluated_vertices(obj: bpy.types.Object) -> Array:
     """Return an object's vertices after modifiers, in its own frame, (n, 3); empty if it has no surface."""
     return _vertices(obj.evaluated_get(bpy.context.evaluated_depsgraph_get()))
@@ -312,15 +321,15 @@ def _vertices(evaluated: bpy.types.Object) -> Array:
     return vertices.reshape(-1, 3).astype(np.float64)
 
 
-def _points(shapes: Sequence[Shape]) -> Array:
-    """Vertices of surfaces in the world, (n, 3)."""
+def points_of(shapes: Sequence[Shape]) -> Array:
+    """Return the vertices of surfaces in the world, (n, 3), metres."""
     points: Array = np.concatenate([np.empty((0, 3)), *(shape.placed for shape in shapes)])
     return points
 
 
 def box_of(scene: bpy.types.Scene, objects: list[bpy.types.Object], seen: Snapshot) -> tuple[Array, Array]:
     """Bounding box of rendered objects in the world, two arrays of shape (3,)."""
-    points = _points(seen.of(objects))
+    points = points_of(seen.of(objects))
     if not len(points):
         raise NlosError(f"{file_name()}: {objects[0].name!r} {unseen(scene, objects[0]) or 'has no surface'}")
     return points.min(axis=0), points.max(axis=0)

@@ -20,7 +20,7 @@ from generator.blender.scene.words import file_name
 from generator.model.arrays import Array
 from generator.model.errors import NlosError
 
-_SLACK = 1e-4
+SLACK = 1e-4
 """Largest distance of a face's corners from its plane, in units of the lamp's distance: n-gons are never quite
 plane."""
 _TILT = 1e-3
@@ -80,7 +80,7 @@ def plane_met(triangles: Array, origin: Array, way: Array) -> RelayPlane | None:
     nearest = int(distances.argmin()) if len(distances) else 0
     if not len(distances) or math.isinf(distances[nearest]):
         return None
-    hit, slack = origin + distances[nearest] * way, _SLACK * float(distances[nearest])
+    hit, slack = origin + distances[nearest] * way, SLACK * float(distances[nearest])
     sides = np.cross(triangles[:, 1] - triangles[:, 0], triangles[:, 2] - triangles[:, 0])
     doubled = np.linalg.norm(sides, axis=1)
     normals = sides / np.where(doubled > 0.0, doubled, 1.0)[:, None]
