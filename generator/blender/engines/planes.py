@@ -18,7 +18,7 @@ def blocked(lamp: bpy.types.Object, wall: bpy.types.Object, hit: Surface | None)
     """Return a phrase that says what blocks the spot's cone."""
     if hit is None or hit.role == "relay_wall":
         return f"part of the cone of the spot {lamp.name!r} misses the plane of the relay wall {wall.name!r}"
-    return f"{hit.name!r} stands in the cone of the spot {lamp.name!r}, before the relay wall"
+    return f"{hit.label} stands in the cone of the spot {lamp.name!r}, before the relay wall"
 
 
 def near_plane(normal: Array, point: Array, slack: float) -> list[Plane]:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import bpy
@@ -139,12 +139,13 @@ class _Reader:
         triangles = np.concatenate([drawn.triangles for drawn in self._walls])
         axis = -lamp[:3, 2] / np.linalg.norm(lamp[:3, 2])
         plane = plane_met(triangles, lamp[:3, 3], axis)
-        lit = np.ones(len(triangles), dtype=bool) if plane is None else foremost(triangles, plane)
+        lit = np.ones(len(triangles), dtype=bool) if plane is None else one_layer(triangles, plane)
         ends = np.cumsum([len(drawn.triangles) for drawn in self._walls])
         for drawn, faces in zip(self._walls, np.split(lit, ends[:-1]), strict=True):
-            for role, chosen in (("relay_wall", faces), ("room", ~faces)):
+            rest = replace(drawn, label=f"another face of {drawn.label}")
+            for part, role, chosen in ((drawn, "relay_wall", faces), (rest, "room", ~faces)):
                 if chosen.any():
-                    self._add_part(drawn, role, chosen)
+                    self._add_part(part, role, chosen)
 
     def _label(self, obj: bpy.types.Object, role: str) -> str:
         if role == "relay_wall":
@@ -238,17 +239,18 @@ class _Drawn:
     softening: float
 
 
-def foremost(triangles: Array, plane: RelayPlane) -> Any:
-    """Return which of a wall's triangles (n, 3, 3) are the relay wall: those in its plane that none of them hides."""
+def one_layer(triangles: Array, plane: RelayPlane) -> Any:
+    """Return which of a wall's triangles (n, 3, 3) are the relay wall: of those in its plane that lie on one another,
+    as the two sides of a thin board do, the ones nearest to the height of the lit point."""
     faces = plane.faces.copy()
     heights = (plane.corners - plane.point) @ plane.normal
-    flat = plane.corners - heights[..., None] * plane.normal
-    pairs = coincident.overlapping(flat)
+    pairs = coincident.overlapping(plane.corners - heights[..., None] * plane.normal)
     means = heights.mean(axis=1)
-    # Parts that lie on one another are told apart by nothing, and are reported (`survey`).
-    deeper = np.where(means[pairs[:, 0]] < means[pairs[:, 1]], pairs[:, 0], pairs[:, 1])
-    apart = np.ptp(means[pairs], axis=1) > coincident.NEAR * float(np.abs(triangles).max())
-    faces[np.flatnonzero(faces)[deeper[apart]]] = False
+    # Parts in one place are told apart by nothing, and are reported (`survey`).
+    pairs = pairs[np.ptp(means[pairs], axis=1) > coincident.NEAR * float(np.abs(triangles).max())]
+    away = np.abs(means - (plane.hit - plane.point) @ plane.normal)
+    farther = np.where(away[pairs[:, 0]] > away[pairs[:, 1]], pairs[:, 0], pairs[:, 1])
+    faces[np.flatnonzero(faces)[farther]] = False
     return faces
 
 

@@ -84,7 +84,7 @@ def read_watched(
     threshold = NOTHING * polygon_area(outline)
     for surface in surfaces:
         if surface.seen and surface.role == "room" and cut_areas(surface.triangles, view_volume).sum() > threshold:
-            reasons.append(f"{surface.name!r} stands between {name} and the relay wall")
+            reasons.append(f"{surface.label} stands between {name} and the relay wall")
     for lamp in reading.glowing:
         if lamp.seen and cut_areas(lamp.triangles, view_volume).sum() > threshold:
             reasons.append(f"the lamp {lamp.name!r} stands between {name} and the relay wall")

@@ -43,12 +43,15 @@ class RelayPlane:
         Which of the wall's triangles lie in it.
     corners : ndarray of shape (m, 3, 3)
         Those triangles, metres.
+    hit : ndarray of shape (3,)
+        Where the lamp's axis meets one of them.
     """
 
     point: Array
     normal: Array
     faces: NDArray[np.bool_]
     corners: Array
+    hit: Array
 
     @property
     def in_frame(self) -> bool:
@@ -107,7 +110,7 @@ def plane_met(triangles: Array, origin: Array, way: Array) -> RelayPlane | None:
     points = corners.reshape(-1, 3)
     centre = (points.min(axis=0) + points.max(axis=0)) / 2.0
     # Projected onto the plane: the centre of a slanted wall's bounding box may lie off it.
-    return RelayPlane(centre - ((centre - mean) @ normal) * normal, normal, faces, corners)
+    return RelayPlane(centre - ((centre - mean) @ normal) * normal, normal, faces, corners, hit)
 
 
 def find(scene: bpy.types.Scene, seen: geometry.Snapshot) -> RelayPlane:
