@@ -61,10 +61,6 @@ def _read(scene: bpy.types.Scene, size: tuple[int, int]) -> Scene:
     low, high = (limit(plane.corners.reshape(-1, 3), axis=0) for limit in (np.min, np.max))
     paint = np.concatenate([np.array(shape.materials, dtype=object)[shape.slots] for shape in seen.of([wall])])
     colour = only_diffuse(paint[plane.faces])
-    if np.linalg.det(seen.matrices["target"]) < 0.0:
-        raise NlosError(
-            f"{file_name()}: the target {target.name!r} is mirrored by a negative scale; apply the scale first"
-        )
     room, screens = players(scene, "room"), players(scene, "partition")
     kind = target.get(KIND, "mesh")
     return Scene(

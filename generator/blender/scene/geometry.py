@@ -11,7 +11,7 @@ from typing import Any, TypeVar
 import bpy
 import mathutils
 import numpy as np
-from mathutils import Matrix
+from mathutils import Matrix, Quaternion
 
 from generator.blender.scene import nodes, replaced
 from generator.blender.scene.quiet import Overrides, quiet
@@ -246,6 +246,20 @@ def _mesh_of(evaluated: bpy.types.Object) -> tuple[Array, Any, Any]:
     return vertices.reshape(-1, 3).astype(np.float64), triangles.reshape(-1, 3), slots
 
 
+def pose_of(target: bpy.types.Object, matrix: Matrix) -> tuple[mathutils.Vector, Quaternion, mathutils.Vector]:
+    """Return the place, turn and scale that a transform to the world means as a pose of the target.
+
+    A matrix does not say which of its axes negative scales belong to: without a parent, the object does.
+    """
+    place, turn, scale = matrix.decompose()
+    if target.parent is None:
+        own = [_sign(s) * _sign(d) for s, d in zip(target.scale, target.delta_scale, strict=True)]
+        flips = [o * _sign(s) for o, s in zip(own, scale, strict=True)]
+        turn = turn @ Matrix.Diagonal(flips).to_quaternion()  # of none or two axes: both are as mirrored
+        scale = mathutils.Vector([f * s for f, s in zip(flips, scale, strict=True)])
+    return place, turn, scale
+
+
 def target_shape(scene: bpy.types.Scene, seen: Snapshot | None = None) -> tuple[Array, Any]:
     """Return the mesh of the target and its children.
 
@@ -269,8 +283,7 @@ def target_shape(scene: bpy.types.Scene, seen: Snapshot | None = None) -> tuple[
     parts = target_parts(scene)
     target = parts[0]
     seen = seen or snapshot(scene)
-    target_matrix = Matrix(seen.matrices["target"].tolist())
-    place, turn, scale = target_matrix.decompose()
+    place, turn, scale = pose_of(target, Matrix(seen.matrices["target"].tolist()))
     to_target = Matrix.LocRotScale(place, turn, None).inverted()
     points, faces, count = [], [], 0
     for shape in seen.of(parts):
