@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from typing import Any
 
 import bpy
 import mathutils
@@ -11,7 +12,7 @@ import numpy as np
 from mathutils import Matrix
 
 from generator.blender.scene import geometry, relay, roles
-from generator.blender.scene.words import vector
+from generator.blender.scene.words import numbers, vector
 from generator.model.arrays import Array, Vector
 from generator.model.errors import NlosError
 from generator.model.grid import VoxelGrid
@@ -20,6 +21,11 @@ ROLES = (*roles.SINGLE_ROLES, "room", "partition")
 
 _ROOMY = 1.25
 """A voxel's edge in units of the target's largest diameter, so that it can turn inside and move a little."""
+
+_STRAY = 1e-4
+"""Distance from where it should be, in units of the scene's size, and angle, radians, at which an object is held."""
+
+_FIGURES = ("location", "rotation_euler", "rotation_quaternion", "rotation_axis_angle", "scale")
 
 _LEFT_OVER = 0.02
 """Distance of fitted voxels from the relay wall, in units of the height of the hidden volume."""
@@ -87,6 +93,8 @@ def to_metres(scene: bpy.types.Scene) -> None:
         for name in ("shadow_soft_size", "size", "size_y", "ortho_scale", "clip_start", "clip_end"):
             if hasattr(data, name):
                 setattr(data, name, getattr(data, name) * factor)
+        if hasattr(data, "dof"):
+            data.dof.focus_distance *= factor
 
 
 def align(scene: bpy.types.Scene) -> None:
@@ -137,25 +145,28 @@ def _rounded(values: Array) -> Vector:
 
 
 def _transform(scene: bpy.types.Scene, change: Matrix) -> None:
-    """Apply a transform of the world to every object and to the voxels; lamps and cameras keep their scale."""
+    """Apply a transform of the world to every object and to the voxels; lamps and cameras keep their scale.
+
+    Constraints and animation may hold an object, or may not, as one that turns a lamp to an object: a render tells.
+    """
     bpy.context.view_layer.update()
     roots = [o for o in scene.objects if o.parent is None or o.parent.name not in scene.objects]
     for obj in roots:
-        animated = obj.animation_data is not None and (obj.animation_data.action or obj.animation_data.drivers)
-        if obj.constraints or animated or obj.library is not None:
-            reason = "is linked from another file" if obj.library else "is held by constraints, drivers or animation"
-            raise NlosError(f"{obj.name!r} {reason}, so it cannot be put elsewhere; nothing was changed")
-    for obj in roots:
-        # The object's own matrix: Blender does not update the world matrix of what no view layer shows.
-        before = obj.matrix_basis.copy() if obj.parent is None else obj.matrix_world.copy()
-        placed = change @ before
-        if obj.type in ("LIGHT", "CAMERA") and not obj.children:
-            place, turn, _ = placed.decompose()
-            placed = Matrix.LocRotScale(place, turn, before.to_scale())
-        if obj.parent is None:
-            obj.matrix_basis = placed
-        else:
-            obj.matrix_world = placed
+        if obj.library is not None:
+            raise NlosError(
+                f"{obj.name!r} is linked from another file, so it cannot be put elsewhere; nothing was changed"
+            )
+    places = _places(scene)
+    figures = [(o, name, _copied(getattr(o, name))) for o in roots for name in _FIGURES]
+    _put(roots, change)
+    if held := _elsewhere(places, _places(scene), np.array(change, dtype=np.float64)):
+        for obj, name, value in figures:
+            setattr(obj, name, value)
+        bpy.context.view_layer.update()
+        raise NlosError(
+            f"{held!r} is held by constraints, drivers or animation, so it cannot be put elsewhere; nothing was "
+            "changed"
+        )
     if all(key in scene for key in (roles.GRID_LO, roles.GRID_HI, roles.GRID_SHAPE)):
         lo, hi = scene[roles.GRID_LO], scene[roles.GRID_HI]
         corners = np.array(
@@ -171,4 +182,57 @@ def _transform(scene: bpy.types.Scene, change: Matrix) -> None:
             vector(corners.min(axis=0)),
             vector(corners.max(axis=0)),
         )
+
+
+def _put(roots: Sequence[bpy.types.Object], change: Matrix) -> None:
+    """Apply a transform of the world to objects."""
+    for obj in roots:
+        # The object's own matrix: Blender does not update the world matrix of what no view layer shows.
+        before = obj.matrix_basis.copy() if obj.parent is None else obj.matrix_world.copy()
+        placed = change @ before
+        if obj.type in ("LIGHT", "CAMERA") and not obj.children:
+            place, turn, _ = placed.decompose()
+            placed = Matrix.LocRotScale(place, turn, before.to_scale())
+        if obj.parent is None:
+            obj.matrix_basis = placed
+        else:
+            obj.matrix_world = placed
     bpy.context.view_layer.update()
+
+
+def _copied(value: Any) -> Any:
+    """Return a figure of an object, and not a view of it that would change with the object."""
+    return value.copy() if hasattr(value, "copy") else tuple(value)
+
+
+def _places(scene: bpy.types.Scene) -> list[tuple[str, Array, Array]]:
+    """Return name, points (n, 3) and directions (m, 3) of all that a render sees, in its order."""
+
+    def look(depsgraph: Any) -> list[tuple[str, Array, Array]]:
+        places = []
+        for instance in depsgraph.object_instances:
+            obj, matrix = instance.object, numbers(instance.matrix_world)
+            name = (instance.parent if instance.is_instance else obj).original.name
+            points, ways = matrix[None, :3, 3], np.zeros((0, 3))
+            if obj.type in ("LIGHT", "CAMERA"):
+                ways = matrix[:3, 1:3].T  # up, and against the view
+            elif isinstance(obj.data, bpy.types.Mesh):
+                points = np.array(obj.bound_box, dtype=np.float64) @ matrix[:3, :3].T + matrix[:3, 3]
+            places.append((name, points, ways / np.maximum(np.linalg.norm(ways, axis=1, keepdims=True), 1e-30)))
+        return places
+
+    return geometry.as_rendered(scene, look)
+
+
+def _elsewhere(before: list[tuple[str, Array, Array]], after: list[tuple[str, Array, Array]], change: Array) -> str:
+    """Return the name of what a transform (4, 4) of the world has not taken along; empty if there is nothing."""
+    size = float(np.abs(np.concatenate([points for _, points, _ in after])).max())
+    turn = change[:3, :3] / np.linalg.norm(change[:3, 0])
+    for (name, points, ways), (_, new_points, new_ways) in zip(before, after, strict=True):
+        moved = points @ change[:3, :3].T + change[:3, 3]
+        if not (
+            np.allclose(new_points, moved, rtol=0.0, atol=_STRAY * size)
+            and np.allclose(new_ways, ways @ turn.T, rtol=0.0, atol=_STRAY)
+        ):
+            return name
+    return ""

@@ -86,10 +86,24 @@ def test_metres_move_what_no_view_layer_shows():
     assert tuple(mine.location) == pytest.approx((1.0, 2.0, 3.0))
 
 
-def test_what_is_held_is_named_and_nothing_moves():
+def limited(mine, scene):
+    limit = mine.constraints.new("LIMIT_LOCATION")
+    limit.use_min_x, limit.min_x = True, 3.0
+
+
+def driven(mine, scene):
+    mine.driver_add("location", 0).driver.expression = "3"
+
+
+def animated(mine, scene):
+    mine.keyframe_insert("location", frame=1)
+
+
+@pytest.mark.parametrize("hold", [limited, driven, animated])
+def test_what_is_held_is_named_and_nothing_moves(hold):
     scene = built()
     mine = own_object(scene)
-    mine.constraints.new("COPY_LOCATION").target = roles.find(scene, "spot")
+    hold(mine, scene)
     before = {o.name: o.matrix_basis.copy() for o in scene.objects}
     scene.unit_settings.scale_length = 0.5
     with pytest.raises(NlosError, match="'Mine' is held by constraints"):
@@ -97,6 +111,24 @@ def test_what_is_held_is_named_and_nothing_moves():
     assert all(scene.objects[name].matrix_basis == matrix for name, matrix in before.items())
     assert scene.unit_settings.scale_length == 0.5  # else it would count as converted
     assert not adopt.in_metres(scene)
+
+
+def test_constraints_to_what_moves_along_hold_nothing():
+    scene = built()
+    wanted = read_scene(scene)
+    lamp, aim = roles.find(scene, "spot"), bpy.data.objects.new("Aim", None)
+    aim.location = wanted.spot.aim
+    scene.collection.objects.link(aim)
+    track = lamp.constraints.new("TRACK_TO")
+    track.target, track.track_axis, track.up_axis = aim, "TRACK_NEGATIVE_Z", "UP_Y"
+    lamp.rotation_euler = (0.0, 0.0, 0.0)
+    for obj in scene.objects:
+        obj.matrix_basis = Matrix.Rotation(0.8, 4, "Z") @ Matrix.Translation((0.2, 0.3, 0.0)) @ obj.matrix_basis
+    bpy.context.view_layer.update()
+    adopt.align(scene)
+    found = read_scene(scene).spot
+    assert found.aim[2] == pytest.approx(wanted.spot.aim[2], abs=1e-4)
+    assert found.location[1:] == pytest.approx(wanted.spot.location[1:], abs=1e-4)
 
 
 @pytest.mark.parametrize("how", ["exclude", "hide_render"])
