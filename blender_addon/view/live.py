@@ -17,7 +17,7 @@ import bpy
 from bpy.app.handlers import persistent
 
 from generator.blender.engines import renderers, survey
-from generator.blender.scene import materials, roles
+from generator.blender.scene import geometry, materials, roles
 from generator.blender.scene.description import read_scene
 from generator.jobs.protocol import Question
 from generator.model.engines import AUTO
@@ -300,7 +300,8 @@ def _note_stall(start: float) -> None:
 
 def _pose(scene: Any) -> tuple[tuple[float, ...], tuple[float, ...], tuple[float, ...]]:
     """Return the target's position (metres), rotation (degrees about x, then y, then z) and scale."""
-    place, turn, scale = roles.find(scene, "target").matrix_world.decompose()
+    target = roles.find(scene, "target")
+    place, turn, scale = geometry.pose_of(target, target.matrix_world)
     return tuple(place), tuple(math.degrees(angle) for angle in turn.to_euler("XYZ")), tuple(scale)
 
 

@@ -13,7 +13,7 @@ from generator.blender.engines import renderers, survey
 from generator.blender.engines.reading import MAX_ORDER
 from generator.blender.engines.settings import settled
 from generator.blender.finding import ERROR, FIXES, GOOD, NOTE, WARNING, Finding
-from generator.blender.scene import adopt, clearance, geometry, replaced, roles
+from generator.blender.scene import adopt, clearance, geometry, relay, replaced, roles
 from generator.blender.scene.description import read_scene
 from generator.model import poses
 from generator.model.engines import AUTO, ENGINES
@@ -108,7 +108,12 @@ def _frame(scene: bpy.types.Scene) -> list[Finding]:
         unit = scene.unit_settings.scale_length
         text = f"A Blender unit is {unit:g} m here; light, voxels and poses count in metres"
         results.append(Finding(ERROR, text, fix="metres"))
-    if not geometry.in_frame(wall, geometry.snapshot(scene)):
+    seen = geometry.snapshot(scene)
+    try:
+        plane = relay.find(scene, seen)
+    except NlosError as error:
+        return [*results, _told(scene, error)]
+    if not plane.in_frame:
         text = f"The relay wall {wall.name!r} is not in the plane y = 0, which the lab's frame starts from"
         results.append(Finding(ERROR, text, wall.name, "align"))
     return results

@@ -152,7 +152,7 @@ def player_of(scene: bpy.types.Scene, role: str) -> Any:
 
 def _put(target: Any, pose: PoseRecord) -> None:
     """Move and rotate the target to a pose, keep its shape, and remove whatever would move it again."""
-    shape = target.matrix_world.copy()
+    shape, scale = target.matrix_world.copy(), [s * d for s, d in zip(target.scale, target.delta_scale, strict=True)]
     rotation = shape.to_quaternion().to_matrix().to_4x4()
     shape.translation = (0.0, 0.0, 0.0)
     shape = rotation.inverted() @ shape
@@ -169,11 +169,9 @@ def _put(target: Any, pose: PoseRecord) -> None:
         local = target.matrix_parent_inverse @ target.matrix_basis
         parent = target.matrix_world @ local.inverted()
         target.matrix_parent_inverse = parent.inverted() @ matrix @ target.matrix_basis.inverted()
-    elif (matrix.to_scale() - target.scale).length <= 1e-6 * matrix.to_scale().length:
+    else:  # by its own figures, for a matrix does not say which axes a negative scale belongs to
         target.rotation_mode = "XYZ"
-        target.location, target.rotation_euler = pose.position, angles
-    else:
-        target.matrix_world = matrix
+        target.location, target.rotation_euler, target.scale = pose.position, angles, scale
     bpy.context.view_layer.update()
 
 

@@ -16,7 +16,7 @@ Floats = NDArray[Any]
 Flags = NDArray[np.bool_]
 
 _TOUCH = 1e-9
-_SUNK = 1e-6
+SUNK = 1e-6
 """Depth below the wall, in half diagonals of the watched patch, that counts as rounding."""
 _RIM = 1.0 - 1e-3
 """Share of the lit and of the watched patch that must be free: a target may touch the edge of what is lit or seen."""
@@ -123,9 +123,9 @@ class Obstacles:
             where = f"pose ({', '.join(f'{v:g}' for v in positions[k])})"
             if low[k]:
                 lowest, highest = self._heights(places[k], turns[k])
-                if lowest < -_SUNK:
+                if lowest < -SUNK:
                     raise NlosError(f"{where}: the target reaches through the relay wall")
-                if highest < _SUNK:
+                if highest < SUNK:
                     raise NlosError(f"{where}: the target lies in the relay wall")
             if lit[k] and self._reaches_into(self._cone, self._lamp, places[k], turns[k]):
                 raise NlosError(f"{where}: the target stands in the spot's cone; only --engine path can render it")

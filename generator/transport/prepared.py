@@ -14,7 +14,7 @@ from generator.model.errors import NlosError
 from generator.transport import elements, gloss
 from generator.transport.faces import Faces
 from generator.transport.lit import Patch, chord_rules, whole_rules
-from generator.transport.obstacles import Obstacles
+from generator.transport.obstacles import SUNK, Obstacles
 from generator.transport.rays import Surfaces
 from generator.transport.world import SMOOTHEST, Emitters, Mesh, Sphere, Watched, World
 
@@ -155,6 +155,8 @@ class Setting:
         if not len(self.flat) + len(self.balls):
             raise NlosError("the target has no surface")
         room = _joined([Mesh(frame.points(m.triangles), m.albedo) for m in world.room])
+        if not world.is_followed_on:
+            room = _before_the_wall(room)
         around = [room]
         if world.is_followed_on:
             if world.wall is None:
@@ -200,6 +202,12 @@ class Setting:
             self.patch,
             np.append(frame.points(eye[:3]) if eye[3] else frame.directions(eye[:3]) / frame.unit, eye[3]),
         )
+
+
+def _before_the_wall(room: Mesh) -> Mesh:
+    """Return those triangles, in the wall's frame, that reach before its plane: the lamp's light meets no others."""
+    reaches = room.triangles[:, :, 2].max(axis=1, initial=-math.inf) > SUNK
+    return Mesh(room.triangles[reaches], room.albedo[reaches])
 
 
 def _refuse_gloss(world: World) -> None:

@@ -14,7 +14,7 @@ _LEAF = 48
 _DEEP = 40
 _PARALLEL = 1e-3
 """Largest angle between planes that count as one, radians."""
-_NEAR = 2e-6
+NEAR = 2e-6
 """A distance that counts as none, in units of the largest coordinate: the error of a plane in float32."""
 _TOUCH = 1e-4
 """An overlap that counts as none, in units of the triangles' size: neighbours share an edge."""
@@ -42,7 +42,7 @@ def overlapping(triangles: Array) -> Array:
     sides = np.cross(local[:, 1] - local[:, 0], local[:, 2] - local[:, 0])
     with np.errstate(invalid="ignore"):  # a triangle without area has no normal, and coincides with none
         normals = sides / np.linalg.norm(sides, axis=1, keepdims=True)
-    slack = _NEAR * size
+    slack = NEAR * size
     low, high = local.min(axis=1) - slack, local.max(axis=1) + slack
     pair_lists = [empty]
     for group in _groups(low, high):

@@ -29,6 +29,9 @@ from generator.blender.scene.words import numbers
 from generator.model.arrays import Array
 from generator.transport.world import LitPatch
 
+LIFT = 1e-3
+"""Distance of the lamp that replaces the patch from the wall, in units of the patch's minor radius: shadow rays must
+miss the wall."""
 _RIM = 1.0 - 1e-3
 """Factor that puts the tested rim just inside the cone, whose very edge may graze what borders the lit patch."""
 
@@ -82,15 +85,16 @@ def read_lit_patch(scene: bpy.types.Scene, reading: Reading) -> tuple[LitPatch |
     rim = patch.centre + _RIM * (np.cos(turns) * patch.major + np.sin(turns) * patch.minor)
     apex = np.append(origin, 1.0)
     sides = pyramid(rim, apex)
-    cone = [*sides, Plane(normal, float(normal @ point) + 1e-4 * height)]
-    colour = colour_within(walls, [*sides, *near_plane(normal, point, 1e-4 * height)])
+    slack = min(1e-4 * height, LIFT / 2.0 * minor)  # what is farther from the wall would hide that lamp
+    cone = [*sides, Plane(normal, float(normal @ point) + slack)]
+    colour = colour_within(walls, [*sides, *near_plane(normal, point, slack)])
     if colour is None:
         reasons.append(f"the relay wall {wall.name!r} has more than one colour where {lamp.name!r} lights it")
     else:
         patch = replace(patch, albedo=colour)
     blocking = [s for s in surfaces if cut_areas(s.triangles, cone).sum() > NOTHING * major * minor]
     reasons += [blocked(lamp, wall, s) for s in blocking]
-    if not blocking and not covered(surfaces, sides, point, normal, rim, 1e-4 * height):
+    if not blocking and not covered(surfaces, sides, point, normal, rim, slack):
         reasons.append(blocked(lamp, wall, None))
     return (None if reasons else patch), list(dict.fromkeys(reasons))
 

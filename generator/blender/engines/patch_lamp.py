@@ -13,13 +13,11 @@ from bpy_extras.object_utils import world_to_camera_view
 from mathutils import Matrix, Vector
 
 from generator.blender.engines import survey
+from generator.blender.engines.lit_patch import LIFT
 from generator.blender.engines.shapes import softener
 from generator.blender.scene import geometry, roles
 from generator.blender.scene.quiet import Overrides
 from generator.transport.world import LitPatch
-
-_LIFT = 1e-3
-"""Distance of the patch lamp from the wall, in units of its minor radius, so that shadow rays miss the wall."""
 
 
 @contextlib.contextmanager
@@ -99,7 +97,7 @@ def _shape_lamp(lamp: bpy.types.Object, patch: LitPatch) -> None:
     x, z = patch.major / major, -patch.normal  # a lamp shines along its -z
     frame = np.eye(4)
     frame[:3, 0], frame[:3, 1], frame[:3, 2] = x, np.cross(z, x), z
-    frame[:3, 3] = patch.centre + _LIFT * minor * patch.normal
+    frame[:3, 3] = patch.centre + LIFT * minor * patch.normal
     lamp.matrix_world = Matrix(frame.tolist())
     _radiance_nodes(light, patch)
 

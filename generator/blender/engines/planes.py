@@ -10,6 +10,7 @@ import bpy
 import numpy as np
 
 from generator.blender.engines.surface import Surface
+from generator.blender.scene.relay import crossings
 from generator.model.arrays import Array
 
 
@@ -17,7 +18,7 @@ def blocked(lamp: bpy.types.Object, wall: bpy.types.Object, hit: Surface | None)
     """Return a phrase that says what blocks the spot's cone."""
     if hit is None or hit.role == "relay_wall":
         return f"part of the cone of the spot {lamp.name!r} misses the plane of the relay wall {wall.name!r}"
-    return f"{hit.name!r} stands in the cone of the spot {lamp.name!r}, before the relay wall"
+    return f"{hit.label} stands in the cone of the spot {lamp.name!r}, before the relay wall"
 
 
 def near_plane(normal: Array, point: Array, slack: float) -> list[Plane]:
@@ -45,15 +46,13 @@ def perpendicular(normal: Array) -> Array:
     return unit
 
 
-def plane_of(triangles: Array) -> tuple[Array, Array, float]:
-    """Return a point and the unit normal of the plane through triangles, and their largest distance from it."""
+def plane_of(triangles: Array) -> tuple[Array, Array]:
+    """Return a point and the unit normal of the plane through triangles."""
     sides = np.cross(triangles[:, 1] - triangles[:, 0], triangles[:, 2] - triangles[:, 0])
     largest = sides[np.argmax((sides**2).sum(axis=1))]
     normal = (sides * np.sign(sides @ largest)[:, None]).sum(axis=0)
     normal = normal / np.linalg.norm(normal)
-    corners = triangles.reshape(-1, 3)
-    point = corners.mean(axis=0)
-    return point, normal, float(np.abs((corners - point) @ normal).max())
+    return triangles.reshape(-1, 3).mean(axis=0), normal
 
 
 NOTHING = 1e-9
@@ -122,26 +121,20 @@ def covered(
 ) -> bool:
     """Whether the relay wall, as far as it lies in a plane, fills an outline in that plane."""
     wall = np.concatenate([s.triangles for s in surfaces if s.role == "relay_wall"])
-    coplanar = wall[(np.abs((wall - point) @ normal) <= slack).all(axis=1)]
-    return bool(cut_areas(coplanar, sides).sum() >= (1.0 - 1e-5) * polygon_area(outline))
+    filled = cut_areas(wall, [*sides, *near_plane(normal, point, slack)]).sum()
+    return bool(filled >= (1.0 - 1e-5) * polygon_area(outline))
 
 
 def first_hit(surfaces: Sequence[Surface], origin: Array, way: Array) -> tuple[Surface | None, Array, Array]:
-    """Return the first surface along a ray, the hit point and its unit normal (Moeller and Trumbore 1997)."""
+    """Return the first surface along a ray, the hit point and its unit normal."""
     best: tuple[Surface | None, Array, Array] = (None, np.zeros(3), np.zeros(3))
     nearest = math.inf
     for surface in surfaces:
-        a = surface.triangles[:, 0] - origin
-        first, second = surface.triangles[:, 1] - origin - a, surface.triangles[:, 2] - origin - a
-        normals = np.cross(first, second)
-        slope = normals @ way
-        with np.errstate(divide="ignore", invalid="ignore"):
-            distance = (normals * a).sum(axis=1) / slope
-            across = np.cross(way, a)
-            u, v = -(across * second).sum(axis=1) / slope, (across * first).sum(axis=1) / slope
-            hits = np.flatnonzero((slope != 0) & (u >= -1e-9) & (v >= -1e-9) & (u + v <= 1 + 1e-9) & (distance > 0))
-        if len(hits) and distance[hits].min() < nearest:
-            index = hits[np.argmin(distance[hits])]
-            nearest = float(distance[index])
-            best = surface, origin + nearest * way, normals[index] / np.linalg.norm(normals[index])
+        distances = crossings(surface.triangles, origin, way)
+        if distances.min(initial=math.inf) < nearest:
+            index = int(distances.argmin())
+            nearest = float(distances[index])
+            a, b, c = surface.triangles[index]
+            normal = np.cross(b - a, c - a)
+            best = surface, origin + nearest * way, normal / np.linalg.norm(normal)
     return best

@@ -2,16 +2,18 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass, replace
 from typing import Any
 
 import bpy
 import numpy as np
 
-from generator.blender.engines import lamps
+from generator.blender.engines import coincident, lamps
 from generator.blender.engines.shapes import COARSE, SMOOTH, shape_of, softening
 from generator.blender.engines.surface import Light, Reading, Shape, Surface
 from generator.blender.scene import geometry, materials, nodes, roles
 from generator.blender.scene.description import lamp_power
+from generator.blender.scene.relay import RelayPlane, plane_met
 from generator.blender.scene.words import numbers
 from generator.model.arrays import Array
 
@@ -54,6 +56,9 @@ def read_surfaces(scene: bpy.types.Scene) -> Reading:
         reader = _Reader(played, parts[0], layer, roles.reflection_order(scene), reading)
         for instance in depsgraph.object_instances:
             reader.read(instance)
+        # An instancer may itself not be shown, and is not listed then.
+        reading.places.setdefault("target", numbers(parts[0].evaluated_get(depsgraph).matrix_world))
+        reader.split_walls(reading.places.get("spot", numbers(roles.find(scene, "spot").matrix_world)))
         return reading
 
     return geometry.as_rendered(scene, look)
@@ -85,6 +90,7 @@ class _Reader:
         self._played, self._target, self._layer, self._reading = played, target, layer, reading
         self._order = order
         self._shapes: dict[tuple[int, ...], Shape] = {}
+        self._walls: list[_Drawn] = []
 
     def read(self, instance: Any) -> None:
         """Add an instance of the evaluated scene."""
@@ -123,6 +129,24 @@ class _Reader:
             self._shapes[key] = shape_of(obj)
         return self._shapes[key]
 
+    def split_walls(self, lamp: Array) -> None:
+        """Add the surfaces of the relay wall, when all has been read: the relay plane, and the rest as the room's.
+
+        ``lamp`` (4, 4) is the spot's transform. All of a wall that its axis does not meet counts as the relay wall.
+        """
+        if not self._walls:
+            return
+        triangles = np.concatenate([drawn.triangles for drawn in self._walls])
+        axis = -lamp[:3, 2] / np.linalg.norm(lamp[:3, 2])
+        plane = plane_met(triangles, lamp[:3, 3], axis)
+        lit = np.ones(len(triangles), dtype=bool) if plane is None else one_layer(triangles, plane)
+        ends = np.cumsum([len(drawn.triangles) for drawn in self._walls])
+        for drawn, faces in zip(self._walls, np.split(lit, ends[:-1]), strict=True):
+            rest = replace(drawn, label=f"another face of {drawn.label}")
+            for part, role, chosen in ((drawn, "relay_wall", faces), (rest, "room", ~faces)):
+                if chosen.any():
+                    self._add_part(part, role, chosen)
+
     def _label(self, obj: bpy.types.Object, role: str) -> str:
         if role == "relay_wall":
             return f"the relay wall {obj.name!r}"
@@ -131,43 +155,103 @@ class _Reader:
         return f"{obj.name!r}, which moves with the target," if role == "target" else f"{obj.name!r}"
 
     def _add_surface(self, instance: Any, role: str, matrix: Array, shape: Shape) -> None:
-        obj, reading = instance.object, self._reading
-        label = self._label(obj, role)
+        obj = instance.object
         triangles = shape.corners @ matrix[:3, :3].T + matrix[:3, 3]
-        flaws = [*shape.flaws, *_visibility_flaws(instance, role, self._layer)]
-        if role != "target" and shape.gloss.any():
+        is_finite = bool(np.isfinite(triangles).all())
+        drawn = _Drawn(
+            name=obj.name,
+            label=self._label(obj, role),
+            triangles=triangles if is_finite else np.nan_to_num(triangles, nan=0.0, posinf=0.0, neginf=0.0),
+            is_finite=is_finite,
+            shape=shape,
+            matrix=matrix,
+            is_instance=instance.is_instance,
+            seen=obj.visible_camera,
+            unseen_by=frozenset(_unseen_by(instance)),
+            flaws=tuple(_visibility_flaws(instance, self._layer)),
+            softening=softening(obj.original),
+        )
+        if role == "relay_wall":
+            self._walls.append(drawn)
+        else:
+            self._add_part(drawn, role, np.ones(len(triangles), dtype=bool))
+
+    def _add_part(self, drawn: _Drawn, role: str, faces: Any) -> None:
+        """Add those of the triangles of a surface that ``faces`` (n,) says, in a role."""
+        shape, reading = drawn.shape, self._reading
+        used = set(shape.slots[faces].tolist())
+        relevant = RAYS if role == "relay_wall" else ("diffuse", "shadow")
+        flaws = [flaw for slot, flaw in shape.flaws.items() if slot in used]
+        flaws += [f"is not visible to {word} rays" for word in RAYS if word in drawn.unseen_by and word in relevant]
+        flaws += drawn.flaws
+        if role != "target" and shape.gloss[faces].any():
             flaws.append("has a glossy material, which only the target may have")
-        if role in ("relay_wall", "target") and shape.radiance.any():
+        if role in ("relay_wall", "target") and shape.radiance[faces].any():
             flaws.append("has a material that gives light of its own")
-        if not np.isfinite(triangles).all():
+        if not drawn.is_finite:
             flaws.append("has a corner that is not a finite number")
-            triangles = np.nan_to_num(triangles, nan=0.0, posinf=0.0, neginf=0.0)
+        kinds = frozenset().union(*(shape.kinds[slot] for slot in used))
+        lean = float(shape.lean[faces].max(initial=0.0))
+        triangles = drawn.triangles[faces]
         reading.surfaces.append(
             Surface(
-                name=obj.name,
-                label=label,
+                name=drawn.name,
+                label=drawn.label,
                 role=role if role in ("relay_wall", "target") else "room",
                 triangles=triangles,
-                albedo=shape.albedo,
-                radiance=shape.radiance,
-                gloss=shape.gloss,
-                closed=shape.closed,
-                smooth=shape.lean > SMOOTH,
+                albedo=shape.albedo[faces],
+                radiance=shape.radiance[faces],
+                gloss=shape.gloss[faces],
+                closed=shape.closed and role != "relay_wall",
+                smooth=lean > SMOOTH,
                 faces=shape.faces,
-                seen=obj.visible_camera,
-                flaws=tuple(f"{label} {flaw}" for flaw in flaws),
-                kinds=shape.kinds,
-                unseen_by=frozenset(_unseen_by(instance)),
-                softened=shape.lean > COARSE and softening(obj.original) > 0.0,
+                seen=drawn.seen,
+                flaws=tuple(f"{drawn.label} {flaw}" for flaw in dict.fromkeys(flaws)),
+                kinds=kinds,
+                unseen_by=drawn.unseen_by,
+                softened=lean > COARSE and drawn.softening > 0.0,
             )
         )
-        reading.kinds[obj.name] = reading.kinds.get(obj.name, frozenset()) | shape.kinds
-        if nodes.VOLUME in shape.kinds:
-            reading.volumes.append(f"{obj.name!r} is filled with a volume")
-        if shape.glowing.any() or shape.fire:
-            kind = "SURFACE" if shape.glowing.any() else "VOLUME"
-            shining = triangles[shape.glowing] if shape.glowing.any() else triangles
-            reading.lights.append(Light(obj.name, kind, role, instance.is_instance, matrix, corners=shining))
+        reading.kinds[drawn.name] = reading.kinds.get(drawn.name, frozenset()) | kinds
+        if nodes.VOLUME in kinds:
+            reading.volumes.append(f"{drawn.name!r} is filled with a volume")
+        glowing = used & shape.glowing
+        if glowing or used & shape.fire:
+            shining = triangles[np.isin(shape.slots[faces], list(glowing))] if glowing else triangles
+            kind = "SURFACE" if glowing else "VOLUME"
+            reading.lights.append(Light(drawn.name, kind, role, drawn.is_instance, drawn.matrix, corners=shining))
+
+
+@dataclass(frozen=True)
+class _Drawn:
+    """An instance of a surface as it was read: its triangles (n, 3, 3) in the world, and what all of them share."""
+
+    name: str
+    label: str
+    triangles: Array
+    is_finite: bool
+    shape: Shape
+    matrix: Array
+    is_instance: bool
+    seen: bool
+    unseen_by: frozenset[str]
+    flaws: tuple[str, ...]
+    softening: float
+
+
+def one_layer(triangles: Array, plane: RelayPlane) -> Any:
+    """Return which of a wall's triangles (n, 3, 3) are the relay wall: of those in its plane that lie on one another,
+    as the two sides of a thin board do, the ones nearest to the height of the lit point."""
+    faces = plane.faces.copy()
+    heights = (plane.corners - plane.point) @ plane.normal
+    pairs = coincident.overlapping(plane.corners - heights[..., None] * plane.normal)
+    means = heights.mean(axis=1)
+    # Parts in one place are told apart by nothing, and are reported (`survey`).
+    pairs = pairs[np.ptp(means[pairs], axis=1) > coincident.NEAR * float(np.abs(triangles).max())]
+    away = np.abs(means - (plane.hit - plane.point) @ plane.normal)
+    farther = np.where(away[pairs[:, 0]] > away[pairs[:, 1]], pairs[:, 0], pairs[:, 1])
+    faces[np.flatnonzero(faces)[farther]] = False
+    return faces
 
 
 def _has_empty_slot(obj: bpy.types.Object) -> bool:
@@ -235,10 +319,9 @@ def _unseen_by(instance: Any) -> list[str]:
     return [word for word in RAYS if not all(getattr(o, f"visible_{word}") for o in objects)]
 
 
-def _visibility_flaws(instance: Any, role: str, layer: bpy.types.ViewLayer) -> list[str]:
+def _visibility_flaws(instance: Any, layer: bpy.types.ViewLayer) -> list[str]:
     objects = [instance.object] + ([instance.parent] if instance.is_instance else [])
-    relevant = RAYS if role == "relay_wall" else ("diffuse", "shadow")
-    flaws = [f"is not visible to {word} rays" for word in _unseen_by(instance) if word in relevant]
+    flaws = []
     originals = [o.original for o in objects]
     if any(o.is_holdout or o.holdout_get(view_layer=layer) for o in originals):
         flaws.append("is a holdout")

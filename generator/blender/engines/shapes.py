@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from typing import Any
 
 import bpy
@@ -40,20 +41,24 @@ def shape_of(obj: Any) -> Shape:
         sides = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
         solid = sides.any(axis=1)  # a triangle without area neither reflects nor hides anything
         edges = np.bincount(_values(mesh.loops, "edge_index", 1, np.int32)[:, 0])
-        colours, radiance, gloss, flaws = _colours(obj, slot[solid])
-        kinds, glowing, fire = _makings(obj, slot[solid])
+        materials = [s.material for s in obj.material_slots] or [None]
+        slots = np.clip(slot[solid], 0, len(materials) - 1)  # as Cycles does
+        colours, radiance, gloss, flaws = _colours(materials, slots)
+        kinds = {int(i): nodes.kinds(materials[i]) for i in np.unique(slots)}
+        glowing = frozenset(i for i in kinds if materials[i] is not None and nodes.shines(materials[i]))
         return Shape(
             corners=corners[solid],
+            slots=slots,
             albedo=colours,
             radiance=radiance,
             gloss=gloss,
             closed=bool((edges[edges > 0] == 2).all()),
-            lean=_lean(mesh),
+            lean=_leans(mesh)[polygon[solid]],
             faces=len(mesh.polygons),
             flaws=flaws,
             kinds=kinds,
             glowing=glowing,
-            fire=fire,
+            fire=frozenset(i for i in kinds if materials[i] is not None and nodes.glows(materials[i])) - glowing,
         )
     finally:
         obj.to_mesh_clear()
@@ -67,58 +72,43 @@ def _values(collection: Any, name: str, width: int, kind: type) -> Any:
 
 def is_smooth(mesh: Any) -> bool:
     """Whether any corner's normal differs from its face's: shading that is set smooth may still be flat."""
-    return _lean(mesh) > SMOOTH
+    return bool((_leans(mesh) > SMOOTH).any())
 
 
-def _lean(mesh: Any) -> float:
-    """Largest angle between the normals of corners and of their faces, radians, at most a right angle."""
-    if not len(mesh.polygons):
-        return 0.0
+def _leans(mesh: Any) -> Array:
+    """Largest angle between the normals of each face's corners and its own, radians, at most a right angle, (n,)."""
+    leans = np.zeros(len(mesh.polygons))
+    if not len(leans):
+        return leans
     shading = _values(mesh.corner_normals, "vector", 3, np.float32)
     loops = _values(mesh.polygons, "loop_total", 1, np.int32)[:, 0]
     faces = np.repeat(_values(mesh.polygons, "normal", 3, np.float32), loops, axis=0)
-    area = np.repeat(_values(mesh.polygons, "area", 1, np.float32)[:, 0], loops)
     sine = np.linalg.norm(np.cross(shading, faces), axis=1)
     lean = np.where((shading * faces).sum(axis=1) < 0, math.pi / 2.0, np.arcsin(np.minimum(sine, 1.0)))
-    return float(lean[area > 0].max(initial=0.0))
+    np.maximum.at(leans, np.repeat(np.arange(len(loops)), loops), lean)
+    leans[_values(mesh.polygons, "area", 1, np.float32)[:, 0] <= 0.0] = 0.0
+    return leans
 
 
-def _slots(obj: Any, slots: Any) -> tuple[list[Any], Any]:
-    """Return an object's materials, and the index of the material that Cycles uses for each face."""
-    materials = [slot.material for slot in obj.material_slots] or [None]
-    return materials, np.clip(slots, 0, len(materials) - 1)
-
-
-def _makings(obj: Any, slots: Any) -> tuple[frozenset[str], Any, bool]:
-    """Return the kinds of scattering of faces with given material slots, which of them emit, and if a volume does."""
-    materials, slots = _slots(obj, slots)
-    used = np.unique(slots)
-    kinds: frozenset[str] = frozenset().union(*(nodes.kinds(materials[i]) for i in used))
-    glowing = [i for i in used if materials[i] is not None and nodes.shines(materials[i])]
-    fire = any(nodes.glows(materials[i]) and i not in glowing for i in used if materials[i] is not None)
-    return kinds, np.isin(slots, glowing), fire
-
-
-def _colours(obj: Any, slots: Any) -> tuple[Array, Array, Array, tuple[str, ...]]:
-    """Return albedo and radiance (n, 3) and gloss (n, GLOSS) of faces with given material slots, and their flaws."""
-    materials, slots = _slots(obj, slots)
+def _colours(materials: Sequence[Any], slots: Any) -> tuple[Array, Array, Array, dict[int, str]]:
+    """Return albedo and radiance (n, 3) and gloss (n, GLOSS) of faces with given materials, and these' flaws."""
     albedo, radiance = np.zeros((2, len(materials), 3))
     gloss = np.zeros((len(materials), GLOSS))
-    flaws = []
-    for index in np.unique(slots):
+    flaws = {}
+    for index in map(int, np.unique(slots)):
         material = materials[index]
         found = None if material is None else nodes.reflector(material)
         if found is None:
-            flaws.append(_material_flaw(material))
+            flaws[index] = _material_flaw(material)
         elif min(found.albedo) < 0.0 or max(found.albedo) > 1.0 or (found.glossy and not _is_colour(found.glossy)):
-            flaws.append(f"has a material ({material.name!r}) whose colour is not between 0 and 1")
+            flaws[index] = f"has a material ({material.name!r}) whose colour is not between 0 and 1"
         elif min(found.radiance) < 0.0:
-            flaws.append(f"has a material ({material.name!r}) that gives negative light")
+            flaws[index] = f"has a material ({material.name!r}) that gives negative light"
         else:
             albedo[index], radiance[index] = found.albedo, found.radiance
             if found.glossy is not None and found.glossy.share > 0.0 and any(found.glossy.colour):
                 gloss[index] = _gloss(found.glossy)
-    return albedo[slots], radiance[slots], gloss[slots], tuple(dict.fromkeys(flaws))
+    return albedo[slots], radiance[slots], gloss[slots], flaws
 
 
 def _is_colour(glossy: nodes.Glossy) -> bool:

@@ -18,10 +18,6 @@ CORNERS = np.array([[0.0, 0.0], [1.0, 0.0], [1.0, 1.0], [0.0, 1.0]])
 """Corners of a picture: top left, top right, bottom right, bottom left."""
 
 
-FLAT = 1e-5
-"""A surface counts as plane if it deviates from its plane by less than this, in units of its own size."""
-
-
 @dataclass(frozen=True)
 class Surface:
     """A rendered surface: its triangles (n, 3, 3) in the world, metres; their albedos (n, 3), the radiance (n, 3) of
@@ -145,18 +141,21 @@ class Reading:
 
 @dataclass(frozen=True)
 class Shape:
-    """The mesh of an object in its own frame; many instances may share it."""
+    """The mesh of an object in its own frame, n triangles; many instances may share it."""
 
     corners: Array
+    slots: Any
+    """Index of each triangle's material, (n,), by which materials are known below."""
     albedo: Array
     radiance: Array
     gloss: Array
     closed: bool
-    lean: float
+    lean: Array
+    """Angle between the normals of each triangle's corners and its own, radians, (n,)."""
     faces: int
-    flaws: tuple[str, ...]
-    kinds: frozenset[str]
-    glowing: Any
-    """Which of the triangles emit light, (n,), bool."""
-    fire: bool
-    """Whether a volume inside emits light."""
+    flaws: dict[int, str]
+    kinds: dict[int, frozenset[str]]
+    glowing: frozenset[int]
+    """Materials whose surface emits light."""
+    fire: frozenset[int]
+    """Materials whose volume emits light, and whose surface does not."""

@@ -11,8 +11,7 @@ import numpy as np
 from mathutils import Matrix
 
 from generator.blender.engines.renderer import Shot
-from generator.blender.scene import geometry
-from generator.blender.scene.roles import refuse_hidden
+from generator.blender.scene import geometry, roles
 from generator.files.pictures import Picture
 from generator.measure import light_check
 from generator.model.arrays import Array
@@ -39,8 +38,9 @@ class SurfelRenderer:
         """Render one picture with the target where it stands in the scene; samples and seed have no effect."""
         if not target:
             return self._transport.background(ambient=ambient).astype(np.float32)
-        refuse_hidden(self._scene)
-        position, turn, _ = Matrix(geometry.snapshot(self._scene).matrices["target"].tolist()).decompose()
+        roles.refuse_hidden(self._scene)
+        matrix = Matrix(geometry.snapshot(self._scene).matrices["target"].tolist())
+        position, turn, _ = geometry.pose_of(roles.find(self._scene, "target"), matrix)
         return self.at(tuple(position), tuple(math.degrees(angle) for angle in turn.to_euler("XYZ")))
 
     def light_check(self, poses: Sequence[light_check.Pose]) -> dict[str, Any]:

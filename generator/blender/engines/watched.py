@@ -18,7 +18,7 @@ from generator.blender.engines.planes import (
     polygon_area,
     pyramid,
 )
-from generator.blender.engines.surface import CORNERS, EDGE, FLAT, Reading
+from generator.blender.engines.surface import CORNERS, EDGE, Reading
 from generator.blender.scene import roles
 from generator.blender.scene.words import numbers
 from generator.model.arrays import Array
@@ -42,10 +42,8 @@ def read_watched(
     if not walls:
         return None, [*reasons, f"the relay wall {wall.name!r} is hidden from renders, or has no surface"]
     triangles = np.concatenate(walls)
-    point, normal, uneven = plane_of(triangles)
+    point, normal = plane_of(triangles)
     size = float(np.ptp(triangles.reshape(-1, 3), axis=0).max())
-    if uneven > FLAT * size:
-        return None, [*reasons, f"the relay wall {wall.name!r} is not plane"]
     matrix = reading.places.get("camera", numbers(camera.matrix_world))
     # Blender ignores the scale of cameras.
     frame, eye = matrix[:3, :3] / np.linalg.norm(matrix[:3, :3], axis=0), matrix[:3, 3]
@@ -86,7 +84,7 @@ def read_watched(
     threshold = NOTHING * polygon_area(outline)
     for surface in surfaces:
         if surface.seen and surface.role == "room" and cut_areas(surface.triangles, view_volume).sum() > threshold:
-            reasons.append(f"{surface.name!r} stands between {name} and the relay wall")
+            reasons.append(f"{surface.label} stands between {name} and the relay wall")
     for lamp in reading.glowing:
         if lamp.seen and cut_areas(lamp.triangles, view_volume).sum() > threshold:
             reasons.append(f"the lamp {lamp.name!r} stands between {name} and the relay wall")

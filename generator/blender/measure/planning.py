@@ -335,7 +335,8 @@ def _simplified(source: Path, dropped: Sequence[str]) -> tuple[World | None, lis
 def _room(source: Path, dropped: Sequence[str]) -> list[str]:
     scene = blend_file.open_file(source)
     simplify.apply(scene, dropped)
-    return [name for name in survey.room_names(scene) if name in scene.objects]
+    wall = roles.find(scene, "relay_wall").name  # a sweep needs it whole
+    return [name for name in survey.room_names(scene) if name in scene.objects and name != wall]
 
 
 def _predicted(

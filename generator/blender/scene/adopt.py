@@ -4,13 +4,14 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from typing import Any
 
 import bpy
 import mathutils
 import numpy as np
 from mathutils import Matrix
 
-from generator.blender.scene import geometry, roles
+from generator.blender.scene import geometry, relay, roles
 from generator.blender.scene.words import numbers, vector
 from generator.model.arrays import Array, Vector
 from generator.model.errors import NlosError
@@ -20,6 +21,11 @@ ROLES = (*roles.SINGLE_ROLES, "room", "partition")
 
 _ROOMY = 1.25
 """A voxel's edge in units of the target's largest diameter, so that it can turn inside and move a little."""
+
+_STRAY = 1e-4
+"""Distance from where it should be, in units of the scene's size, and angle, radians, at which an object is held."""
+
+_FIGURES = ("location", "rotation_euler", "rotation_quaternion", "rotation_axis_angle", "scale")
 
 _LEFT_OVER = 0.02
 """Distance of fitted voxels from the relay wall, in units of the height of the hidden volume."""
@@ -55,7 +61,7 @@ def assign(scene: bpy.types.Scene, role: str, objects: Sequence[bpy.types.Object
         if role == "camera" and obj.type != "CAMERA":
             raise NlosError(f"{obj.name!r} cannot be the camera: it is none")
         parts = [obj, *obj.children_recursive] if role == "target" else [obj]
-        if role not in ("", "spot", "camera") and not any(len(geometry.evaluated_vertices(o)) for o in parts):
+        if role not in ("", "spot", "camera") and not geometry.has_surface(parts):
             raise NlosError(f"{obj.name!r} cannot be the {label}: it has no surface")
     if role in roles.SINGLE_ROLES:
         for former in roles.players(scene, role):
@@ -87,22 +93,23 @@ def to_metres(scene: bpy.types.Scene) -> None:
         for name in ("shadow_soft_size", "size", "size_y", "ortho_scale", "clip_start", "clip_end"):
             if hasattr(data, name):
                 setattr(data, name, getattr(data, name) * factor)
+        if hasattr(data, "dof"):
+            data.dof.focus_distance *= factor
 
 
 def align(scene: bpy.types.Scene) -> None:
-    """Turn and move the whole scene so that the relay wall lies in the plane y = 0 and faces +y.
+    """Turn and move the whole scene so that the relay plane (`relay.find`) is the plane y = 0, and the lamp at y > 0.
 
     Heights do not change if the wall is upright.
 
     Raises
     ------
     NlosError
-        There is not exactly one relay wall and one spot, or the wall is not flat.
+        There is not exactly one relay wall and one spot, the lamp's axis does not meet the wall, or something holds
+        an object in its place.
     """
-    wall, lamp = roles.find(scene, "relay_wall"), roles.find(scene, "spot")
-    normal, centre = _plane(wall)
-    if normal @ (numbers(lamp.matrix_world.translation) - centre) < 0.0:
-        normal = -normal
+    plane = relay.find(scene, geometry.snapshot(scene))
+    normal, centre = plane.normal, plane.point
     up = np.array([0.0, 0.0, 1.0]) if abs(normal[2]) < 0.99 else np.array([0.0, 1.0, 0.0])
     z = up - (up @ normal) * normal
     z /= np.linalg.norm(z)
@@ -137,41 +144,29 @@ def _rounded(values: Array) -> Vector:
     return (x, y, z)
 
 
-def _plane(wall: bpy.types.Object) -> tuple[Array, Array]:
-    """Unit normal and centre of a wall in the world."""
-    points = geometry.placed_vertices(wall)
-    if len(points) < 3:
-        raise NlosError(f"the relay wall {wall.name!r} has no surface")
-    centre = (points.min(axis=0) + points.max(axis=0)) / 2.0
-    offsets = points - points.mean(axis=0)
-    _, spread, axes = np.linalg.svd(offsets, full_matrices=False)
-    if spread[2] > 1e-4 * spread[0] or spread[1] <= 1e-6 * spread[0]:
-        raise NlosError(f"the relay wall {wall.name!r} is not flat; use a flat object, or a part of it as its own")
-    normal: Array = axes[2]
-    # Projected onto the plane: the centre of a slanted wall's bounding box may lie off it.
-    return normal, centre - ((centre - points.mean(axis=0)) @ normal) * normal
-
-
 def _transform(scene: bpy.types.Scene, change: Matrix) -> None:
-    """Apply a transform of the world to every object and to the voxels; lamps and cameras keep their scale."""
+    """Apply a transform of the world to every object and to the voxels; lamps and cameras keep their scale.
+
+    Constraints and animation may hold an object, or may not, as one that turns a lamp to an object: a render tells.
+    """
     bpy.context.view_layer.update()
     roots = [o for o in scene.objects if o.parent is None or o.parent.name not in scene.objects]
     for obj in roots:
-        animated = obj.animation_data is not None and (obj.animation_data.action or obj.animation_data.drivers)
-        if obj.constraints or animated or obj.library is not None:
-            reason = "is linked from another file" if obj.library else "is held by constraints, drivers or animation"
-            raise NlosError(f"{obj.name!r} {reason}, so it cannot be put elsewhere; nothing was changed")
-    for obj in roots:
-        # The object's own matrix: Blender does not update the world matrix of what no view layer shows.
-        before = obj.matrix_basis.copy() if obj.parent is None else obj.matrix_world.copy()
-        placed = change @ before
-        if obj.type in ("LIGHT", "CAMERA") and not obj.children:
-            place, turn, _ = placed.decompose()
-            placed = Matrix.LocRotScale(place, turn, before.to_scale())
-        if obj.parent is None:
-            obj.matrix_basis = placed
-        else:
-            obj.matrix_world = placed
+        if obj.library is not None:
+            raise NlosError(
+                f"{obj.name!r} is linked from another file, so it cannot be put elsewhere; nothing was changed"
+            )
+    places = _places(scene)
+    figures = [(o, name, _copied(getattr(o, name))) for o in roots for name in _FIGURES]
+    _put(roots, change)
+    if held := _elsewhere(places, _places(scene), np.array(change, dtype=np.float64)):
+        for obj, name, value in figures:
+            setattr(obj, name, value)
+        bpy.context.view_layer.update()
+        raise NlosError(
+            f"{held!r} is held by constraints, drivers or animation, so it cannot be put elsewhere; nothing was "
+            "changed"
+        )
     if all(key in scene for key in (roles.GRID_LO, roles.GRID_HI, roles.GRID_SHAPE)):
         lo, hi = scene[roles.GRID_LO], scene[roles.GRID_HI]
         corners = np.array(
@@ -187,4 +182,57 @@ def _transform(scene: bpy.types.Scene, change: Matrix) -> None:
             vector(corners.min(axis=0)),
             vector(corners.max(axis=0)),
         )
+
+
+def _put(roots: Sequence[bpy.types.Object], change: Matrix) -> None:
+    """Apply a transform of the world to objects."""
+    for obj in roots:
+        # The object's own matrix: Blender does not update the world matrix of what no view layer shows.
+        before = obj.matrix_basis.copy() if obj.parent is None else obj.matrix_world.copy()
+        placed = change @ before
+        if obj.type in ("LIGHT", "CAMERA") and not obj.children:
+            place, turn, _ = placed.decompose()
+            placed = Matrix.LocRotScale(place, turn, before.to_scale())
+        if obj.parent is None:
+            obj.matrix_basis = placed
+        else:
+            obj.matrix_world = placed
     bpy.context.view_layer.update()
+
+
+def _copied(value: Any) -> Any:
+    """Return a figure of an object, and not a view of it that would change with the object."""
+    return value.copy() if hasattr(value, "copy") else tuple(value)
+
+
+def _places(scene: bpy.types.Scene) -> list[tuple[str, Array, Array]]:
+    """Return name, points (n, 3) and directions (m, 3) of all that a render sees, in its order."""
+
+    def look(depsgraph: Any) -> list[tuple[str, Array, Array]]:
+        places = []
+        for instance in depsgraph.object_instances:
+            obj, matrix = instance.object, numbers(instance.matrix_world)
+            name = (instance.parent if instance.is_instance else obj).original.name
+            points, ways = matrix[None, :3, 3], np.zeros((0, 3))
+            if obj.type in ("LIGHT", "CAMERA"):
+                ways = matrix[:3, 1:3].T  # up, and against the view
+            elif isinstance(obj.data, bpy.types.Mesh):
+                points = np.array(obj.bound_box, dtype=np.float64) @ matrix[:3, :3].T + matrix[:3, 3]
+            places.append((name, points, ways / np.maximum(np.linalg.norm(ways, axis=1, keepdims=True), 1e-30)))
+        return places
+
+    return geometry.as_rendered(scene, look)
+
+
+def _elsewhere(before: list[tuple[str, Array, Array]], after: list[tuple[str, Array, Array]], change: Array) -> str:
+    """Return the name of what a transform (4, 4) of the world has not taken along; empty if there is nothing."""
+    size = float(np.abs(np.concatenate([points for _, points, _ in after])).max())
+    turn = change[:3, :3] / np.linalg.norm(change[:3, 0])
+    for (name, points, ways), (_, new_points, new_ways) in zip(before, after, strict=True):
+        moved = points @ change[:3, :3].T + change[:3, 3]
+        if not (
+            np.allclose(new_points, moved, rtol=0.0, atol=_STRAY * size)
+            and np.allclose(new_ways, ways @ turn.T, rtol=0.0, atol=_STRAY)
+        ):
+            return name
+    return ""

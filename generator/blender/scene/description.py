@@ -9,8 +9,9 @@ import bpy
 import numpy as np
 from mathutils import Matrix
 
-from generator.blender.scene.geometry import Snapshot, box_of, hull, in_frame, shape_pictures, snapshot, view
-from generator.blender.scene.materials import albedo, ambient, reflection
+from generator.blender.scene import relay
+from generator.blender.scene.geometry import Snapshot, box_of, hull, shape_pictures, snapshot, view
+from generator.blender.scene.materials import albedo, ambient, mean_albedo, only_diffuse, reflection
 from generator.blender.scene.quiet import Overrides
 from generator.blender.scene.roles import (
     KIND,
@@ -40,8 +41,8 @@ def read_scene(scene: bpy.types.Scene, resolution: tuple[int, int] | None = None
     Raises
     ------
     NlosError
-        A role is missing or played twice, the voxel grid is missing, the relay wall is not in the plane y = 0, or the
-        spot lamp does not point at it.
+        A role is missing or played twice, the voxel grid is missing, the relay plane is not the plane y = 0, or the
+        spot lamp or the camera does not point at it.
     """
     with Overrides() as overrides:
         return _read(scene, shape_pictures(scene, resolution, overrides))
@@ -50,18 +51,21 @@ def read_scene(scene: bpy.types.Scene, resolution: tuple[int, int] | None = None
 def _read(scene: bpy.types.Scene, size: tuple[int, int]) -> Scene:
     wall, lamp, camera, target = (find(scene, role) for role in SINGLE_ROLES)
     seen = snapshot(scene)
-    low, high = box_of(scene, [wall], seen)
-    if not in_frame(wall, seen):
-        raise NlosError(f"{file_name()}: the relay wall {wall.name!r} must lie in the plane y = 0")
-    if np.linalg.det(seen.matrices["target"]) < 0.0:
+    plane = relay.find(scene, seen)
+    if not plane.in_frame:
         raise NlosError(
-            f"{file_name()}: the target {target.name!r} is mirrored by a negative scale; apply the scale first"
+            f"{file_name()}: the relay wall {wall.name!r}, where the spot lights it, must lie in the plane y = 0"
         )
+    relay.refuse_hidden_from_lamp(scene, seen)
+    relay.refuse_unwatched(scene, seen, plane)
+    low, high = (limit(plane.corners.reshape(-1, 3), axis=0) for limit in (np.min, np.max))
+    paint = np.concatenate([np.array(shape.materials, dtype=object)[shape.slots] for shape in seen.of([wall])])
+    colour = only_diffuse(paint[plane.faces])
     room, screens = players(scene, "room"), players(scene, "partition")
     kind = target.get(KIND, "mesh")
     return Scene(
         preset=str(scene.get(PRESET, "custom")),
-        wall=Wall(x=range_of(low, high, 0), z=range_of(low, high, 2), albedo=albedo(wall)),
+        wall=Wall(x=range_of(low, high, 0), z=range_of(low, high, 2), albedo=mean_albedo(colour)),
         room=_read_room(scene, room, seen) if room else None,
         partition=_read_partition(scene, screens, seen) if screens else None,
         spot=_read_spot(lamp, seen.matrices["spot"]),

@@ -11,7 +11,7 @@ from typing import Any, TypeVar
 import bpy
 import mathutils
 import numpy as np
-from mathutils import Matrix
+from mathutils import Matrix, Quaternion
 
 from generator.blender.scene import nodes, replaced
 from generator.blender.scene.quiet import Overrides, quiet
@@ -158,6 +158,9 @@ class Shape:
         Whether it only bounds a volume and is no surface.
     opaque : bool
         Whether it lets no light through.
+    materials : tuple of bpy.types.Material or None
+    slots : ndarray of shape (m,), int
+        Which of the materials each triangle has.
     """
 
     owner: bpy.types.Object
@@ -168,6 +171,8 @@ class Shape:
     triangles: Any
     air: bool = False
     opaque: bool = True
+    materials: tuple[Any, ...] = (None,)
+    slots: Any = 0
 
     @property
     def placed(self) -> Array:
@@ -203,9 +208,8 @@ def snapshot(scene: bpy.types.Scene) -> Snapshot:
 
     def look(depsgraph: Any) -> Snapshot:
         seen = Snapshot()
-        # The transform of an object that is not rendered is known to the viewport only.
-        for role, obj in singles.items():
-            seen.matrices[role] = numbers(obj.matrix_world)
+        for role, obj in singles.items():  # some are not listed below: hidden ones, and instancers that are not shown
+            seen.matrices[role] = numbers(obj.evaluated_get(depsgraph).matrix_world)
         for instance in depsgraph.object_instances:
             obj = instance.object
             if not instance.is_instance:
@@ -213,29 +217,47 @@ def snapshot(scene: bpy.types.Scene) -> Snapshot:
                     seen.matrices[role] = numbers(instance.matrix_world)
             if not instance.show_self or not isinstance(obj.data, bpy.types.Mesh):
                 continue  # a curve or text is listed again, as the mesh made of it
-            vertices, triangles = _mesh_of(obj)
+            vertices, triangles, slots = _mesh_of(obj)
             if len(vertices):
                 owner = (instance.parent if instance.is_instance else obj).original
                 matrix = numbers(instance.matrix_world)
                 kinds = {kind for slot in obj.material_slots for kind in nodes.kinds(slot.material)}
                 air, opaque = kinds == {nodes.VOLUME}, not kinds & _THROUGH
-                shape = Shape(owner, obj.name, instance.is_instance, matrix, vertices, triangles, air, opaque)
-                seen.shapes.append(shape)
+                materials = tuple(slot.material and slot.material.original for slot in obj.material_slots) or (None,)
+                painted = materials, np.minimum(slots, len(materials) - 1)
+                surface = owner, obj.name, instance.is_instance, matrix, vertices, triangles
+                seen.shapes.append(Shape(*surface, air, opaque, *painted))
         return seen
 
     return as_rendered(scene, look)
 
 
-def _mesh_of(evaluated: bpy.types.Object) -> tuple[Array, Any]:
-    """Vertices (n, 3) and triangles (m, 3) of an evaluated object, in its own frame."""
+def _mesh_of(evaluated: bpy.types.Object) -> tuple[Array, Any, Any]:
+    """Vertices (n, 3) and triangles (m, 3) of an evaluated object, in its own frame, and their material slots."""
     mesh = evaluated.to_mesh()
     mesh.calc_loop_triangles()
     vertices = np.empty(3 * len(mesh.vertices), dtype=np.float32)
     mesh.vertices.foreach_get("co", vertices)
     triangles = np.empty(3 * len(mesh.loop_triangles), dtype=np.int32)
     mesh.loop_triangles.foreach_get("vertices", triangles)
+    slots = np.empty(len(mesh.loop_triangles), dtype=np.int32)
+    mesh.loop_triangles.foreach_get("material_index", slots)
     evaluated.to_mesh_clear()
-    return vertices.reshape(-1, 3).astype(np.float64), triangles.reshape(-1, 3)
+    return vertices.reshape(-1, 3).astype(np.float64), triangles.reshape(-1, 3), slots
+
+
+def pose_of(target: bpy.types.Object, matrix: Matrix) -> tuple[mathutils.Vector, Quaternion, mathutils.Vector]:
+    """Return the place, turn and scale that a transform to the world means as a pose of the target.
+
+    A matrix does not say which of its axes negative scales belong to: without a parent, the object does.
+    """
+    place, turn, scale = matrix.decompose()
+    if target.parent is None:
+        own = [_sign(s) * _sign(d) for s, d in zip(target.scale, target.delta_scale, strict=True)]
+        flips = [o * _sign(s) for o, s in zip(own, scale, strict=True)]
+        turn = turn @ Matrix.Diagonal(flips).to_quaternion()  # of none or two axes: both are as mirrored
+        scale = mathutils.Vector([f * s for f, s in zip(flips, scale, strict=True)])
+    return place, turn, scale
 
 
 def target_shape(scene: bpy.types.Scene, seen: Snapshot | None = None) -> tuple[Array, Any]:
@@ -261,8 +283,7 @@ def target_shape(scene: bpy.types.Scene, seen: Snapshot | None = None) -> tuple[
     parts = target_parts(scene)
     target = parts[0]
     seen = seen or snapshot(scene)
-    target_matrix = Matrix(seen.matrices["target"].tolist())
-    place, turn, scale = target_matrix.decompose()
+    place, turn, scale = pose_of(target, Matrix(seen.matrices["target"].tolist()))
     to_target = Matrix.LocRotScale(place, turn, None).inverted()
     points, faces, count = [], [], 0
     for shape in seen.of(parts):
@@ -285,22 +306,19 @@ def hull(scene: bpy.types.Scene, seen: Snapshot | None = None) -> Array:
     return target_shape(scene, seen)[0]
 
 
+def has_surface(objects: Collection[bpy.types.Object]) -> bool:
+    """Whether any of the objects has a surface after modifiers, or shows instances that have."""
+    if any(len(evaluated_vertices(obj)) for obj in objects):
+        return True
+    return any(
+        instance.is_instance and instance.parent.original in objects and len(_vertices(instance.object))
+        for instance in bpy.context.evaluated_depsgraph_get().object_instances
+    )
+
+
 def evaluated_vertices(obj: bpy.types.Object) -> Array:
     """Return an object's vertices after modifiers, in its own frame, (n, 3); empty if it has no surface."""
     return _vertices(obj.evaluated_get(bpy.context.evaluated_depsgraph_get()))
-
-
-def placed_vertices(obj: bpy.types.Object) -> Array:
-    """Return an object's vertices after modifiers, in the world, (n, 3), metres; empty if it has no surface."""
-    matrix = numbers(obj.matrix_world)
-    placed: Array = evaluated_vertices(obj) @ matrix[:3, :3].T + matrix[:3, 3]
-    return placed
-
-
-def in_frame(wall: bpy.types.Object, seen: Snapshot | None = None) -> bool:
-    """Whether a relay wall lies in the plane y = 0; True if it has no surface."""
-    points = _points(seen.of([wall])) if seen else placed_vertices(wall)
-    return not len(points) or bool(np.abs(points[:, 1]).max() <= 1e-5 * np.ptp(points, axis=0).max())
 
 
 def _vertices(evaluated: bpy.types.Object) -> Array:
@@ -316,15 +334,15 @@ def _vertices(evaluated: bpy.types.Object) -> Array:
     return vertices.reshape(-1, 3).astype(np.float64)
 
 
-def _points(shapes: Sequence[Shape]) -> Array:
-    """Vertices of surfaces in the world, (n, 3)."""
+def points_of(shapes: Sequence[Shape]) -> Array:
+    """Return the vertices of surfaces in the world, (n, 3), metres."""
     points: Array = np.concatenate([np.empty((0, 3)), *(shape.placed for shape in shapes)])
     return points
 
 
 def box_of(scene: bpy.types.Scene, objects: list[bpy.types.Object], seen: Snapshot) -> tuple[Array, Array]:
     """Bounding box of rendered objects in the world, two arrays of shape (3,)."""
-    points = _points(seen.of(objects))
+    points = points_of(seen.of(objects))
     if not len(points):
         raise NlosError(f"{file_name()}: {objects[0].name!r} {unseen(scene, objects[0]) or 'has no surface'}")
     return points.min(axis=0), points.max(axis=0)
@@ -346,23 +364,28 @@ def view(scene: bpy.types.Scene, camera: bpy.types.Object, place: Array | None =
     NlosError
         The camera is neither perspective nor orthographic, or does not look at the wall.
     """
+    starts, ways = corner_rays(scene, camera, place)
+    if (ways[:, 1] >= 0.0).any() or (starts[:, 1] <= 0.0).any():
+        raise NlosError(
+            f"{file_name()}: the camera {camera.name!r} does not look at the relay wall (the plane y = 0)"
+        )
+    return starts, starts - ways * (starts[:, 1:2] / ways[:, 1:2])
+
+
+def corner_rays(scene: bpy.types.Scene, camera: bpy.types.Object, place: Array | None = None) -> tuple[Array, Array]:
+    """Return where the rays through a picture's corners start and which way they go, (4, 3) each; see `view`."""
     if camera.type != "CAMERA" or camera.data.type not in ("PERSP", "ORTHO"):
         raise NlosError(f"{file_name()}: the camera {camera.name!r} must be a perspective or orthographic camera")
     matrix = camera.matrix_world if place is None else Matrix(place.tolist())
     # Blender ignores the scale of cameras.
     matrix = Matrix.LocRotScale(*matrix.decompose()[:2], mathutils.Vector(map(_sign, matrix.to_scale())))
-    starts, corners = [], []
+    starts, ways = [], []
     for corner in camera.data.view_frame(scene=scene):
         parallel = camera.data.type == "ORTHO"
         start = matrix @ mathutils.Vector((corner.x, corner.y, 0.0)) if parallel else matrix.translation
-        ray = matrix @ corner - start
-        if ray.y >= 0.0 or start.y <= 0.0:
-            raise NlosError(
-                f"{file_name()}: the camera {camera.name!r} does not look at the relay wall (the plane y = 0)"
-            )
         starts.append(start)
-        corners.append(start - ray * (start.y / ray.y))
-    return np.array(starts), np.array(corners)
+        ways.append(matrix @ corner - start)
+    return np.array(starts, dtype=np.float64), np.array(ways, dtype=np.float64)
 
 
 def _sign(value: float) -> float:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from typing import Any
 
 import bpy
@@ -16,16 +16,25 @@ _ROUNDING = 1e-5
 
 def albedo(obj: bpy.types.Object) -> float | None:
     """Return the mean albedo of an object's material if it is purely Lambertian, else None."""
-    colour = diffuse_colour(obj)
+    return mean_albedo(diffuse_colour(obj))
+
+
+def mean_albedo(colour: Sequence[float] | None) -> float | None:
+    """Return the mean of an RGB albedo; None for None."""
     return None if colour is None else short(sum(colour) / 3.0)
 
 
 def diffuse_colour(obj: bpy.types.Object) -> tuple[float, float, float] | None:
     """Return the RGB albedo of an object whose only material is a constant Lambertian reflector, else None."""
-    materials = {slot.material for slot in obj.material_slots}
-    if len(materials) != 1 or None in materials:
+    return only_diffuse(slot.material for slot in obj.material_slots)
+
+
+def only_diffuse(materials: Iterable[Any]) -> tuple[float, float, float] | None:
+    """Return the RGB albedo of materials if they are one and the same, a constant Lambertian reflector, else None."""
+    different = set(materials)
+    if len(different) != 1 or None in different:
         return None
-    return nodes.diffuse(next(iter(materials)))
+    return nodes.diffuse(next(iter(different)))
 
 
 def reflection(obj: bpy.types.Object) -> dict[str, Any]:

@@ -6,8 +6,9 @@ from collections.abc import Callable, Iterable
 from typing import Any
 
 import bpy
+import numpy as np
 
-from generator.blender.scene import materials, roles
+from generator.blender.scene import geometry, materials, relay, roles
 from generator.blender.scene.description import lamp_power
 from generator.blender.scene.quiet import animating
 from generator.blender.scene.words import file_name
@@ -49,6 +50,19 @@ def _setter(scene: bpy.types.Scene, variation: Variation) -> Callable[[float], N
     return _albedo_setter(scene, variation)
 
 
+def _require_own_surfaces(scene: bpy.types.Scene, objs: list[bpy.types.Object], cannot: str) -> None:
+    """Raise NlosError if what a render sees of objects has other materials than theirs, or is more than is named."""
+    seen = geometry.snapshot(scene)
+    for obj in objs:
+        made = [shape.name for shape in seen.of([obj]) if shape.instance]
+        require(not made, f"{cannot}, since {obj.name!r} shows instances of {made[0]!r}" if made else "")
+    for wall in (obj for obj in objs if obj.get(roles.ROLE) == "relay_wall"):
+        plane = relay.find(scene, seen)
+        points = geometry.points_of(seen.of([wall]))
+        juts = ((points - plane.point) @ plane.normal).max() > relay.SLACK * np.ptp(points, axis=0).max()
+        require(not juts, f"{cannot}, since {wall.name!r} is more than the wall; make that face an object of its own")
+
+
 def _power_setter(spot: bpy.types.Object) -> Callable[[float], None]:
     light: Any = spot.data
     power = lamp_power(light)
@@ -66,8 +80,9 @@ def _power_setter(spot: bpy.types.Object) -> Callable[[float], None]:
 def _albedo_setter(scene: bpy.types.Scene, variation: Variation) -> Callable[[float], None]:
     name, role = variation.name, _ROLES[variation.name]
     objs = roles.target_parts(scene) if role == "target" else roles.players(scene, role)
-    objs = [obj for obj in objs if obj.type not in ("EMPTY", "LIGHT")]
     cannot = f"{file_name()}: {name} cannot vary"
+    _require_own_surfaces(scene, objs, cannot)
+    objs = [obj for obj in objs if obj.type not in ("EMPTY", "LIGHT")]
     require(bool(objs), f"{cannot}, since the scene has no {role.replace('_', ' ')} surface")
     first = objs[0].name
     colours = [materials.diffuse_colour(obj) for obj in objs]

@@ -604,7 +604,7 @@ OBSTACLES = {
     "pole": (thin_pole, "'Pole' stands between the camera 'Camera'"),
     "speck": (speck, "'Speck' stands in the cone of the spot 'Spot'"),
     "narrow wall": (narrow_wall, "the camera 'Camera' sees beyond the edge of the relay wall"),
-    "bent wall": (bent_wall, "the relay wall 'Relay wall' is not plane"),
+    "bent wall": (bent_wall, "the camera 'Camera' sees beyond the edge of the relay wall"),
     "hidden wall": (flag("Relay wall", "hide_render", True), "the relay wall 'Relay wall' is hidden"),
     "turned away": (turned_away, "the camera 'Camera' sees beyond the plane"),
     "behind": (behind_the_wall, "the camera 'Camera' and the spot 'Spot' stand on opposite sides"),

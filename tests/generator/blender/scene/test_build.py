@@ -276,7 +276,7 @@ def camera_away(blender):
         (no_grid, "lacks the voxel grid"),
         (wall_away, "must lie in the plane y = 0"),
         (spot_away, "does not point at the relay wall"),
-        (camera_away, "does not look at the relay wall"),
+        (camera_away, "looks at .Floor., not at the relay wall"),
     ],
 )
 def test_a_scene_that_cannot_be_rendered_says_why(spoil, words):

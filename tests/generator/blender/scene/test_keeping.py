@@ -2,18 +2,25 @@
 
 from __future__ import annotations
 
+import math
+
 import bpy
+import numpy as np
 import pytest
+from mathutils import Matrix
 
 from generator.blender import check, check_signal
 from generator.blender.engines import survey
 from generator.blender.engines.settings import TURNS, settled
 from generator.blender.finding import ERROR, NOTE
-from generator.blender.scene import adopt, blend_file, build, clearance, roles
+from generator.blender.plain_cycles import Plain
+from generator.blender.scene import adopt, blend_file, build, clearance, geometry, posing, roles
 from generator.blender.scene.description import read_scene
 from generator.files.toml import from_dict, to_dict
+from generator.model.arrays import rotation_matrix
 from generator.model.errors import NlosError
 from generator.model.grid import VoxelGrid
+from generator.model.poses import PoseRecord
 from generator.model.presets import preset
 from generator.model.scene import Scene
 
@@ -79,10 +86,24 @@ def test_metres_move_what_no_view_layer_shows():
     assert tuple(mine.location) == pytest.approx((1.0, 2.0, 3.0))
 
 
-def test_what_is_held_is_named_and_nothing_moves():
+def limited(mine, scene):
+    limit = mine.constraints.new("LIMIT_LOCATION")
+    limit.use_min_x, limit.min_x = True, 3.0
+
+
+def driven(mine, scene):
+    mine.driver_add("location", 0).driver.expression = "3"
+
+
+def animated(mine, scene):
+    mine.keyframe_insert("location", frame=1)
+
+
+@pytest.mark.parametrize("hold", [limited, driven, animated])
+def test_what_is_held_is_named_and_nothing_moves(hold):
     scene = built()
     mine = own_object(scene)
-    mine.constraints.new("COPY_LOCATION").target = roles.find(scene, "spot")
+    hold(mine, scene)
     before = {o.name: o.matrix_basis.copy() for o in scene.objects}
     scene.unit_settings.scale_length = 0.5
     with pytest.raises(NlosError, match="'Mine' is held by constraints"):
@@ -90,6 +111,24 @@ def test_what_is_held_is_named_and_nothing_moves():
     assert all(scene.objects[name].matrix_basis == matrix for name, matrix in before.items())
     assert scene.unit_settings.scale_length == 0.5  # else it would count as converted
     assert not adopt.in_metres(scene)
+
+
+def test_constraints_to_what_moves_along_hold_nothing():
+    scene = built()
+    wanted = read_scene(scene)
+    lamp, aim = roles.find(scene, "spot"), bpy.data.objects.new("Aim", None)
+    aim.location = wanted.spot.aim
+    scene.collection.objects.link(aim)
+    track = lamp.constraints.new("TRACK_TO")
+    track.target, track.track_axis, track.up_axis = aim, "TRACK_NEGATIVE_Z", "UP_Y"
+    lamp.rotation_euler = (0.0, 0.0, 0.0)
+    for obj in scene.objects:
+        obj.matrix_basis = Matrix.Rotation(0.8, 4, "Z") @ Matrix.Translation((0.2, 0.3, 0.0)) @ obj.matrix_basis
+    bpy.context.view_layer.update()
+    adopt.align(scene)
+    found = read_scene(scene).spot
+    assert found.aim[2] == pytest.approx(wanted.spot.aim[2], abs=1e-4)
+    assert found.location[1:] == pytest.approx(wanted.spot.location[1:], abs=1e-4)
 
 
 @pytest.mark.parametrize("how", ["exclude", "hide_render"])
@@ -128,13 +167,44 @@ def test_the_picture_that_was_rendered_last_stays(tmp_path):
     assert len(result.render_slots) <= 9
 
 
-def test_a_mirrored_target_is_refused():
-    """Its figures come back from Blender as another turn and scale, and the poses would not be what was asked for."""
+@pytest.mark.parametrize("scale", [(-1.0, 1.0, 1.0), (-1.0, -1.0, 1.0), (2.0, -1.0, -0.5), (-1.0, -1.0, -1.0)])
+@pytest.mark.parametrize("parent", [None, (-1.0, 1.0, -1.0), (1.0, -2.0, 1.0)])
+def test_a_mirrored_target_keeps_its_shape_in_every_pose(scale, parent):
+    """A matrix of negative scales comes back from Blender as another turn and scale."""
     scene = built()
-    roles.find(scene, "target").scale = (-1.0, 1.0, 1.0)
+    target = roles.find(scene, "target")
+    corners = np.array([(0.1, 0.0, 0.2), (0.3, 0.0, 0.1), (0.2, 0.1, 0.3)])
+    target.data = bpy.data.meshes.new("Uneven")
+    target.data.from_pydata([tuple(c) for c in corners], [], [(0, 1, 2)])
+    target.data.materials.append(roles.find(scene, "relay_wall").data.materials[0])
+    target.rotation_euler, target.scale = (0.3, 0.5, 0.7), scale
+    if parent is not None:
+        target.parent = bpy.data.objects.new("Parent", None)
+        scene.collection.objects.link(target.parent)
+        target.parent.scale = parent
+        target.location = [at / by for at, by in zip(target.location, parent, strict=True)]
+        target.rotation_euler = (0.0, 0.0, 0.0)
     bpy.context.view_layer.update()
-    with pytest.raises(NlosError, match="mirrored by a negative scale"):
-        read_scene(scene)
+    read_scene(scene)
+
+    def placed():
+        return np.array([target.matrix_world @ vertex.co for vertex in target.data.vertices])
+
+    # The pose in which it stands, as read, leaves it where it is.
+    matrix = Matrix(geometry.snapshot(scene).matrices["target"].tolist())
+    place, turn, _ = geometry.pose_of(target, matrix)
+    angles = tuple(map(math.degrees, turn.to_euler("XYZ")))
+    before, vertices = placed(), geometry.hull(scene)
+    np.testing.assert_allclose(vertices @ rotation_matrix(angles).T + place, before, atol=1e-5)
+    posing.move_target(scene, tuple(place), angles)
+    np.testing.assert_allclose(placed(), before, atol=1e-5)
+    # And any other one puts it where the clearance test and plain Cycles have it.
+    position, rotation = (1.5, 1.1, 1.2), (10.0, 20.0, 40.0)
+    wanted = vertices @ rotation_matrix(rotation).T + position
+    posing.move_target(scene, position, rotation)
+    np.testing.assert_allclose(placed(), wanted, atol=1e-5)
+    Plain(scene, PoseRecord(0, 0, "A", position, rotation, seed=0, file=""), (8, 8))
+    np.testing.assert_allclose(placed(), wanted, atol=1e-5)
 
 
 def test_instances_are_in_the_way_and_what_is_not_rendered_is_not():
