@@ -75,10 +75,15 @@ def project_colours(scene: Path) -> list[Path]:
     return []
 
 
+def is_open(scene: Path) -> bool:
+    """Return whether a ``.blend`` is the file that is open."""
+    return bool(bpy.data.filepath) and real(Path(bpy.data.filepath)) == real(scene)
+
+
 def _look(scene: Path) -> tuple[list[Path], list[str]]:
     """Return the files that a scene refers to, and further reasons against opening it."""
     path = real(scene)
-    if bpy.data.filepath and real(Path(bpy.data.filepath)) == path:  # open already: by its user, or checked before
+    if is_open(scene):  # by its user, or checked before
         return _looked_at(bpy.data, path)
     with bpy.data.temp_data() as inside, quiet():
         try:
