@@ -10,7 +10,6 @@ import io
 import re
 import struct
 import zipfile
-from collections.abc import Iterator
 from pathlib import Path
 
 from generator.files.limits import exceeds_limit
@@ -20,6 +19,10 @@ _LAYER = re.compile(r"\.(?:usd[acz]?|abc|mtlx|sdf)(?=$|[:\[])", re.IGNORECASE)
 """What marks the path of another layer; the kind of a layer follows from its ending."""
 _MOST = 2**24
 """Bytes of names that are looked through: they are unpacked by Python."""
+
+
+_PATH = re.compile(r"@@@(.+?)@@@|@([^@\n]+)@")
+_FAULTS = (ValueError, IndexError, struct.error, zipfile.BadZipFile, OSError, RuntimeError, NotImplementedError)
 
 
 def linked(path: Path) -> list[Path]:
@@ -34,38 +37,48 @@ def linked(path: Path) -> list[Path]:
     todo = [path]
     while todo:
         layer = todo.pop()
-        try:
-            names = sorted(set(_names(layer.read_bytes(), layer)))
-        except (ValueError, IndexError, struct.error, zipfile.BadZipFile, OSError, RuntimeError, NotImplementedError):
-            raise NlosError(f"target.mesh: {layer} is not a USD file") from None
-        for name in names:
-            other = layer.parent / re.split(r"[\[]|:SDF_FORMAT_ARGS:", name.removeprefix("file:"))[0]
+        for name in sorted({name for text in _texts(layer) for name in _names(text) if _LAYER.search(name)}):
+            other = layer.parent / re.split(r"\[|:SDF_FORMAT_ARGS:", name.removeprefix("file:"))[0]
             if other not in found:
                 found.append(other)
                 todo += [other] if other.is_file() and other.suffix.lower().startswith(".usd") else []
     return found
 
 
-def _names(data: bytes, path: Path) -> Iterator[str]:
-    """Yield the paths of layers in a file's bytes."""
-    if data[:4] == b"PK\x03\x04":
+def _names(text: str) -> list[str]:
+    in_text = [long or short for long, short in _PATH.findall(text)]
+    return in_text + text.split("\0") if "\0" in text else in_text
+
+
+def has_main_prim(path: Path) -> bool:
+    """Return whether a USD names a prim that stands for it where another USD refers to it."""
+    return any("defaultPrim" in text for text in _texts(path))
+
+
+def _texts(path: Path) -> list[str]:
+    """Return the text of each layer in a file; of a crate, its names, each followed by NUL."""
+    try:
+        data = path.read_bytes()
+        if data[:4] != b"PK\x03\x04":
+            return [_text(data)]
         with zipfile.ZipFile(io.BytesIO(data)) as package:
-            for member in package.infolist():
-                if member.filename.lower().endswith((".usd", ".usda", ".usdc")):
-                    if exceeds_limit(member.file_size, len(data)):
-                        raise ValueError("unpacks to more than it can hold")
-                    yield from _names(package.read(member), path)
-    elif data[:8] == b"PXR-USDC":
-        yield from (name for name in _tokens(data) if _LAYER.search(name))
-    elif data[:5] == b"#usda" or data[:4] == b"#sdf":
-        for long, short in re.findall(r"@@@(.+?)@@@|@([^@\n]+)@", data.decode("utf-8", "replace")):
-            if _LAYER.search(long or short):
-                yield long or short
-    else:
-        raise ValueError("neither text, crate nor package")
+            layers = [m for m in package.infolist() if m.filename.lower().endswith((".usd", ".usda", ".usdc"))]
+            if exceeds_limit(sum(layer.file_size for layer in layers), len(data)):
+                raise ValueError("unpacks to more than it can hold")
+            return [_text(package.read(layer)) for layer in layers]
+    except _FAULTS:
+        raise NlosError(f"target.mesh: {path} is not a USD file") from None
 
 
-def _tokens(data: bytes) -> list[str]:
+def _text(data: bytes) -> str:
+    if data[:8] == b"PXR-USDC":
+        return _tokens(data)
+    if data[:5] == b"#usda":
+        return data.decode("utf-8", "replace")
+    raise ValueError("neither text nor crate")
+
+
+def _tokens(data: bytes) -> str:
     """Return all names in a crate file."""
     [contents] = struct.unpack_from("<q", data, 16)
     [count] = struct.unpack_from("<Q", data, contents)
@@ -76,7 +89,7 @@ def _tokens(data: bytes) -> list[str]:
     _, full, packed = struct.unpack_from("<QQQ", data, start)
     if full > _MOST:
         raise ValueError("more names than are looked through")
-    return _unpacked(data[start + 24 : start + 24 + packed], full).decode("utf-8", "replace").split("\0")
+    return _unpacked(data[start + 24 : start + 24 + packed], full).decode("utf-8", "replace")
 
 
 def _unpacked(packed: bytes, full: int) -> bytes:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 import math
 import tempfile
 from collections.abc import Callable, Iterator, Mapping, Sequence
@@ -34,10 +35,12 @@ _TURNS: dict[str, Array] = {
     "Z": np.eye(3),
 }
 """Rotations by a right angle that make an axis point up; for Y, that of Blender's importers."""
-_RAW = '#usda 1.0\n(\n    metersPerUnit = 1\n    upAxis = "Z"\n    subLayers = [@@@{}@@@]\n)\n\n'
-_PLAIN_ROOT = 'over "root" (\n    customData = {\n        dictionary Blender = {\n            bool generated = 0\n        }\n    }\n)\n{\n}\n'  # noqa: E501
-"""A layer on top of a USD, under which its numbers are taken as they are. Blender would leave out the transform of a
-root that it has written itself."""
+_LAYERS = (
+    'def Xform "r"\n{{\n    def Xform "s" (\n        references = @@@{}@@@\n    )\n    {{\n    }}\n}}\n',
+    "    subLayers = [@@@{}@@@]\n",
+)
+"""Ways to lay another USD under a layer that states metres and z, so that its numbers are taken as they are: its main
+prim, or all of it. Of a whole file Blender leaves out the transform of a root that it has written itself."""
 
 
 @dataclass(frozen=True)
@@ -89,7 +92,7 @@ class MeshFile:
     read: Read
     left_out: str = ""
 
-    @property
+    @functools.cached_property
     def size(self) -> Vector:
         """Width, depth and height, metres."""
         x, y, z = np.ptp(self.vertices, axis=0).tolist()
@@ -98,7 +101,7 @@ class MeshFile:
     @property
     def words(self) -> str:
         """Its size, how the file was understood, and what was left out, as a sentence without a full stop."""
-        taken = f"1 in it is {self.read.metres_per_unit:g} m, {self.read.up_axis} is up"
+        taken = f"the file's unit is {self.read.metres_per_unit:g} m, its {self.read.up_axis} axis points up"
         width, depth, height = (f"{edge:.3g}" for edge in self.size)
         left_out = f"; left out: {self.left_out}" if self.left_out else ""
         return f"{self.read.name}: {width} x {depth} x {height} m (width x depth x height; {taken}){left_out}"
@@ -312,15 +315,11 @@ def _usd(path: Path, wanted: Target) -> _Found:
                 "with --trust-links"
             )
     blend_file.new_file()
-    importer = ("bpy.ops.wm.usd_import", "USD")
-    _call(bpy.ops.wm.usd_import, *importer, path, set_frame_range=False)
+    _call(bpy.ops.wm.usd_import, "bpy.ops.wm.usd_import", "USD", path, **_BARE)
     parts, others = _rendered(path)
-    blend_file.new_file()
-    with tempfile.TemporaryDirectory(prefix="nlos-") as folder:
-        layer = Path(folder) / "raw.usda"
-        layer.write_text(_RAW.format(path.absolute()) + _PLAIN_ROOT, encoding="utf-8")
-        _call(bpy.ops.wm.usd_import, *importer, layer, set_frame_range=False)
-        raw, _ = _rendered(path)
+    raw = _raw(path, main=True) if usd.has_main_prim(path) else []
+    if _count(raw) != _count(parts):
+        raw = _raw(path, main=False)
     metres, axis = _compared(raw, parts)
     if "apply_unit_conversion_scale" not in _options(bpy.ops.wm.usd_import) and wanted.unit == "auto" and not wanted.size:
         raise NlosError(
@@ -330,12 +329,32 @@ def _usd(path: Path, wanted: Target) -> _Found:
     return _Found(raw, metres, _TURNS[axis], axis, _told(others))
 
 
+_BARE = {"set_frame_range": False, "import_materials": False, "create_world_material": False}
+"""Options that keep the importer of USD from reading pictures."""
+
+
+def _raw(path: Path, main: bool) -> list[_Part]:
+    """Read a USD as if it stated metres and z up: its main prim, or all of it."""
+    reference, sublayer = (text.format(path.absolute()) for text in _LAYERS)
+    head = f'#usda 1.0\n(\n    metersPerUnit = 1\n    upAxis = "Z"\n{"" if main else sublayer})\n\n'
+    blend_file.new_file()
+    with tempfile.TemporaryDirectory(prefix="nlos-") as folder:
+        layer = Path(folder) / "raw.usda"
+        layer.write_text(head + (reference if main else ""), encoding="utf-8")
+        _call(bpy.ops.wm.usd_import, "bpy.ops.wm.usd_import", "USD", layer, **_BARE)
+        return _rendered(path)[0]
+
+
+def _count(parts: Sequence[_Part]) -> int:
+    return sum(len(part.vertices) for part in parts)
+
+
 def _compared(raw: Sequence[_Part], parts: Sequence[_Part]) -> tuple[float, str]:
     """Return metres per unit and the axis that points up, from a file's own numbers and from what was made of them.
 
     Blender's importer honours what a USD states, but does not tell it.
     """
-    if not parts or not any(len(part.vertices) for part in parts):
+    if not _count(parts) or _count(raw) != _count(parts):
         return 1.0, "Z"
     own, made = (np.concatenate([part.vertices for part in some]) for some in (raw, parts))
     scale = float(np.linalg.norm(made) / (np.linalg.norm(own) or 1.0))
