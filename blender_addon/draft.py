@@ -87,9 +87,7 @@ def target_of(settings: Any) -> Target:
     NlosError
         A mesh target has no file, or one of a kind that is not known.
     """
-    target = Target(
-        kind=settings.target_kind, size=short(settings.target_size), albedo=short(settings.target_albedo)
-    )
+    target = Target(kind=settings.target_kind, size=short(settings.target_size), albedo=short(settings.target_albedo))
     if target.kind != "mesh":
         return target
     if not settings.target_mesh:

@@ -153,7 +153,7 @@ def _described(scene: bpy.types.Scene, described: Scene, sweep: Sweep, source: P
 
 
 def described_scene(scene: bpy.types.Scene, described: Scene) -> dict[str, Any]:
-    """Return the entries of a manifest about a scene: its figures, and how its target's file was read, if there is."""
+    """Return the entries of a manifest about a scene: its figures, and how its target's file was read, if any."""
     plain, file = to_dict(described), roles.target_file(scene)
     if described.target.kind != "mesh":  # older versions, which know no such fields, read these sets too
         for name in ("unit", "up"):

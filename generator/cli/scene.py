@@ -74,9 +74,7 @@ def run_scene(options: argparse.Namespace) -> Answer:
     if options.output is None:
         if not options.show:
             raise NlosError("nothing to do: name a file to save with -o FILE.blend, or print the figures with --show")
-        shown_only = Built(
-            path=None, figures=figures, voxels=voxels, target_size=None, target_file=None, notes=[]
-        )
+        shown_only = Built(path=None, figures=figures, voxels=voxels, target_size=None, target_file=None, notes=[])
         return Answer(shown_only, shown)
     if options.output.suffix != ".blend":
         raise NlosError(f"{options.output}: a scene file must end in .blend")

@@ -1,4 +1,4 @@
-"""glTF files without their looks: of a target only the mesh is taken, so materials, lights and pictures are not read."""
+"""glTF files without their looks: of a target only the mesh is taken, so that pictures need not be read."""
 
 from __future__ import annotations
 
@@ -37,6 +37,8 @@ def bare(path: Path, allowed: Path | None) -> tuple[bytes, dict[str, int]]:
             if not str(buffer.get("uri", "data:")).startswith("data:"):
                 content = _file(path, unquote(buffer["uri"]), allowed)
                 buffer["uri"] = f"data:application/octet-stream;base64,{base64.b64encode(content).decode()}"
+    except NlosError:
+        raise
     except (ValueError, struct.error, AttributeError, TypeError, KeyError, RecursionError):
         raise NlosError(f"target.mesh: {path} is not a glTF file") from None
     return _write(tree, binary), left_out
@@ -45,7 +47,8 @@ def bare(path: Path, allowed: Path | None) -> tuple[bytes, dict[str, int]]:
 def _read(data: bytes) -> tuple[dict[str, Any], bytes]:
     if data[:4] != b"glTF":
         return json.loads(data.decode("utf-8-sig")), b""
-    chunks, at = {}, 12
+    chunks: dict[int, bytes] = {}
+    at = 12
     while at < len(data):
         size, kind = struct.unpack_from("<II", data, at)
         chunks.setdefault(kind, data[at + 8 : at + 8 + size])

@@ -1,7 +1,7 @@
 """Files that a USD refers to, found in its bytes: Blender reads them without asking, and has no other way to tell.
 
-Crate files (.usdc) keep all names, and so all paths, in one compressed table, the section TOKENS; its layout is that of
-``pxr/usd/sdf/crateFile.cpp``, compressed in LZ4 blocks (``pxr/base/tf/fastCompression.cpp``).
+Crate files (.usdc) keep all names, and so all paths, in one table, the section TOKENS, as in Pixar's
+``pxr/usd/sdf/crateFile.cpp``; it is compressed in LZ4 blocks (``pxr/base/tf/fastCompression.cpp``).
 """
 
 from __future__ import annotations

@@ -92,8 +92,9 @@ def usda(path: Path, unit: float, up: str, *, states: bool = True, more: str = "
     head = f'(\n    metersPerUnit = {unit:.9g}\n    upAxis = "{up}"\n)\n' if states else ""
     places = ", ".join(f"({x:.9g}, {y:.9g}, {z:.9g})" for x, y, z in numbers(unit, up))
     indices = ", ".join(str(i) for t in TRIANGLES for i in t)
+    counts = ", ".join("3" * len(TRIANGLES))
     mesh = (
-        f'def Xform "a" {{\n    def Mesh "m" {{\n        int[] faceVertexCounts = [{", ".join("3" * len(TRIANGLES))}]\n'
+        f'def Xform "a" {{\n    def Mesh "m" {{\n        int[] faceVertexCounts = [{counts}]\n'
         f"        int[] faceVertexIndices = [{indices}]\n        point3f[] points = [{places}]\n"
         '        uniform token subdivisionScheme = "none"\n    }\n}\n'
     )
@@ -103,7 +104,7 @@ def usda(path: Path, unit: float, up: str, *, states: bool = True, more: str = "
 
 def modelled(unit: float = 1.0) -> bpy.types.Scene:
     """Return a new scene with the shape, turned, scaled and parented, a lamp and a camera."""
-    scene = blend_file.new_file()
+    scene = blend_file.clear()
     turn = np.array([[0.0, -1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, 1.0]])
     mesh = bpy.data.meshes.new("block")
     mesh.from_pydata((4.0 * VERTICES @ turn).tolist(), [], TRIANGLES)

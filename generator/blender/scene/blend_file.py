@@ -76,3 +76,9 @@ def new_file() -> bpy.types.Scene:
     """Start an empty file and return its scene."""
     bpy.ops.wm.read_factory_settings(use_empty=True)
     return bpy.context.scene
+
+
+def clear() -> bpy.types.Scene:
+    """Start an empty file without loading preferences and add-ons anew, and return its scene."""
+    bpy.ops.wm.read_homefile(use_empty=True, use_factory_startup=True)
+    return bpy.context.scene

@@ -193,6 +193,6 @@ def read_grid(scene: bpy.types.Scene) -> VoxelGrid:
 
 
 def target_file(scene: bpy.types.Scene) -> dict[str, Any]:
-    """Return how the target's file was read (`mesh_file.Read`); empty if the target is of no file, or of old times."""
+    """Return how the target's file was read (`mesh_file.Read`); empty if it is of no file, or of old times."""
     kept = find(scene, "target").get(TARGET_FILE)
     return dict(kept.to_dict()) if hasattr(kept, "to_dict") else {}
