@@ -16,7 +16,7 @@ from generator.jobs.protocol import CheckScene, DrawExperiment, RenderWall
 from generator.model.errors import NlosError
 from generator.model.quantities import radiance
 
-from ..draft import fill, grid_of, spec_of, sweep_of
+from ..draft import device_of, fill, grid_of, spec_of, sweep_of
 from ..session import background, state
 from ..view import differs, images, live
 
@@ -318,7 +318,8 @@ class NLOS_OT_experiment(_Task, bpy.types.Operator):
 
         state.experiment = "Drawing the pictures ..."
         differs.note("experiment")
-        request = DrawExperiment(scene=source, file=file, number=number, trust_links=True)
+        device = device_of(scene.nlos)
+        request = DrawExperiment(scene=source, file=file, number=number, device=device, trust_links=True)
         task = background.ask(request, then, "experiment").settle()
         if task.error:
             raise NlosError(task.error)

@@ -228,6 +228,7 @@ class NLOS_PT_rendering(_Tab, bpy.types.Panel):
         _setting(layout, settings, "reflection_order")
         noisy = settings.engine == AUTO or traits_of(settings.engine).noisy
         if noisy:
+            layout.prop(settings, "device")
             layout.prop(settings, "samples")
             layout.prop(settings, "seed")
         if settings.engine == AUTO or not noisy:

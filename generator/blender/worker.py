@@ -19,6 +19,7 @@ from generator.blender.scene import blend_file
 from generator.blender.scene.description import read_scene
 from generator.blender.sweep_worker import check_blender, doubted, open_scene, picture, plan, render
 from generator.files.pictures import write_picture
+from generator.jobs import gpus
 from generator.jobs.protocol import (
     CheckScene,
     DrawExperiment,
@@ -79,7 +80,8 @@ def _picture(request: RenderWall) -> None:
 
 
 def _draw(request: DrawExperiment) -> None:
-    write_picture(request.file, experiment.draw(blend_file.open_file(request.scene), request.number), {})
+    scene = blend_file.open_file(request.scene)
+    write_picture(request.file, experiment.draw(scene, request.number, device=request.device), {})
     answer(drawn=True)
 
 
@@ -98,7 +100,7 @@ def main(argv: list[str], commands: Commands = COMMANDS) -> int:
     """Carry out a request; return 0, or 2 after the answer ``error`` if its input is bad."""
     request = read_request(argv[0])
     try:
-        with links.trusting(request.trust_links):
+        with links.trusting(request.trust_links), gpus.choosing(request.gpus):
             commands[type(request)](request)
     except NlosError as error:
         answer(error=str(error))

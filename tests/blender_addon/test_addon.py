@@ -259,6 +259,49 @@ def test_render_fills_the_images(package: Path, tmp_path: Path) -> None:
     )
 
 
+def test_the_device_is_that_of_the_preferences_or_of_the_panel(package: Path, tmp_path: Path) -> None:
+    """No test needs a GPU: the preferences choose one that no machine has."""
+    blender(
+        package,
+        tmp_path,
+        """
+        draft, protocol = module("draft"), module("generator.jobs.protocol")
+        bpy.ops.nlos.build_scene()
+        settings.engine, settings.samples, settings.resolution = "patch", 4, (8, 8)
+        assert settings.device == "preferences" and draft.device_of(settings) == "cpu"
+        assert "device" not in draft.sweep_of(settings)
+        bpy.ops.nlos.render_wall()
+        as_preferred = pixels("NLOS wall")
+        settings.device, settings.seed = "cpu", 1
+        bpy.ops.nlos.render_wall()
+        assert (pixels("NLOS wall") != as_preferred).any()
+        settings.seed = 0
+        bpy.ops.nlos.render_wall()
+        assert np.array_equal(pixels("NLOS wall"), as_preferred)
+
+        preferences = bpy.context.preferences.addons["cycles"].preferences
+        preferences.compute_device_type = "CUDA"
+        gone = preferences.devices.add()
+        gone.id, gone.name, gone.type, gone.use = "CUDA_gone", "Gone", "CUDA", True
+        settings.device = "preferences"
+        assert draft.sweep_of(settings)["device"] == "gpu"
+        told = refused(bpy.ops.nlos.render_wall)
+        assert "device gpu: Cycles finds none of the GPUs that the preferences choose (CUDA)" in told, told
+        settings.dataset, settings.poses = bpy.app.tempdir + "set", 1
+        bpy.ops.nlos.sweep_start()
+        job = module("operators.dataset").job
+        job._task.settle()
+        assert "none of the GPUs that the preferences choose (CUDA)" in job.words, job.words
+        gone.use = False
+        assert draft.device_of(settings) == "cpu"
+        settings.device, settings.quality = "gpu", "time"
+        assert draft.sweep_of(settings)["device"] == "gpu"
+        settings.engine = "surfel"
+        assert "device" not in draft.sweep_of(settings), "which would be refused, as it means nothing to it"
+        """,
+    )
+
+
 def test_render_by_the_integral_without_numba_as_blender_has_none(package: Path, tmp_path: Path) -> None:
     blender(
         package,
