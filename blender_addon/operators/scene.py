@@ -206,14 +206,15 @@ class NLOS_OT_fix(_Task, bpy.types.Operator):
     bl_label = "Fix"
 
     fix: StringProperty(options={"SKIP_SAVE"})  # type: ignore[valid-type]
+    choice: StringProperty(options={"SKIP_SAVE"})  # type: ignore[valid-type]
 
     def work(self, scene: Any) -> tuple[str, str]:
         """Apply the fix, and repeat the checks without rendering."""
         _forget_checks()
-        check.mend(scene, self.fix)
+        check.mend(scene, self.fix, self.choice)
         state.findings[:] = check.findings(scene, engine=scene.nlos.engine)
         differs.note("check")
-        return "INFO", f"{FIXES[self.fix]}: done"
+        return "INFO", f"{FIXES[self.fix]}: {self.choice or 'done'}"
 
 
 class NLOS_OT_select(_Task, bpy.types.Operator):
@@ -226,7 +227,7 @@ class NLOS_OT_select(_Task, bpy.types.Operator):
 
     def work(self, scene: Any) -> tuple[str, str]:
         """Select the object; return the kind and the text of the report."""
-        obj = scene.objects.get(self.name)
+        obj = roles.named(scene, self.name)
         layer = bpy.context.view_layer
         if obj is None or obj.name not in layer.objects:
             raise NlosError(f"there is no object {self.name!r} in this view layer; check again")
@@ -235,7 +236,7 @@ class NLOS_OT_select(_Task, bpy.types.Operator):
         obj.hide_set(False)
         obj.select_set(True)
         layer.objects.active = obj
-        return "INFO", f"{self.name} is selected"
+        return "INFO", f"{obj.name} is selected"
 
 
 class NLOS_OT_render_wall(_Task, bpy.types.Operator):

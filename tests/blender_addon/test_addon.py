@@ -626,6 +626,39 @@ def test_bad_states_are_told_in_a_sentence(package: Path, tmp_path: Path) -> Non
     )
 
 
+def test_copies_keep_their_role_and_one_of_them_is_kept(package: Path, tmp_path: Path) -> None:
+    blender(
+        package,
+        tmp_path,
+        """
+        bpy.ops.nlos.build_scene()
+        state = module("session.state")
+        first = roles.find(scene, "target")
+        bpy.context.view_layer.objects.active = first
+        first.select_set(True)
+        bpy.ops.object.duplicate()
+        second = bpy.context.active_object
+        settings.dataset = bpy.app.tempdir + "set"
+        bpy.ops.nlos.check()
+        [found] = state.findings
+        assert (found.fix, set(found.choices)) == ("keep", {first.name, second.name}), found
+        for operator in (bpy.ops.nlos.render_wall, bpy.ops.nlos.sweep_start, bpy.ops.nlos.read_scene):
+            told = refused(operator)
+            assert "2 objects are the target" in told and "propert" not in told, told
+        assert "choose from" in refused(lambda: bpy.ops.nlos.fix(fix="keep"))
+        assert bpy.ops.nlos.fix(fix="keep", choice=second.name) == {"FINISHED"}
+        assert roles.find(scene, "target") == second and "nlos_role" not in first
+        assert not [f for f in state.findings if f.choices]
+        assert [f for f in state.findings if f.object == first.name and "without a role" in f.text]
+        first["nlos_role"] = "target"
+        bpy.context.view_layer.objects.active = first
+        first.select_set(True)
+        bpy.ops.nlos.adopt(role="target")
+        assert roles.find(scene, "target") == first
+        """,
+    )
+
+
 def test_mesh_target_from_a_file(package: Path, tmp_path: Path) -> None:
     (tmp_path / "wedge.obj").write_text("v 0 0 0\nv 2 0 0\nv 0 1 0\nv 0 0 1\nf 1 2 3\nf 1 2 4\nf 1 3 4\nf 2 3 4\n")
     blender(

@@ -261,7 +261,7 @@ def camera_away(blender):
     ("spoil", "words"),
     [
         (no_target, "no object is the target"),
-        (second_target, "2 objects are named as target"),
+        (second_target, "2 objects are the target, as copies keep their role"),
         (no_grid, "lacks the voxel grid"),
         (wall_away, "must lie in the plane y = 0"),
         (spot_away, "does not point at the relay wall"),
