@@ -54,3 +54,6 @@ def the_look_offers_it_too():
     check(not live.played_twice(), "and there is no such button any more")
     bpy.context.window_manager.nlos.look = False
     yield 0.3
+
+
+STEPS = (a_room, check_offers_to_keep_one_of_two_targets, the_look_offers_it_too)
