@@ -11,7 +11,7 @@ from collections.abc import Callable, Mapping
 from dataclasses import asdict
 from typing import Any
 
-from generator.blender import trial_render
+from generator.blender import assets, trial_render
 from generator.blender.check import check_scene
 from generator.blender.engines.settings import settled
 from generator.blender.measure import experiment
@@ -28,6 +28,7 @@ from generator.jobs.protocol import (
     RenderWall,
     Request,
     TrialRender,
+    WriteAssets,
     answer,
     batches,
     read_request,
@@ -85,6 +86,10 @@ def _draw(request: DrawExperiment) -> None:
     answer(drawn=True)
 
 
+def _write_assets(request: WriteAssets) -> None:
+    answer(assets=assets.write(request.folder))
+
+
 Commands = Mapping[type[Request], Callable[[Any], None]]
 COMMANDS: Commands = {
     PlanSweep: _plan,
@@ -93,6 +98,7 @@ COMMANDS: Commands = {
     TrialRender: _try,
     RenderWall: _picture,
     DrawExperiment: _draw,
+    WriteAssets: _write_assets,
 }
 
 

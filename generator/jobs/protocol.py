@@ -135,6 +135,14 @@ class DrawExperiment(Request):
 
 
 @dataclass(frozen=True, kw_only=True)
+class WriteAssets(Request):
+    """Write the library of assets into a folder; answers ``assets``, their names."""
+
+    folder: Path
+    trust_links: bool = False
+
+
+@dataclass(frozen=True, kw_only=True)
 class Question:
     """What `DrawLook` is asked for a picture of.
 
@@ -193,6 +201,7 @@ REQUESTS = (
     TrialRender,
     RenderWall,
     DrawExperiment,
+    WriteAssets,
     PlanBulk,
     RenderBulk,
 )
