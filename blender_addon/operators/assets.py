@@ -65,7 +65,8 @@ class NLOS_OT_add_assets(bpy.types.Operator):
 
         words = "Writing the assets ..."
         try:
-            task = background.ask(WriteAssets(folder=folder()), then, "assets").settle()
+            # Without a topic, so that opening another file does not end it.
+            task = background.ask(WriteAssets(folder=folder()), then, "").settle()
             if task.error:
                 raise NlosError(task.error)
         except NlosError as error:
@@ -82,7 +83,7 @@ def _list() -> None:
         return
     preferences = bpy.context.preferences
     library = preferences.filepaths.asset_libraries.new(name=LIBRARY, directory=str(folder()))
-    library.import_method = "APPEND_REUSE"
+    library.import_method = "APPEND"
     preferences.is_dirty = True  # Blender saves them at its end, if the user has that
 
 

@@ -27,6 +27,7 @@ LARGEST = 400_000
 AUTHOR = "NLOS Lab"
 
 _CATALOG_IDS = {
+    "": "6b6d8a52-0a0f-4c0e-8d2a-3f1e5a7c0000",
     "Relay walls": "6b6d8a52-0a0f-4c0e-8d2a-3f1e5a7c0001",
     "Lamps": "6b6d8a52-0a0f-4c0e-8d2a-3f1e5a7c0002",
     "Cameras": "6b6d8a52-0a0f-4c0e-8d2a-3f1e5a7c0003",
@@ -35,7 +36,7 @@ _CATALOG_IDS = {
     "Clutter": "6b6d8a52-0a0f-4c0e-8d2a-3f1e5a7c0006",
     "Materials": "6b6d8a52-0a0f-4c0e-8d2a-3f1e5a7c0007",
 }
-"""Catalogs by the name under ``NLOS``. Blender knows a catalog by its id, so ids never change."""
+"""Catalogs by the name under ``NLOS``, which is one itself. Blender knows them by their ids, so ids never change."""
 
 _Box: TypeAlias = tuple[Vector, Vector]
 """Lowest and highest corner, metres."""
@@ -84,6 +85,7 @@ def write(folder: Path) -> list[str]:
     NlosError
         The folder cannot be written.
     """
+    catalogs = _catalogs(folder / CATALOGS)
     scene = blend_file.new_file()
     surfaces = {albedo.name: _material(albedo) for albedo in ALBEDOS}
     objects = [*_walls_and_clutter(surfaces), *_targets(surfaces), *_lamps_and_cameras(scene)]
@@ -93,15 +95,20 @@ def write(folder: Path) -> list[str]:
             bpy.data.libraries.write(blend_file.literal(temporary), {*surfaces.values(), *objects}, compress=True)
         except RuntimeError as error:
             raise NlosError(f"{path}: cannot be written ({' '.join(str(error).split())})") from None
-    _write_catalogs(folder / CATALOGS)
+    write_text(folder / CATALOGS, catalogs)
     return [block.name for block in (*objects, *surfaces.values())]
 
 
-def _write_catalogs(path: Path) -> None:
-    kept = path.read_text(encoding="utf-8").splitlines() if path.is_file() else ["VERSION 1", ""]
-    own = [f"{uuid}:NLOS/{name}:NLOS-{name}" for name, uuid in _CATALOG_IDS.items()]
+def _catalogs(path: Path) -> str:
+    """Return the text of the file of catalogs, with those that it has of others."""
+    try:
+        kept = path.read_text(encoding="utf-8").splitlines() if path.is_file() else ["VERSION 1", ""]
+    except (OSError, UnicodeDecodeError):
+        raise NlosError(f"{path}: is no file of catalogs that can be read; put it elsewhere") from None
+    names = {uuid: ["NLOS", name] if name else ["NLOS"] for name, uuid in _CATALOG_IDS.items()}
+    own = [f"{uuid}:{'/'.join(parts)}:{'-'.join(parts)}" for uuid, parts in names.items()]
     kept = [line for line in kept if line.partition(":")[0] not in _CATALOG_IDS.values()]
-    write_text(path, "\n".join([*kept, *own]) + "\n")
+    return "\n".join([*kept, *own]) + "\n"
 
 
 def _describe(block: Any, catalog: str, words: str, tags: Iterable[str], picture: Any) -> Any:

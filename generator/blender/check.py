@@ -107,8 +107,9 @@ def _roles(scene: bpy.types.Scene) -> list[Finding]:
 def played_twice(scene: bpy.types.Scene) -> list[Finding]:
     """Return a finding about each role of one object that several play."""
     return [
-        Finding(ERROR, roles.told_twice(role, objects), "", "keep", tuple(o.name_full for o in objects))
+        Finding(ERROR, roles.told_twice(role, objects), names[0], "keep", names)
         for role, objects in roles.twice(scene).items()
+        for names in [tuple(o.name_full for o in objects)]
     ]
 
 

@@ -30,6 +30,7 @@ def check_offers_to_keep_one_of_two_targets():
     check(result == {"FINISHED"}, f"the check runs: {result}")
     check([f.choices for f in state.findings] == [tuple(names)], f"it names both: {state.findings}")
     redraw()
+    yield 0.5
     yield from scroll(100)
     yield from screenshot("25-copies")
     yield from press(f'nlos.fix(fix="keep", choice="{names[1]}"', across=0.65)

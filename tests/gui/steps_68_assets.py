@@ -6,7 +6,7 @@ import time
 from pathlib import Path
 
 import bpy
-from helpers import call, check, module, redraw, roles, screenshot, until
+from helpers import call, check, module, redraw, roles, screenshot, until, xdotool
 
 
 def write_the_library():
@@ -46,6 +46,32 @@ def look_at_it():
     yield from screenshot("68-assets")
 
 
+def drag_a_wall():
+    window = bpy.context.window_manager.windows[0]
+    area = next(a for a in window.screen.areas if a.ui_type == "ASSETS")
+    area.spaces.active.params.filter_search = "painted"
+    redraw()
+    yield 1.0
+    region = next(r for r in area.regions if r.type == "WINDOW")
+    height = window.height
+    yield from xdotool("mousemove", region.x + 55, height - (region.y + region.height - 50))
+    yield 0.5
+    yield from xdotool("mousedown", 1)
+    for share in (0.2, 0.4, 0.6, 0.8, 1.0):
+        y = (1.0 - share) * (height - region.y - region.height + 50) + share * 250
+        yield from xdotool("mousemove", region.x + 55 + round(share * 300), round(y))
+        yield 0.2
+    yield from xdotool("mouseup", 1)
+    yield 1.0
+    check(list(roles()) == ["relay_wall"], f"what is dragged out of the library is the wall: {roles()}")
+    wall = bpy.context.scene.objects[roles()["relay_wall"][0]]
+    check(wall.library is None and wall.asset_data is None, f"it is the user's own: {wall.name_full}")
+    yield from screenshot("68-dragged")
+    area.spaces.active.params.filter_search = ""
+    bpy.data.objects.remove(wall)
+    yield 0.3
+
+
 def a_scene_of_assets():
     assets = module("operators.assets")
     file = assets.folder() / module("generator.blender.assets").FILE
@@ -65,4 +91,4 @@ def a_scene_of_assets():
     yield from screenshot("68-scene")
 
 
-STEPS = [write_the_library, look_at_it, a_scene_of_assets]
+STEPS = [write_the_library, look_at_it, drag_a_wall, a_scene_of_assets]

@@ -142,7 +142,7 @@ def test_written_again_it_keeps_what_others_put_there(library, tmp_path):
     lines = (tmp_path / assets.CATALOGS).read_text().splitlines()
     assert lines[0] == "VERSION 1"
     assert lines.count(own) == 1
-    assert len([line for line in lines if "NLOS/" in line]) == len({line for line in lines if "NLOS/" in line}) == 7
+    assert len([line for line in lines if ":NLOS" in line]) == len({line for line in lines if ":NLOS" in line}) == 8
     assert {path.name for path in tmp_path.iterdir()} == {"own.blend", assets.FILE, assets.CATALOGS}
 
 
@@ -150,6 +150,13 @@ def test_a_folder_that_cannot_be_written_is_named(tmp_path):
     (tmp_path / "file").write_text("")
     with pytest.raises(NlosError, match=r"nlos_lab\.blend: cannot be written"):
         assets.write(tmp_path / "file")
+
+
+def test_catalogs_that_cannot_be_read_are_named_before_anything_is_written(tmp_path):
+    (tmp_path / assets.CATALOGS).write_bytes(b"VERSION 1\n\xff\xfe")
+    with pytest.raises(NlosError, match=r"cats\.txt: is no file of catalogs that can be read"):
+        assets.write(tmp_path)
+    assert [path.name for path in tmp_path.iterdir()] == [assets.CATALOGS]
 
 
 def test_the_request_names_the_folder(tmp_path):
