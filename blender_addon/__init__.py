@@ -8,8 +8,9 @@ from typing import Any
 
 def _modules() -> tuple[Any, ...]:
     from . import handlers
-    from .operators import answer, dataset, scene
+    from .operators import answer, assets, dataset, scene
     from .session import background
+    from .ui import assets as assets_panel
     from .ui import menus, panels, properties
     from .view import caption, differs, live, overlay
 
@@ -18,8 +19,10 @@ def _modules() -> tuple[Any, ...]:
         scene,
         dataset,
         answer,
+        assets,
         menus,
         panels,
+        assets_panel,
         overlay,
         live,
         differs,

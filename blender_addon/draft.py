@@ -6,6 +6,7 @@ from typing import Any
 
 import bpy
 
+from generator.blender.engines import devices
 from generator.blender.engines.settings import with_defaults
 from generator.blender.scene.description import read_scene
 from generator.blender.scene.words import short, vector
@@ -18,6 +19,8 @@ from generator.model.scene import Scene, Target
 from generator.model.settings import Sweep
 
 ROOM = preset("room")
+PREFERENCES = "preferences"
+"""The device of a draft that follows Blender's preferences."""
 
 
 def sweep_of(settings: Any) -> dict[str, Any]:
@@ -31,10 +34,19 @@ def sweep_of(settings: Any) -> dict[str, Any]:
         "seed": settings.seed,
         "inside": settings.inside,
     }
+    if device_of(settings) != Sweep.device:
+        chosen["device"] = device_of(settings)
     idle = () if settings.engine == AUTO else Sweep.idle(settings.engine)
     if settings.quality != "figures":
-        idle = ("samples", "accuracy")
+        idle = (*idle, "samples", "accuracy")
     return {name: value for name, value in chosen.items() if name not in idle}
+
+
+def device_of(settings: Any) -> str:
+    """Return the device of the draft, ``cpu`` or ``gpu``; that of Blender's preferences if the draft follows them."""
+    if settings.device == PREFERENCES:
+        return "gpu" if devices.preferred(devices.preferences()) else "cpu"
+    return str(settings.device)
 
 
 def wished(settings: Any) -> dict[str, float]:

@@ -5,6 +5,7 @@
 from __future__ import annotations
 
 import os
+from dataclasses import replace
 from pathlib import Path
 from typing import Any, cast
 
@@ -12,6 +13,7 @@ import bpy
 from bpy.props import BoolProperty
 
 from generator.blender import misgivings
+from generator.blender.engines import devices
 from generator.jobs import sweep
 from generator.jobs.local import Outcome
 from generator.jobs.remaining import Remaining
@@ -50,6 +52,7 @@ class Job:
         self._remaining = Remaining()
         self._cancelled, self._measures = False, bool(request.budget or request.accuracy)
         launch = background.launcher()
+        request = replace(request, gpus=devices.preferred(devices.preferences()))  # which workers cannot read
 
         def work(task: background.Task) -> Outcome:
             return sweep.run(request, progress=self._told, tell=self.told.append, launch=launch, stop=task.stop)

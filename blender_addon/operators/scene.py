@@ -18,7 +18,7 @@ from generator.model.errors import NlosError
 from generator.model.quantities import radiance
 from generator.model.scene import Scene
 
-from ..draft import fill, grid_of, spec_of, sweep_of
+from ..draft import device_of, fill, grid_of, spec_of, sweep_of
 from ..session import background, state
 from ..view import differs, images, live, target_file, views
 
@@ -228,14 +228,15 @@ class NLOS_OT_fix(_Task, bpy.types.Operator):
     bl_label = "Fix"
 
     fix: StringProperty(options={"SKIP_SAVE"})  # type: ignore[valid-type]
+    choice: StringProperty(options={"SKIP_SAVE"})  # type: ignore[valid-type]
 
     def work(self, scene: Any) -> tuple[str, str]:
         """Apply the fix, and repeat the checks without rendering."""
         _forget_checks()
-        check.mend(scene, self.fix)
+        check.mend(scene, self.fix, self.choice)
         state.findings[:] = check.findings(scene, engine=scene.nlos.engine)
         differs.note("check")
-        return "INFO", f"{FIXES[self.fix]}: done"
+        return "INFO", f"{FIXES[self.fix]}: {self.choice or 'done'}"
 
 
 class NLOS_OT_select(_Task, bpy.types.Operator):
@@ -248,7 +249,7 @@ class NLOS_OT_select(_Task, bpy.types.Operator):
 
     def work(self, scene: Any) -> tuple[str, str]:
         """Select the object; return the kind and the text of the report."""
-        obj = scene.objects.get(self.name)
+        obj = roles.named(scene, self.name)
         layer = bpy.context.view_layer
         if obj is None or obj.name not in layer.objects:
             raise NlosError(f"there is no object {self.name!r} in this view layer; check again")
@@ -257,7 +258,7 @@ class NLOS_OT_select(_Task, bpy.types.Operator):
         obj.hide_set(False)
         obj.select_set(True)
         layer.objects.active = obj
-        return "INFO", f"{self.name} is selected"
+        return "INFO", f"{obj.name} is selected"
 
 
 class NLOS_OT_render_wall(_Task, bpy.types.Operator):
@@ -340,7 +341,8 @@ class NLOS_OT_experiment(_Task, bpy.types.Operator):
 
         state.experiment = "Drawing the pictures ..."
         differs.note("experiment")
-        request = DrawExperiment(scene=source, file=file, number=number, trust_links=True)
+        device = device_of(scene.nlos)
+        request = DrawExperiment(scene=source, file=file, number=number, device=device, trust_links=True)
         task = background.ask(request, then, "experiment").settle()
         if task.error:
             raise NlosError(task.error)

@@ -9,11 +9,13 @@ import tempfile
 import threading
 import traceback
 from collections.abc import Callable, Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import bpy
 
+from generator.blender.engines import devices
 from generator.blender.scene import blend_file
 from generator.jobs.protocol import Request
 from generator.jobs.workers import Launch, Worker
@@ -148,7 +150,8 @@ def launcher() -> Launch:
 
 def ask(request: Request, then: Callable[[Task], None], topic: str) -> Task:
     """Run a worker that answers once; ``then`` gets the fields of the answer as the task's result."""
-    launch = launcher()
+    # The worker starts with factory settings, so it knows the GPUs of the preferences only from the request.
+    request, launch = replace(request, gpus=devices.preferred(devices.preferences())), launcher()
 
     def work(task: Task) -> dict[str, Any]:
         with Worker(request, launch) as worker:

@@ -41,6 +41,7 @@ class NLOS_MT_main(bpy.types.Menu):
         for name in ("build_scene", "read_scene", "apply"):
             layout.operator(f"nlos.{name}")
         layout.menu("NLOS_MT_adopt")
+        layout.operator("nlos.add_assets")
         layout.separator()
         layout.operator("nlos.check")
         layout.prop(session, "overlay")

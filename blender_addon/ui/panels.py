@@ -14,7 +14,7 @@ from generator.model.engines import AUTO, traits_of
 from ..operators import dataset
 from ..session import environment, state
 from ..view import differs, live, target_file, views
-from . import menus
+from . import choices, menus
 
 _ICONS = {GOOD: "CHECKMARK", NOTE: "INFO", WARNING: "ERROR", ERROR: "CANCEL"}
 _LETTER = 6.3
@@ -159,6 +159,7 @@ class NLOS_PT_roles(_Tab, bpy.types.Panel):
                 ).name = players[0].name
             else:
                 row.label(text="nobody yet" if not players else f"{len(players)} objects", icon="ERROR")
+                choices.draw(layout, "keep", [player.name_full for player in players])
         row = layout.row(align=True)
         for role in ("room", "partition", "none"):
             row.operator("nlos.adopt", text="No Role" if role == "none" else role.title()).role = role
@@ -253,6 +254,8 @@ class NLOS_PT_look(_OfScene, bpy.types.Panel):
         column.prop(settings, "look_shadows")
         if session.look and live.words():
             _sentence(context, layout, live.words(), "SORTTIME" if live.waits() else "NONE")
+        for finding in live.played_twice():
+            choices.draw(layout, finding.fix, finding.choices)
         layout.label(text="The paper's experiments")
         row = layout.row(align=True)
         for number, name in ((1, "Sphere"), (2, "Sheet"), (3, "Turned")):
@@ -274,7 +277,9 @@ class NLOS_PT_check(_Tab, bpy.types.Panel):
         for finding in state.findings:
             box = layout.box()
             _sentence(context, box, finding.text, _ICONS[finding.level])
-            if finding.object or finding.fix:
+            if finding.choices:
+                choices.draw(box, finding.fix, finding.choices)
+            elif finding.object or finding.fix:
                 row = box.row(align=True)
                 if finding.object:
                     row.operator(
@@ -327,6 +332,7 @@ class NLOS_PT_renderer(_Tab, bpy.types.Panel):
         layout.prop(settings, "engine")
         _setting(layout, settings, "reflection_order")
         if _is_noisy(settings):
+            layout.prop(settings, "device")
             layout.prop(settings, "samples")
             layout.prop(settings, "seed")
         if settings.engine == AUTO or not _is_noisy(settings):

@@ -29,7 +29,7 @@ from generator.model.presets import PRESETS, preset
 from generator.model.scene import Scene, Spot, Target
 from generator.model.settings import Sweep
 
-from ..draft import ROOM, fill
+from ..draft import PREFERENCES, ROOM, fill
 from ..view import live, overlay
 
 _READ = {"PATH_SUPPORTS_BLEND_RELATIVE"} if bpy.app.version >= (4, 5, 0) else set()
@@ -247,6 +247,16 @@ class NlosSettings(bpy.types.PropertyGroup):
         description=sentence_for(Sweep, "seed"),
         default=0,
         min=0,
+    )
+    device: EnumProperty(
+        name="Device",
+        description="Where Cycles renders: this picture, checks, experiments and data sets",
+        items=(
+            (PREFERENCES, "As in Preferences", "What Preferences > System > Cycles Render Devices says"),
+            ("cpu", "CPU", "The processor"),
+            ("gpu", "GPU", "Those of the preferences, or else all that Cycles finds. Without one it is an error"),
+        ),
+        default=PREFERENCES,
     )
     denoise: BoolProperty(
         name="Denoise",

@@ -16,7 +16,9 @@ from typing import Any
 import bpy
 from bpy.app.handlers import persistent
 
+from generator.blender import check
 from generator.blender.engines import renderers, survey
+from generator.blender.finding import Finding
 from generator.blender.scene import geometry, materials, roles
 from generator.blender.scene.description import read_scene
 from generator.jobs.protocol import Question
@@ -54,6 +56,8 @@ class _Look:
     asked, first, latest, shown, shadowed : int
         Numbers of the last question, of the first one about this world, of the picture that is shown, of the last one
         that is whole, and of the last one with shadows.
+    twice : list of Finding
+        Roles that several objects play, so that there is no picture.
     at : dict
         When questions were asked, by their number, `time.perf_counter`.
     """
@@ -67,6 +71,7 @@ class _Look:
     world_changed: bool = True
     last_change: float = 0.0
     words: str = ""
+    twice: list[Finding] = field(default_factory=list)
     pose: tuple[tuple[float, ...], tuple[float, ...]] | None = None
     asked: int = 0
     first: int = 0
@@ -88,6 +93,11 @@ def words() -> str:
     """Return the text for the panel: why there is no picture, or how long the last one took."""
     note = _look.resident.note if _look.resident is not None else ""
     return f"{_look.words}. {note}" if note else _look.words
+
+
+def played_twice() -> list[Finding]:
+    """Return the roles that several objects play, if that is why there is no picture."""
+    return _look.twice if _noted in bpy.app.handlers.depsgraph_update_post else []
 
 
 def waits() -> bool:
@@ -241,6 +251,7 @@ def _ask() -> float | None:
                 state.once(_show, _OFTEN)
             return None
     except NlosError as error:
+        _look.twice = check.played_twice(scene)
         _say(str(error))
         images.darken()
         state.redraw("IMAGE_EDITOR", "VIEW_3D")
@@ -332,7 +343,7 @@ def _read(scene: Any) -> None:
     _look.first, _look.watched, _look.reference = _look.asked + 1, world.watched, described.reference_radiance
     path = background.folder() / f"look-{_look.first}.npz"
     save_world(path, world)
-    _look.world, _look.pose = path, None
+    _look.world, _look.pose, _look.twice = path, None, []
 
 
 def register() -> None:

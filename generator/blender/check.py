@@ -22,8 +22,16 @@ from generator.model.quantities import order_words
 from generator.model.settings import Sweep
 
 
-def mend(scene: bpy.types.Scene, fix: str) -> None:
+def mend(scene: bpy.types.Scene, fix: str, choice: str = "") -> None:
     """Apply the fix that a finding proposes.
+
+    Parameters
+    ----------
+    scene : bpy.types.Scene
+    fix : str
+        Key of `FIXES`.
+    choice : str
+        One of the finding's choices, if it has any.
 
     Raises
     ------
@@ -40,6 +48,8 @@ def mend(scene: bpy.types.Scene, fix: str) -> None:
         adopt.fit_grid(scene)
     elif fix == "show":
         roles.show(scene, roles.find(scene, "target"))
+    elif fix == "keep":
+        adopt.keep(scene, choice)
     else:
         raise NlosError(f"fix {fix!r}: there is none; choose from {', '.join(FIXES)}")
 
@@ -88,15 +98,19 @@ def _named(scene: bpy.types.Scene, text: str) -> str:
 def _roles(scene: bpy.types.Scene) -> list[Finding]:
     results = []
     for role in roles.SINGLE_ROLES:
-        players, title = roles.players(scene, role), role.replace("_", " ")
-        if not players:
+        if not roles.players(scene, role):
+            title = role.replace("_", " ")
             results.append(Finding(ERROR, f"No object is the {title}: select yours and adopt it, or build a preset"))
-        elif len(players) > 1:
-            names = ", ".join(o.name for o in players)
-            results.append(
-                Finding(ERROR, f"{len(players)} objects are the {title}: {names}; adopt one", players[0].name)
-            )
-    return results
+    return [*results, *played_twice(scene)]
+
+
+def played_twice(scene: bpy.types.Scene) -> list[Finding]:
+    """Return a finding about each role of one object that several play."""
+    return [
+        Finding(ERROR, roles.told_twice(role, objects), names[0], "keep", names)
+        for role, objects in roles.twice(scene).items()
+        for names in [tuple(o.name_full for o in objects)]
+    ]
 
 
 def _frame(scene: bpy.types.Scene) -> list[Finding]:

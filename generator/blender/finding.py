@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 GOOD, NOTE, WARNING, ERROR = "good", "note", "warning", "error"
@@ -21,12 +22,15 @@ class Finding:
         Name of the object that it is about; else empty.
     fix : str
         Key of `FIXES` that `check.mend` can apply; else empty.
+    choices : sequence of str
+        Full names of the objects of which the fix needs one; empty if it needs none.
     """
 
     level: str
     text: str
     object: str = ""
     fix: str = ""
+    choices: Sequence[str] = ()
 
     @property
     def line(self) -> str:
@@ -40,5 +44,6 @@ FIXES = {
     "reflections": "Allow Three",
     "voxels": "Fit Voxels",
     "show": "Show",
+    "keep": "Keep This One",
 }
 """Fixes that `check.mend` can apply, by the name that a finding gives, with the label of the panel's button."""

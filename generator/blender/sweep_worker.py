@@ -17,6 +17,7 @@ import numpy as np
 
 from generator.blender import misgivings, start_check
 from generator.blender.engines import renderers, simplify, survey
+from generator.blender.engines.devices import require_gpu
 from generator.blender.engines.renderer import Renderer, Shot
 from generator.blender.engines.settings import settled
 from generator.blender.scene import blend_file, geometry, references, replaced, roles
@@ -118,6 +119,8 @@ def plan(
                 len(records),
                 render,
             )
+    if sweep.noisy and sweep.device == "gpu":
+        meta["gpus"] = require_gpu()
     if probe and sweep.engine == "surfel":
         meta |= _light_check(renderer, records)
     dataset = Dataset.create(path, meta, records)

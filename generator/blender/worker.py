@@ -11,7 +11,7 @@ from collections.abc import Callable, Mapping
 from dataclasses import asdict
 from typing import Any
 
-from generator.blender import trial_render
+from generator.blender import assets, trial_render
 from generator.blender.check import check_scene
 from generator.blender.engines.settings import settled
 from generator.blender.measure import experiment
@@ -19,6 +19,7 @@ from generator.blender.scene import blend_file, mesh_file
 from generator.blender.scene.description import read_scene
 from generator.blender.sweep_worker import check_blender, doubted, open_scene, picture, plan, render
 from generator.files.pictures import write_picture
+from generator.jobs import gpus
 from generator.jobs.protocol import (
     CheckScene,
     DrawExperiment,
@@ -28,6 +29,7 @@ from generator.jobs.protocol import (
     RenderWall,
     Request,
     TrialRender,
+    WriteAssets,
     answer,
     batches,
     read_request,
@@ -81,7 +83,8 @@ def _picture(request: RenderWall) -> None:
 
 
 def _draw(request: DrawExperiment) -> None:
-    write_picture(request.file, experiment.draw(blend_file.open_file(request.scene), request.number), {})
+    scene = blend_file.open_file(request.scene)
+    write_picture(request.file, experiment.draw(scene, request.number, device=request.device), {})
     answer(drawn=True)
 
 
@@ -89,6 +92,10 @@ def _read_mesh(request: ReadMesh) -> None:
     found = mesh_file.read(Target(**request.target))
     found.save(request.file)
     answer(read=mesh_file.described(found), left_out=found.left_out)
+
+
+def _write_assets(request: WriteAssets) -> None:
+    answer(assets=assets.write(request.folder))
 
 
 Commands = Mapping[type[Request], Callable[[Any], None]]
@@ -100,6 +107,7 @@ COMMANDS: Commands = {
     RenderWall: _picture,
     DrawExperiment: _draw,
     ReadMesh: _read_mesh,
+    WriteAssets: _write_assets,
 }
 
 
@@ -107,7 +115,7 @@ def main(argv: list[str], commands: Commands = COMMANDS) -> int:
     """Carry out a request; return 0, or 2 after the answer ``error`` if its input is bad."""
     request = read_request(argv[0])
     try:
-        with links.trusting(request.trust_links):
+        with links.trusting(request.trust_links), gpus.choosing(request.gpus):
             commands[type(request)](request)
     except NlosError as error:
         answer(error=str(error))

@@ -7,12 +7,13 @@ import math
 from pathlib import Path
 
 from generator.cli.answer import Answer, json_object
-from generator.cli.options import Commands, add_links_option
+from generator.cli.options import Commands, add_links_option, add_setting
 from generator.cli.terminal import LineProgress
 from generator.cli.volume import note
 from generator.model.described import described
 from generator.model.engines import traits_of
 from generator.model.errors import NlosError
+from generator.model.settings import Sweep
 
 
 def add_parsers(commands: Commands) -> None:
@@ -43,6 +44,7 @@ def add_parsers(commands: Commands) -> None:
     parser.add_argument(
         "--repeats", type=int, metavar="N", help=f"of Cycles, with other noise, for intervals (default: {_REPEATS})"
     )
+    add_setting(parser, "device")
     add_links_option(parser)
     parser.set_defaults(run=run_experiment, answer=Measured)
 
@@ -83,6 +85,7 @@ class Measured:
 
 def run_experiment(options: argparse.Namespace) -> Answer:
     """Write an experiment's tables and pictures."""
+    from generator.blender.engines.devices import require_gpu
     from generator.blender.measure import experiment_report
     from generator.blender.scene import blend_file
 
@@ -103,7 +106,10 @@ def run_experiment(options: argparse.Namespace) -> Answer:
         "pixels": options.resolution,
         "samples": options.samples or _SAMPLES,
         "repeats": options.repeats or _REPEATS,
+        "device": options.device or Sweep.device,
     }
+    if settings["device"] == "gpu":
+        require_gpu()
     results, files = [], []
     for part in experiment_report.run(
         options.number, options.output, places, settings, ambient=ambient, progress=LineProgress("pictures")
@@ -120,7 +126,7 @@ def run_experiment(options: argparse.Namespace) -> Answer:
             )
             results.append(place)
     if not any(traits_of(result.engine).noisy for result in results):
-        for name in ("samples", "repeats"):
+        for name in ("samples", "repeats", "device"):
             if getattr(options, name) is not None:
                 note(f"--{name}: means nothing to surfel, which rendered everything")
     return Answer(Measured(experiment=options.number, results=results, files=files))

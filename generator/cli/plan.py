@@ -12,6 +12,7 @@ from generator.cli.options import (
     Commands,
     add_force_option,
     add_links_option,
+    add_setting,
     option,
 )
 from generator.cli.terminal import Status
@@ -43,6 +44,7 @@ def _add_tradeoff(commands: Commands) -> None:
     parser.add_argument("--poses", type=int, default=3, metavar="N", help="per voxel (default: 3)")
     parser.add_argument("--seed", type=int, default=0, metavar="N", help="of all poses and all noise (default: 0)")
     parser.add_argument("--resolution", metavar="R", help="64 or 64x48 (default: the scene's)")
+    add_setting(parser, "device")
     parser.add_argument(
         "--time-limit",
         dest="most",
@@ -97,6 +99,7 @@ def _add_plan(commands: Commands) -> None:
         help="measure only what surfel models, without noise: what only Cycles models is kept, and takes no time",
     )
     parser.add_argument("--workers", type=int, default=0, metavar="W", help="of the sweep (default: one per core)")
+    add_setting(parser, "device")
     add_links_option(parser)
     parser.alias("--most", "--time-limit")
     parser.set_defaults(run=run_plan, answer=Planned)
@@ -155,12 +158,18 @@ def run_tradeoff(options: argparse.Namespace) -> Answer:
         raise NlosError(f"--poses {options.poses}: must be from 1 to {Sweep.poses}")
     if options.output.exists() and not options.output.is_dir():
         raise NlosError(f"{options.output}: is a file; name a folder")
+    device = options.device or Sweep.device
+    if device == "gpu":  # now, and not after the rungs of surfel, which need none
+        from generator.blender.engines.devices import require_gpu
+
+        require_gpu()
     names = ("poses", "seed", "resolution", "most", "workers", "force")
     with Status() as status:
         costs = tradeoff.run(
             options.scene,
             options.output,
             **{name: getattr(options, name) for name in names},
+            device=device,
             tell=status.tell,
             progress=status.progress,
         )
@@ -193,6 +202,7 @@ def run_plan(options: argparse.Namespace) -> Answer:
             most=options.most - (time.monotonic() - begun),
             workers=options.workers,
             by_cycles=options.cycles,
+            device=options.device or Sweep.device,
             tell=status.tell,
         )
     title = f"{options.scene.name}, seed {options.seed}, tolerance {100.0 * options.tolerance:g} %"
@@ -212,5 +222,6 @@ def run_plan(options: argparse.Namespace) -> Answer:
         files=files,
     )
     table = Table(f"{title}; intervals of 95 %", scene_plan.HEADINGS, rows)
-    follow = [f"nlos-generate sweep {options.scene} -o DATASET --plan {options.output}"] if files else []
+    device = f" --device {options.device}" if options.device and plan.settings["engine"] != "surfel" else ""
+    follow = [f"nlos-generate sweep {options.scene} -o DATASET --plan {options.output}{device}"] if files else []
     return Answer(values, [table, *words, *map(str, files), *follow])

@@ -13,6 +13,7 @@ from typing import Any
 
 import numpy as np
 
+from generator.jobs import gpus
 from generator.jobs.protocol import TrialRender
 from generator.jobs.workers import Launch, Worker, available_cores, python
 from generator.model.deadline import Deadline, Late
@@ -329,6 +330,7 @@ def measured_by_trial(
         shares=crew,
         force=force,
         trust_links=links.trusted(),
+        gpus=gpus.chosen(),
     )
     with contextlib.ExitStack() as stack:
         trial_workers = [stack.enter_context(Worker(replace(trial, share=i), launch)) for i in range(crew)]

@@ -11,6 +11,7 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any, Protocol
 
+from generator.jobs import gpus
 from generator.jobs import journal as journals
 from generator.jobs.protocol import PlanSweep, RenderSweep
 from generator.jobs.request import SweepRequest
@@ -169,10 +170,10 @@ def _crew(dataset: Dataset, shard: tuple[int, int], progress: Progress, **option
         journal.told(done, total)
         progress(done, total)
 
-    trust = links.trusted()  # read here, since other threads start the workers
+    trust, chosen = links.trusted(), gpus.chosen()  # read here, since other threads start the workers
 
     def request(threads: int) -> RenderSweep:
-        return RenderSweep(path=dataset.path, threads=threads, trust_links=trust)
+        return RenderSweep(path=dataset.path, threads=threads, trust_links=trust, gpus=chosen)
 
     with journals.logged(dataset.path) as log:
         crew = WorkerPool(request, lambda position: dataset.poses[position].file, report, log=log, **options)
@@ -224,6 +225,7 @@ def prepare(
         force=request.force,
         probe=request.probe,
         trust_links=links.trusted(),
+        gpus=gpus.chosen(),
     )
     for words in planned_notes(plan_request, launch):
         tell(words)

@@ -10,9 +10,11 @@ from __future__ import annotations
 import json
 import sys
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import asdict, dataclass, fields
+from dataclasses import asdict, dataclass, field, fields
 from pathlib import Path
 from typing import Any, ClassVar, get_type_hints
+
+from generator.jobs.gpus import Gpus
 
 ANSWER = "nlos "
 """Start of the lines of a worker's output that are meant for the coordinator."""
@@ -26,11 +28,14 @@ class Request:
     ----------
     trust_links : bool
         Whether files that a scene refers to may lie anywhere (`generator.sets.links`).
+    gpus : Gpus
+        Those to render on where a GPU is asked for (`generator.jobs.gpus`); empty leaves it to the worker's Blender.
     """
 
     module: ClassVar[str] = "generator.blender.worker"
     """Module that is run; in the Blender extension, the name of the extension's package precedes it."""
     trust_links: bool
+    gpus: Gpus = field(default_factory=dict)
 
     @property
     def arguments(self) -> list[str]:
@@ -126,6 +131,15 @@ class DrawExperiment(Request):
     scene: Path
     file: Path
     number: int
+    device: str = "cpu"
+
+
+@dataclass(frozen=True, kw_only=True)
+class WriteAssets(Request):
+    """Write the library of assets into a folder; answers ``assets``, their names."""
+
+    folder: Path
+    trust_links: bool = False
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -204,6 +218,7 @@ REQUESTS = (
     RenderWall,
     DrawExperiment,
     ReadMesh,
+    WriteAssets,
     PlanBulk,
     RenderBulk,
 )

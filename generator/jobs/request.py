@@ -7,6 +7,8 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
+from generator.jobs.gpus import Gpus
+
 
 @dataclass(frozen=True, kw_only=True)
 class ClusterJobs:
@@ -51,6 +53,9 @@ class SetRequest:
         Whether a new set begins with the check of its engine against plain Cycles (`generator.blender.start_check`).
     trust_links : bool
         Whether files that the scene refers to may lie outside its own folder.
+    gpus : Gpus
+        Those to render on where the device is a GPU, as Blender's preferences choose them; empty takes those of the
+        Blender that renders.
     """
 
     scene: Path
@@ -61,6 +66,7 @@ class SetRequest:
     force: bool = False
     probe: bool = True
     trust_links: bool = False
+    gpus: Gpus = field(default_factory=dict)
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -7,7 +7,7 @@ import threading
 from collections.abc import Callable
 from dataclasses import replace
 
-from generator.jobs import budget, cluster, local
+from generator.jobs import budget, cluster, gpus, local
 from generator.jobs.local import Here, Outcome
 from generator.jobs.request import SweepRequest
 from generator.jobs.workers import Launch, python
@@ -58,7 +58,7 @@ def run(
         raise NlosError("--budget: a plan has its own accuracy; leave --plan or --budget out")
     if request.budget and request.shard != (0, 1):
         raise NlosError("--budget: is one machine's; leave --shard out, or name the samples")
-    with links.trusting(request.trust_links):
+    with links.trusting(request.trust_links), gpus.choosing(request.gpus):
         decided, pace = _decided(request, tell, launch)
         if decided.cluster:
             if pace or request.shard != (0, 1):

@@ -22,6 +22,7 @@ from generator.measure import figures
 from generator.measure.intervals import mean, median
 from generator.model.arrays import Array
 from generator.model.deadline import Deadline, Late
+from generator.model.engines import traits_of
 from generator.model.errors import NlosError
 from generator.model.quantities import NO_CHANGE, Progress, clock
 from generator.sets.dataset import Dataset
@@ -133,6 +134,7 @@ def run(
     poses: int = 3,
     seed: int = 0,
     resolution: str | None = None,
+    device: str = "cpu",
     most: float = 1200.0,
     workers: int = 0,
     tell: Callable[[str], None] = lambda words: None,
@@ -153,6 +155,8 @@ def run(
     seed : int
     resolution : str, optional
         Size of the pictures; by default the scene's.
+    device : {"cpu", "gpu"}
+        Device that Cycles renders on.
     most : float
         Time limit for all of it, seconds; compiling, which is done once, comes on top. A rung that is predicted to
         take longer than what is left is left out, and one that does is stopped; the reference is as good as half of
@@ -176,7 +180,7 @@ def run(
     common: dict[str, Any] = {"poses": poses, "seed": seed}
     if resolution:
         common["resolution"] = resolution
-    settings = {**common, "engine": "auto"}
+    settings = {**common, "engine": "auto", "device": device}
     budget.compiled(scene, settings, tell=tell, force=force)
     deadline = Deadline(most - _EVALUATING, now)
     tell("rehearsing a few pictures")
@@ -200,7 +204,7 @@ def run(
         kind, work = _kind(rung), float(rung.settings.get("samples", 1))
         known = per_work.get(kind, 0.0 if rung.settings["engine"] == "surfel" else per_work.get(_PATCH, 0.0))
         estimate = expected.get(rung.name, starting + known * work)
-        path = folder / rung.name
+        path, traits = folder / rung.name, traits_of(rung.settings["engine"])
         if estimate > deadline.left and not _finished(path):
             if rung.name == REFERENCE:
                 break
@@ -210,7 +214,7 @@ def run(
         request = SweepRequest(
             scene=scene,
             path=path,
-            chosen={**common, **rung.settings},
+            chosen={**common, **rung.settings, **({"device": device} if traits.noisy else {})},
             workers=workers,
             force=force,
             probe=False,

@@ -25,7 +25,8 @@ class Sweep:
         "rays per pixel, of path and patch; four times as many halve the noise", 512, lo=1, hi=2**24
     )
     device: Literal["cpu", "gpu"] = described(
-        "that path and patch render on; gpu takes what Cycles finds, and its pixels are its own to the last bit",
+        "that path and patch render on; gpu is what Blender's preferences choose, or else all that Cycles finds, and "
+        "its pixels are its own to the last bit",
         "cpu",
     )
     denoise: bool = described(

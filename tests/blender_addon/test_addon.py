@@ -259,6 +259,46 @@ def test_render_fills_the_images(package: Path, tmp_path: Path) -> None:
     )
 
 
+def test_the_device_is_that_of_the_preferences_or_of_the_panel(package: Path, tmp_path: Path) -> None:
+    """No test needs a GPU: the preferences choose one that no machine has."""
+    blender(
+        package,
+        tmp_path,
+        """
+        draft = module("draft")
+        bpy.ops.nlos.build_scene()
+        settings.engine, settings.samples, settings.resolution = "patch", 4, (8, 8)
+        assert settings.device == "preferences" and draft.device_of(settings) == "cpu"
+        assert "device" not in draft.sweep_of(settings)
+        bpy.ops.nlos.render_wall()
+        as_preferred = pixels("NLOS wall")
+        settings.device = "cpu"
+        bpy.ops.nlos.render_wall()
+        assert np.array_equal(pixels("NLOS wall"), as_preferred)
+
+        preferences = bpy.context.preferences.addons["cycles"].preferences
+        preferences.compute_device_type = "CUDA"
+        gone = preferences.devices.add()
+        gone.id, gone.name, gone.type, gone.use = "CUDA_gone", "Gone", "CUDA", True
+        settings.device = "preferences"
+        assert draft.sweep_of(settings)["device"] == "gpu"
+        told = refused(bpy.ops.nlos.render_wall)
+        assert "device gpu: Cycles finds none of the GPUs that the preferences choose (CUDA)" in told, told
+        settings.dataset, settings.poses = bpy.app.tempdir + "set", 1
+        bpy.ops.nlos.sweep_start()
+        job = module("operators.dataset").job
+        job._task.settle()
+        assert "none of the GPUs that the preferences choose (CUDA)" in job.words, job.words
+        gone.use = False
+        assert draft.device_of(settings) == "cpu"
+        settings.device, settings.quality = "gpu", "time"
+        assert draft.sweep_of(settings)["device"] == "gpu"
+        settings.engine = "surfel"
+        assert "device" not in draft.sweep_of(settings), "which would be refused, as it means nothing to it"
+        """,
+    )
+
+
 def test_render_by_the_integral_without_numba_as_blender_has_none(package: Path, tmp_path: Path) -> None:
     blender(
         package,
@@ -579,6 +619,67 @@ def test_bad_states_are_told_in_a_sentence(package: Path, tmp_path: Path) -> Non
         bpy.context.view_layer.objects.active = roles.find(scene, "target")
         bpy.ops.object.mode_set(mode="EDIT")
         assert "Object Mode" in refused(bpy.ops.nlos.build_scene)
+        """,
+    )
+
+
+def test_copies_keep_their_role_and_one_of_them_is_kept(package: Path, tmp_path: Path) -> None:
+    blender(
+        package,
+        tmp_path,
+        """
+        bpy.ops.nlos.build_scene()
+        state = module("session.state")
+        first = roles.find(scene, "target")
+        bpy.context.view_layer.objects.active = first
+        first.select_set(True)
+        bpy.ops.object.duplicate()
+        second = bpy.context.active_object
+        settings.dataset = bpy.app.tempdir + "set"
+        bpy.ops.nlos.check()
+        [found] = state.findings
+        assert (found.fix, set(found.choices)) == ("keep", {first.name, second.name}), found
+        for operator in (bpy.ops.nlos.render_wall, bpy.ops.nlos.sweep_start, bpy.ops.nlos.read_scene):
+            told = refused(operator)
+            assert "2 objects are the target" in told and "propert" not in told, told
+        assert "choose from" in refused(lambda: bpy.ops.nlos.fix(fix="keep"))
+        assert bpy.ops.nlos.fix(fix="keep", choice=second.name) == {"FINISHED"}
+        assert roles.find(scene, "target") == second and "nlos_role" not in first
+        assert not [f for f in state.findings if f.choices]
+        assert [f for f in state.findings if f.object == first.name and "without a role" in f.text]
+        first["nlos_role"] = "target"
+        bpy.context.view_layer.objects.active = first
+        first.select_set(True)
+        bpy.ops.nlos.adopt(role="target")
+        assert roles.find(scene, "target") == first
+        """,
+    )
+
+
+def test_assets_are_written_beside_and_listed_once(package: Path, tmp_path: Path) -> None:
+    blender(
+        package,
+        tmp_path,
+        """
+        import pathlib
+        assets = module("operators.assets")
+        listed = bpy.context.preferences.filepaths.asset_libraries
+        before = len(listed)
+        for _ in range(2):
+            assert bpy.ops.nlos.add_assets() == {"FINISHED"}
+            [library] = [one for one in listed if pathlib.Path(one.path) == assets.folder()]
+            assert (library.name, library.import_method, len(listed)) == ("NLOS Lab", "APPEND", before + 1)
+        assert assets.folder().is_relative_to(pathlib.Path("user").resolve())
+        written = sorted(path.name for path in assets.folder().iterdir())
+        assert written == ["blender_assets.cats.txt", "nlos_lab.blend"], written
+        with bpy.data.libraries.load(str(assets.folder() / "nlos_lab.blend"), assets_only=True) as (found, wanted):
+            assert f"{len(found.objects) + len(found.materials)} assets are in" in assets.words, assets.words
+            wanted.objects = ["Relay wall, painted, 5 m x 2.6 m"]
+        scene.collection.objects.link(wanted.objects[0])
+        assert roles.find(scene, "relay_wall") == wanted.objects[0]
+        (assets.folder() / "blender_assets.cats.txt").unlink()
+        (assets.folder() / "blender_assets.cats.txt").mkdir()
+        assert "cats.txt: cannot be written" in refused(bpy.ops.nlos.add_assets)
         """,
     )
 

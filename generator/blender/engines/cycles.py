@@ -16,9 +16,6 @@ from generator.files.pictures import Picture, read_picture
 from generator.model.arrays import Array
 from generator.model.errors import NlosError
 
-GPU_KINDS = ("OPTIX", "CUDA", "HIP", "METAL", "ONEAPI")
-"""Cycles' names of its GPU backends, the fastest first."""
-
 
 class CyclesRenderer:
     """Renders by Cycles: the engines `path` and `patch`, which differ in the lamp of the scene.
@@ -113,40 +110,6 @@ class CyclesRenderer:
                 pixels = pixels + (background - own_background)
             pictures.append(pixels)
         return pictures
-
-
-def use_gpu(overrides: Overrides) -> list[str]:
-    """Let Cycles render on the GPUs that Blender's preferences name, or else on all that are found.
-
-    Returns
-    -------
-    list of str
-        Names of the GPUs.
-
-    Raises
-    ------
-    NlosError
-        Cycles finds no GPU.
-    """
-    preferences = bpy.context.preferences.addons["cycles"].preferences
-    preferred = preferences.compute_device_type
-    for kind in (preferred, *GPU_KINDS):
-        if kind == "NONE":
-            continue
-        try:
-            overrides.set(preferences, "compute_device_type", kind)
-        except TypeError:  # not on this system, or not in this Blender
-            continue
-        with quiet():
-            preferences.refresh_devices()
-        devices = [device for device in preferences.devices if device.type == kind]
-        if kind == preferred and any(device.use for device in devices):
-            return [device.name for device in devices if device.use]
-        for device in preferences.devices:
-            overrides.set(device, "use", device in devices)
-        if devices:
-            return [device.name for device in devices]
-    raise NlosError("device gpu: Cycles finds no GPU on this machine; check its driver, or render with --device cpu")
 
 
 def linear_output(scene: bpy.types.Scene, overrides: Overrides) -> None:

@@ -15,7 +15,8 @@ from typing import Any
 import bpy
 
 from generator.blender.engines import survey
-from generator.blender.engines.cycles import CyclesRenderer, linear_output, plain_cycles, use_gpu
+from generator.blender.engines.cycles import CyclesRenderer, linear_output, plain_cycles
+from generator.blender.engines.devices import use_gpu
 from generator.blender.engines.patch_lamp import patch_lamp
 from generator.blender.engines.renderer import Renderer
 from generator.blender.scene import geometry, roles

@@ -164,6 +164,7 @@ def run(
     pixels: int = 64,
     samples: int = 128,
     repeats: int = 8,
+    device: str = "cpu",
     progress: Callable[[int, int], None] = lambda done, total: None,
 ) -> Experiment:
     """Render the pictures of an experiment, by the cheapest engine that the scene allows.
@@ -179,6 +180,8 @@ def run(
         Side of a picture, pixels.
     samples, repeats : int
         For Cycles, which is used if the engine `surfel`, which has no noise, cannot render the scene.
+    device : {"cpu", "gpu"}
+        Device that Cycles renders on.
     progress : callable
         Called with the number of pictures rendered, and with their total.
 
@@ -197,7 +200,8 @@ def run(
         _, corners = geometry.view(scene, roles.find(scene, "camera"), geometry.snapshot(scene).matrices["camera"])
     with posing.stand_in(scene, model):
         engine, _ = renderers.choose(scene)
-        with renderers.opened(scene, engine, resolution=(pixels, pixels), accuracy=ACCURACY) as renderer:
+        opened = renderers.opened(scene, engine, resolution=(pixels, pixels), accuracy=ACCURACY, device=device)
+        with opened as renderer:
             if traits_of(engine).noisy:
                 signals = _sampled(scene, renderer, rows, samples, repeats, progress)
             else:
@@ -206,7 +210,7 @@ def run(
     return Experiment(number, target, engine, rows, step, signals, voxel, corners[:, [0, 2]])
 
 
-def draw(scene: bpy.types.Scene, number: int, *, pixels: int = 64) -> Picture:
+def draw(scene: bpy.types.Scene, number: int, *, pixels: int = 64, device: str = "cpu") -> Picture:
     """Return the difference pictures of an experiment side by side: a row per axis, the object at rest in the middle.
 
     The object is a sphere in experiment 1, and a square sheet in 2 and 3.
@@ -221,7 +225,8 @@ def draw(scene: bpy.types.Scene, number: int, *, pixels: int = 64) -> Picture:
     NlosError
         As `run`.
     """
-    differences = run(scene, number, "sphere" if number == 1 else "sheet", pixels=pixels, repeats=1).differences
+    target = "sphere" if number == 1 else "sheet"
+    differences = run(scene, number, target, pixels=pixels, repeats=1, device=device).differences
     mosaic: Picture = np.concatenate([np.concatenate(row, axis=1) for row in differences]).astype(np.float32)
     return mosaic
 

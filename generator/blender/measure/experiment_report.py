@@ -85,7 +85,7 @@ def run(
     places : mapping
         Scenes by name.
     settings : mapping
-        Arguments ``pixels``, ``samples`` and ``repeats`` of `experiment.run`.
+        Arguments ``pixels``, ``samples``, ``repeats`` and ``device`` of `experiment.run`.
     ambient : float
         Light that the sky alone would give the wall, in units of the mean signal with the object at rest; 0 is dark.
     progress : callable

@@ -52,6 +52,8 @@ class PairedMeasurement:
         Poses of each round.
     aspect : float
         Width over height of the picture.
+    device : {"cpu", "gpu"}
+        Device that Cycles renders on.
     deadline : Deadline
         When it is over, rendering raises `Late`.
     """
@@ -60,6 +62,7 @@ class PairedMeasurement:
     engine: str
     rounds: Sequence[Sequence[PoseRecord]]
     aspect: float = 1.0
+    device: str = "cpu"
     lights: list[str] = field(default_factory=list)
     deadline: Deadline = field(default_factory=Deadline)
     _made: dict[tuple[frozenset[str], frozenset[str] | None, int, int], Array] = field(default_factory=dict)
@@ -140,7 +143,7 @@ class PairedMeasurement:
     ) -> Array:
         """Return difference pictures (n, pixels) of an open scene at poses."""
         differences = []
-        with renderers.opened(scene, engine, resolution=resolution, denoise=denoise) as renderer:
+        with renderers.opened(scene, engine, resolution=resolution, denoise=denoise, device=self.device) as renderer:
             for pose in poses:
                 self.deadline.check()
                 posing.move_target(scene, pose.position, pose.rotation)

@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 
 from generator.blender.engines import simplify, survey
+from generator.blender.engines.devices import require_gpu
 from generator.blender.engines.reading import MAX_ORDER
 from generator.blender.engines.settings import settled
 from generator.blender.measure import paired
@@ -60,6 +61,7 @@ def make(
     workers: int = 0,
     by_cycles: bool = True,
     predict: bool = True,
+    device: str = "cpu",
     tell: Callable[[str], None] = lambda words: None,
 ) -> Plan:
     """Measure a scene's effects, and plan a sweep of it.
@@ -87,14 +89,18 @@ def make(
         Whether to measure Cycles' effects; else they are all kept.
     predict : bool
         Whether to predict the cost of the sweep, by rehearsing it; else a plan for Cycles has no samples.
+    device : {"cpu", "gpu"}
+        Device that Cycles renders on, here and in the predicted sweep.
     tell : callable
         Called with a sentence about what is done.
 
     Raises
     ------
     NlosError
-        The scene cannot be swept.
+        The scene cannot be swept, or there is no GPU.
     """
+    if device == "gpu":
+        require_gpu()
     deadline = Deadline(most - _ENDING)
     scene = blend_file.open_file(source)
     described = read_scene(scene)
@@ -116,7 +122,8 @@ def make(
         words.append(f"only path can render this scene, too noisily to measure anything by: {'; '.join(reasons)}")
     elif by_cycles:
         rounds = [[p for p in all_records if p.index == k] for k in range(paired.ROUNDS[1])]
-        probe = paired.PairedMeasurement(source, engine, rounds, described.resolution[0] / described.resolution[1])
+        aspect = described.resolution[0] / described.resolution[1]
+        probe = paired.PairedMeasurement(source, engine, rounds, aspect, device)
         part = deadline.part(SHARE)
         if others:
             tell(f"rendering {len(others)} effects that only Cycles models, for up to {clock(part.left)}")
@@ -147,7 +154,8 @@ def make(
             sorted([*measured, *exact], key=Effect.rank), [*dropped, *more], together, settings, tolerance, words
         )
     if predict:
-        plan = _predicted(source, plan, described.grid.n_voxels, described.resolution, workers, deadline, tell)
+        voxels, resolution = described.grid.n_voxels, described.resolution
+        plan = _predicted(source, plan, voxels, resolution, device, workers, deadline, tell)
     if by_cycles and engine != "path":
         orders = [k for k in _ORDERS if k > order >= MAX_ORDER and paired.order_name(k) not in exactly]
         further = _further(probe, orders, tolerance, deadline, tell)
@@ -344,6 +352,7 @@ def _predicted(
     plan: Plan,
     voxels: int,
     resolution: tuple[int, int],
+    device: str,
     workers: int,
     deadline: Deadline,
     tell: Callable[[str], None],
@@ -366,7 +375,9 @@ def _predicted(
             if deadline.left < took:
                 raise Late
             tell(f"rehearsing {what}")
-            trial = budget.measured_by_trial(source, settings, workers, force=True, deadline=deadline)
+            trial = budget.measured_by_trial(
+                source, {**settings, "device": device}, workers, force=True, deadline=deadline
+            )
         except Late:
             unmeasured.append(f"what {what} costs")
             continue

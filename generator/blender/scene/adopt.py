@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from typing import Any
 
 import bpy
@@ -54,7 +54,7 @@ def assign(scene: bpy.types.Scene, role: str, objects: Sequence[bpy.types.Object
     if role in roles.SINGLE_ROLES and len(objects) > 1:
         raise NlosError(f"{len(objects)} objects are selected; exactly one can be the {label}")
     for obj in objects:
-        if obj.library or obj.override_library:
+        if _is_linked(obj):
             raise NlosError(f"{obj.name!r} is linked from another file; make it local first (Object > Relations)")
         if role == "spot" and (obj.type != "LIGHT" or obj.data.type != "SPOT"):
             raise NlosError(f"{obj.name!r} cannot be the spot: it is no spot lamp")
@@ -64,8 +64,7 @@ def assign(scene: bpy.types.Scene, role: str, objects: Sequence[bpy.types.Object
         if role not in ("", "spot", "camera") and not geometry.has_surface(parts):
             raise NlosError(f"{obj.name!r} cannot be the {label}: it has no surface")
     if role in roles.SINGLE_ROLES:
-        for former in roles.players(scene, role):
-            del former[roles.ROLE]
+        _release(former for former in roles.players(scene, role) if former not in objects)
     for obj in objects:
         if role:
             obj[roles.ROLE] = role
@@ -74,6 +73,52 @@ def assign(scene: bpy.types.Scene, role: str, objects: Sequence[bpy.types.Object
     if role == "camera":
         scene.camera = objects[0]
     bpy.context.view_layer.update()
+
+
+def keep(scene: bpy.types.Scene, name: str) -> None:
+    """Let one of several objects that play a role of one object keep it, and take it from the others.
+
+    Parameters
+    ----------
+    scene : bpy.types.Scene
+    name : str
+        Full name of the object, as `roles.named` takes it.
+
+    Raises
+    ------
+    NlosError
+        The object plays no such role, or another one that does is linked from a file.
+    """
+    obj = roles.named(scene, name)
+    role = obj.get(roles.ROLE) if obj is not None else None
+    if obj is None or role not in roles.SINGLE_ROLES:
+        choices = [o.name_full for objects in roles.twice(scene).values() for o in objects]
+        raise NlosError(
+            f"object {name!r}: keeps no role; "
+            + (f"choose from {', '.join(map(repr, choices))}" if choices else "none is played twice")
+        )
+    _release(other for other in roles.players(scene, role) if other != obj)
+    if role == "camera":
+        scene.camera = obj
+
+
+def _is_linked(obj: bpy.types.Object) -> bool:
+    return bool(obj.library or obj.override_library)
+
+
+def _release(objects: Iterable[bpy.types.Object]) -> None:
+    """Take the role from objects; raise NlosError before any is changed if one is linked."""
+    objects = list(objects)
+    for obj in objects:
+        if _is_linked(obj):  # Blender would let it be changed, and forget that when the file is saved
+            label = obj[roles.ROLE].replace("_", " ")
+            library = obj.library or obj.override_library.reference.library
+            raise NlosError(
+                f"{obj.name_full!r} is the {label} too, and what is linked from another file ({library.filepath}) "
+                "keeps its role; keep that one, or make it local first (Object > Relations > Make Local)"
+            )
+    for obj in objects:
+        del obj[roles.ROLE]
 
 
 def in_metres(scene: bpy.types.Scene) -> bool:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import Any
 
 import bpy
@@ -97,14 +98,31 @@ def find(scene: bpy.types.Scene, role: str) -> bpy.types.Object:
     label = role.replace("_", " ")
     if not objs:
         raise NlosError(
-            f"{file_name()}: no object is the {label}; give one the custom property {ROLE} = {role!r} in Blender"
+            f"{file_name()}: no object is the {label}; select yours in Blender and press {label.title()} under Adopt "
+            "My Objects, in the NLOS tab"
         )
     if len(objs) > 1:
-        names = ", ".join(repr(o.name) for o in objs)
-        raise NlosError(
-            f"{file_name()}: {len(objs)} objects are named as {label} ({names}); only one may have {ROLE} = {role!r}"
-        )
+        raise NlosError(f"{file_name()}: {told_twice(role, objs)}, by a button of Check in Blender's NLOS tab")
     return objs[0]
+
+
+def told_twice(role: str, objects: Sequence[bpy.types.Object]) -> str:
+    """Return a sentence about a role that several objects play; it ends with what to do."""
+    names = ", ".join(repr(o.name_full) for o in objects)
+    return f"{len(objects)} objects are the {role.replace('_', ' ')}, as copies keep their role: {names}; keep one"
+
+
+def twice(scene: bpy.types.Scene) -> dict[str, list[bpy.types.Object]]:
+    """Return the roles of one object that several play, each with these objects."""
+    found = {role: players(scene, role) for role in SINGLE_ROLES}
+    return {role: objects for role, objects in found.items() if len(objects) > 1}
+
+
+def named(scene: bpy.types.Scene, name: str) -> bpy.types.Object | None:
+    """Return the object of a scene with a full name, which names the file of what is linked; else with a name."""
+    objects: list[bpy.types.Object] = list(scene.objects)
+    full = next((o for o in objects if o.name_full == name), None)
+    return full or next((o for o in objects if o.name == name), None)
 
 
 def players(scene: bpy.types.Scene, role: str) -> list[bpy.types.Object]:
@@ -176,12 +194,12 @@ def read_grid(scene: bpy.types.Scene) -> VoxelGrid:
     NlosError
         No grid is stored, or the stored values are not a valid grid.
     """
-    missing = [key for key in (GRID_LO, GRID_HI, GRID_SHAPE) if key not in scene]
-    if missing:
-        raise NlosError(f"{file_name()}: lacks the voxel grid (custom property {missing[0]} of the scene)")
+    if any(key not in scene for key in (GRID_LO, GRID_HI, GRID_SHAPE)):
+        raise NlosError(f"{file_name()}: lacks the voxel grid; Fit Voxels lays one around the target")
     if not all(hasattr(scene[key], "__len__") for key in (GRID_LO, GRID_HI, GRID_SHAPE)):
         raise NlosError(
-            f"{file_name()}: the voxel grid (custom properties {GRID_LO} and so on) must be three lists of three"
+            f"{file_name()}: the voxel grid is no three lists of three numbers (two corners, numbers of voxels); "
+            "Fit Voxels lays a new one around the target"
         )
     data = {
         "lo": [short(v) for v in scene[GRID_LO]],

@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+import ast
 import math
 
 import bpy
 import numpy as np
 import pytest
+from conftest import ROOT
 from mathutils import Matrix
 from numpy.testing import assert_allclose
 
@@ -51,11 +53,66 @@ def test_missing_and_double_roles():
     assert found.level == ERROR
     assert "No object is the target" in found.text
     wall = roles.find(scene, "relay_wall")
-    wall.copy()
-    twin = wall.copy()
-    scene.collection.objects.link(twin)
-    texts = [f.text for f in check.findings(scene)]
-    assert any("2 objects are the relay wall" in text for text in texts)
+    scene.collection.objects.link(wall.copy())
+    assert any("2 objects are the relay wall" in found.text for found in check.findings(scene))
+
+
+@pytest.mark.parametrize("role", roles.SINGLE_ROLES)
+@pytest.mark.parametrize("kept", [0, 1, 2])
+def test_one_of_several_copies_keeps_the_role(role, kept):
+    scene = built()
+    first = roles.find(scene, role)
+    for _ in range(2):
+        scene.collection.objects.link(first.copy())
+    [found] = check.findings(scene)
+    names = sorted(o.name for o in roles.players(scene, role))
+    assert (found.level, found.fix, sorted(found.choices)) == (ERROR, "keep", names)
+    assert all(repr(name) in found.text for name in names)
+    with pytest.raises(NlosError, match=r"3 objects are the .* keep one, by a button of Check"):
+        roles.find(scene, role)
+    for wrong in ("", "Nobody", roles.players(scene, "partition")[0].name):
+        with pytest.raises(NlosError, match=rf"keeps no role; choose from .*'{names[2]}'"):
+            check.mend(scene, "keep", wrong)
+    assert len(roles.players(scene, role)) == 3
+    check.mend(scene, found.fix, names[kept])
+    assert roles.find(scene, role).name == names[kept]
+    assert scene.camera == roles.find(scene, "camera")
+    assert not [f for f in check.findings(scene) if f.fix == "keep"]
+    with pytest.raises(NlosError, match="keeps no role; none is played twice"):
+        check.mend(scene, "keep", "Nobody")
+
+
+@pytest.mark.parametrize("overridden", [False, True])
+def test_a_linked_object_keeps_its_role(tmp_path, overridden):
+    """Blender would let its property be deleted, and bring it back when the file is opened again."""
+    built()
+    bpy.ops.wm.save_as_mainfile(filepath=str(tmp_path / "library.blend"))
+    scene = built()
+    own = roles.find(scene, "target")
+    with bpy.data.libraries.load(str(tmp_path / "library.blend"), link=True) as (_, wanted):
+        wanted.objects = [own.name]
+    linked = wanted.objects[0].override_create() if overridden else wanted.objects[0]
+    scene.collection.objects.link(linked)
+    [found] = check.findings(scene)
+    assert set(found.choices) == {own.name, linked.name_full}
+    assert len(set(found.choices)) == 2  # though both may have one name
+    with pytest.raises(NlosError, match=r"what is linked from another file \(.*library\.blend\) keeps its role;"):
+        check.mend(scene, "keep", own.name)
+    with pytest.raises(NlosError, match="keeps its role"):
+        adopt.assign(scene, "target", [own])
+    assert len(roles.players(scene, "target")) == 2
+    check.mend(scene, "keep", linked.name_full)
+    assert roles.find(scene, "target") == linked
+
+
+def test_no_message_asks_for_a_custom_property():
+    """An artist presses buttons; docstrings may say what a button does."""
+    for folder in ("generator", "blender_addon"):
+        for path in sorted((ROOT / folder).rglob("*.py")):
+            tree = ast.parse(path.read_text(encoding="utf-8"))
+            said = [node for node in ast.walk(tree) if isinstance(node, ast.Raise | ast.Call)]
+            texts = [n.value for node in said for n in ast.walk(node) if isinstance(n, ast.Constant)]
+            assert not [text for text in texts if isinstance(text, str) and "custom propert" in text], path
 
 
 def test_lamp_that_shines_into_a_voxel():

@@ -347,7 +347,7 @@ def test_bad_input_is_one_sentence_and_code_2(tmp_path, scene_file, tiny_dataset
     ("spoil", "words"),
     [
         ("bpy.data.objects.remove(bpy.data.objects['Target'])", "no object is the target"),
-        ("bpy.context.collection.objects.link(bpy.data.objects['Target'].copy())", "2 objects are named as target"),
+        ("bpy.context.collection.objects.link(bpy.data.objects['Target'].copy())", "2 objects are the target"),
         ("bpy.data.objects['Spot'].data.shadow_soft_size = 0.1", "has a radius of 0.1 m"),
     ],
 )

@@ -12,11 +12,10 @@ import radiometry
 from conftest import ROOT
 
 from generator.blender.engines import renderers, survey
-from generator.blender.engines.cycles import use_gpu
+from generator.blender.engines.devices import require_gpu
 from generator.blender.scene import blend_file, build, geometry, posing, roles
 from generator.blender.scene.clearance import clearance
 from generator.blender.scene.description import read_scene
-from generator.blender.scene.quiet import Overrides
 from generator.files import meshes
 from generator.files.toml import from_dict, to_dict
 from generator.model.errors import NlosError
@@ -272,7 +271,7 @@ def camera_away(blender):
     ("spoil", "words"),
     [
         (no_target, "no object is the target"),
-        (second_target, "2 objects are named as target"),
+        (second_target, "2 objects are the target, as copies keep their role"),
         (no_grid, "lacks the voxel grid"),
         (wall_away, "must lie in the plane y = 0"),
         (spot_away, "does not point at the relay wall"),
@@ -377,11 +376,10 @@ def test_scene_files_of_other_scales_read_back(tmp_path):
 
 
 def found_gpus():
-    with Overrides() as overrides:
-        try:
-            return use_gpu(overrides)
-        except NlosError:
-            return []
+    try:
+        return require_gpu()
+    except NlosError:
+        return []
 
 
 def test_a_machine_without_a_gpu_says_so_and_one_with_it_renders_the_same_radiance():

@@ -228,7 +228,7 @@ def test_odd_properties_are_sentences():
     assert read_scene(scene).target.kind == "mesh"
     assert settled(scene, read_scene(scene), {})[0].rotation == TURNS["mesh"]
     scene[roles.GRID_LO] = 1.0
-    with pytest.raises(NlosError, match="must be three lists of three"):
+    with pytest.raises(NlosError, match="is no three lists of three"):
         roles.read_grid(scene)
 
 
