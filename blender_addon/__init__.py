@@ -10,8 +10,8 @@ def _modules() -> tuple[Any, ...]:
     from . import handlers
     from .operators import answer, dataset, scene
     from .session import background
-    from .ui import menus, panels, properties, translations
-    from .view import caption, differs, live, overlay
+    from .ui import live_answer_panel, menus, panels, properties, translations
+    from .view import caption, differs, live, live_answer, overlay
 
     rest = (
         background,
@@ -20,8 +20,10 @@ def _modules() -> tuple[Any, ...]:
         answer,
         menus,
         panels,
+        live_answer_panel,
         overlay,
         live,
+        live_answer,
         differs,
         caption,
         handlers,

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+from pathlib import Path
 
 import bpy
 
@@ -35,3 +36,19 @@ def python() -> str:
     if not os.path.isfile(path):  # false as well for a name that no file can have
         raise NlosError(f"{path} (Preferences > Add-ons > NLOS Lab) is no file; name the Python of an environment")
     return path
+
+
+def model(path: str) -> Path:
+    """Return the file of a model that was chosen.
+
+    Raises
+    ------
+    NlosError
+        None is chosen, or it is not there.
+    """
+    if not path:
+        raise NlosError("Choose a model, trained by nlos-classify train (.skops)")
+    chosen = Path(bpy.path.abspath(path)).absolute()
+    if not os.path.isfile(chosen):  # false as well for a name that no file can have
+        raise NlosError(f"{chosen} is no such file; choose a model, trained by nlos-classify train")
+    return chosen
