@@ -540,7 +540,7 @@ def test_a_model_answers_while_the_object_moves(
 def test_live_answers_that_cannot_be_are_told_in_a_sentence(package: Path, tmp_path: Path) -> None:
     empty, bare = tmp_path / "empty.skops", tmp_path / "python"
     empty.write_bytes(b"")
-    bare.write_text(f"#!/bin/sh\nexec {sys._base_executable} -S \"$@\"\n")
+    bare.write_text(f'#!/bin/sh\nexec {sys._base_executable} -S "$@"\n')
     bare.chmod(0o755)
     blender(
         package,

@@ -70,15 +70,14 @@ def test_it_answers_as_in_one_process_refuses_and_goes_on(atlas, question, tmp_p
     known = answerer.opened(path)
     world = load_world(simulated.path / "world.npz")
     background = Transport(world, accuracy=1e-2).background().astype(np.float32)
-    known.look_at(
-        answerer.Seen(background=background, grid=simulated.grid, target="sphere", colour_space="Rec.709")
-    )
+    known.look_at(answerer.Seen(background=background, grid=simulated.grid, target="sphere", colour_space="Rec.709"))
     expected = known.answer(difference)
     with begun(path) as worker:
         assert worker.answer() == {"ready": True, "words": known.words}
         worker.send(asked.line)
         found = worker.answer()
-        assert found["number"] == 1 and found["doubts"] == []
+        assert found["number"] == 1
+        assert found["doubts"] == []
         assert found["probability"] == expected.probability
         np.testing.assert_array_equal(found["position"], expected.place.position)
         for number, change, words in (
@@ -87,7 +86,8 @@ def test_it_answers_as_in_one_process_refuses_and_goes_on(atlas, question, tmp_p
         ):
             worker.send(replace(asked, number=number, **change).line)
             refused = worker.answer()
-            assert refused["number"] == number and words in refused["refused"]
+            assert refused["number"] == number
+            assert words in refused["refused"]
         worker.send(replace(asked, number=4).line)
         assert worker.answer()["probability"] == expected.probability
 
@@ -102,7 +102,8 @@ def test_of_many_pictures_the_newest_is_answered(atlas, question):
         numbers = [0]
         while numbers[-1] < 40:
             numbers.append(worker.answer()["number"])
-    assert numbers == sorted(set(numbers)) and len(numbers) < 41
+    assert numbers == sorted(set(numbers))
+    assert len(numbers) < 41
 
 
 def test_what_is_wrong_at_its_start_is_said_in_a_sentence(tmp_path, atlas):
