@@ -22,8 +22,8 @@ from ..session.resident import Resident, answering
 from . import live, overlay
 
 _NAME = "Live Answer"
-_OFTEN, _SELDOM = 0.02, 0.2
-"""Seconds between two looks for an answer, and while the process starts."""
+_OFTEN, _SELDOM = 0.02, 0.3
+"""Seconds between two looks for an answer, and where none is awaited: the process may start, or die."""
 _MOST_STALLS = 100_000
 
 
@@ -51,6 +51,12 @@ def words() -> list[str]:
     if resident.ended or not resident.about:
         return [resident.words]
     return [resident.about, *_live.words]
+
+
+def waits() -> bool:
+    """Return whether an answer is on its way."""
+    resident = _live.resident
+    return resident is not None and not resident.ended and (not resident.about or _live.answered < _live.asked)
 
 
 def answers() -> int:
@@ -125,12 +131,14 @@ def _follow(shown: live.Whole | None) -> None:
                 colour_space=sweep_worker.colour_space(),
             )
         )
+        if bpy.app.timers.is_registered(_show):  # for later
+            bpy.app.timers.unregister(_show)
         state.once(_show, _OFTEN)
     _live.stalls.append(time.perf_counter() - start)
 
 
 def _show() -> float | None:
-    """Show an answer that has come; return the seconds to the next call, None if none is awaited."""
+    """Show an answer that has come; return the seconds to the next call, None if the process has ended."""
     resident = _live.resident
     if resident is None:
         return None
@@ -142,11 +150,12 @@ def _show() -> float | None:
         del _live.stalls[:-_MOST_STALLS]
     if resident.ended:
         _forget()
-    if resident.ended or not resident.about:
         state.redraw("VIEW_3D")
-    if resident.ended or (resident.about and _live.answered >= _live.asked):
         return None
-    return _OFTEN if resident.about else _SELDOM
+    if not resident.about:
+        state.redraw("VIEW_3D")
+        return _SELDOM
+    return _OFTEN if waits() else _SELDOM
 
 
 def _take(fields: dict[str, Any]) -> None:

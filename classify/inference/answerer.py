@@ -110,7 +110,7 @@ class Answerer(ABC):
     @property
     def words(self) -> str:
         """What answers, and by which pictures, in a sentence."""
-        return f"{self._path.name}, {self.what}, answers by {_sensor_words(self._sensor)}"
+        return f"{self._path.name} ({self.what}) answers by {_sensor_words(self._sensor)}"
 
     def look_at(self, seen: Seen) -> None:
         """Take a scene for the following pictures.
@@ -187,7 +187,7 @@ class ByModel(Answerer):
         self._model = model
         if any("+" in str(label) for label in model.estimator.classes_):
             raise NlosError(f"{path.name}: tells the voxels of several objects, and the look shows one")
-        self.what = f"a {model.about.get('classifier', 'model')}"
+        self.what = str(model.about.get("classifier", "model"))
         provenance = model.about.get("provenance")
         taken = provenance.get("sensor") if isinstance(provenance, dict) else None
         sensor = from_dict(Sensor, taken, f"{path.name}: sensor.") if taken else None
@@ -218,7 +218,7 @@ class ByModel(Answerer):
 class ByAtlas(Answerer):
     """Answers of an atlas, as ``nlos-classify locate`` gives them: if there is an object."""
 
-    what = "an atlas"
+    what = "atlas"
 
     def __init__(self, path: Path, atlas: Atlas) -> None:
         self._atlas = atlas

@@ -456,10 +456,11 @@ LIVE_ANSWER = (
             if look:
                 drawn()
             end = time.monotonic() + seconds
-            resident = live_answer._live.resident
-            while live_answer._show() is not None:
+            live_answer._show()
+            while live_answer.waits():
                 assert time.monotonic() < end, live_answer.words()
                 time.sleep(0.005)
+                live_answer._show()
             return dict(state.answer)
 
         def gone(pid):
