@@ -8,22 +8,25 @@ from typing import Any
 
 def _modules() -> tuple[Any, ...]:
     from . import handlers
-    from .operators import answer, dataset, scene
+    from .operators import answer, dataset, scene, timeline
     from .session import background
-    from .ui import live_answer_panel, menus, panels, properties, translations
-    from .view import caption, differs, live, live_answer, overlay
+    from .ui import live_answer_panel, menus, panels, properties, timeline_panel, translations
+    from .view import caption, differs, live, live_answer, overlay, path
 
     rest = (
         background,
         scene,
         dataset,
         answer,
+        timeline,
         menus,
         panels,
         live_answer_panel,
+        timeline_panel,
         overlay,
         live,
         live_answer,
+        path,
         differs,
         caption,
         handlers,

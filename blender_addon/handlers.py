@@ -5,6 +5,7 @@ from typing import Any
 import bpy
 from bpy.app.handlers import persistent
 
+from .operators import timeline
 from .session import background, state
 from .view import images, live, live_answer, overlay
 
@@ -25,6 +26,7 @@ def _after(*_: Any) -> None:
     background.drop()  # results of the running tasks would not apply to this file
     images.captions.clear()
     state.forget()
+    timeline.forget()
     session = bpy.context.window_manager.nlos
     # Blender may have taken the switches over from the file that was open.
     session.live_answer = session.look = session.overlay = False

@@ -136,7 +136,7 @@ class NLOS_OT_answer(bpy.types.Operator):
         settings = context.scene.nlos
         try:
             interpreter = environment.python()
-            model = environment.model(settings.model)
+            model = environment.chosen(settings.model, environment.MODEL)
             if state.shown is None:
                 raise NlosError("There is no picture yet: render the wall first")
             files = [background.folder() / f"{name}.exr" for name in ("asked", "asked-background")]

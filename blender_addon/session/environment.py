@@ -38,8 +38,8 @@ def python() -> str:
     return path
 
 
-def model(path: str) -> Path:
-    """Return the file of a model that was chosen.
+def chosen(path: str, what: str) -> Path:
+    """Return a file that was chosen; ``what`` it should be, in words.
 
     Raises
     ------
@@ -47,8 +47,12 @@ def model(path: str) -> Path:
         None is chosen, or it is not there.
     """
     if not path:
-        raise NlosError("Choose a model, trained by nlos-classify train (.skops)")
-    chosen = Path(bpy.path.abspath(path)).absolute()
-    if not os.path.isfile(chosen):  # false as well for a name that no file can have
-        raise NlosError(f"{chosen} is no such file; choose a model, trained by nlos-classify train")
-    return chosen
+        raise NlosError(f"Choose {what}")
+    found = Path(bpy.path.abspath(path)).absolute()
+    if not os.path.isfile(found):  # false as well for a name that no file can have
+        raise NlosError(f"{found} is no such file; choose {what}")
+    return found
+
+
+MODEL = "a model, trained by nlos-classify train (.skops)"
+ATLAS = "an atlas, made by nlos-classify atlas of pictures with --inside centre"

@@ -293,6 +293,29 @@ class NlosSettings(bpy.types.PropertyGroup):
         options=_READ,
         update=lambda settings, context: live_answer.restart(),
     )
+    timeline_folder: StringProperty(
+        name="Folder",
+        description="Where the pictures of the timeline go: a new or empty folder",
+        subtype="DIR_PATH",
+        default="//timeline",
+        options=_WRITTEN,
+    )
+    timeline_atlas: StringProperty(
+        name="Atlas",
+        description="Made by nlos-classify atlas, of pictures whose poses fill the volume (--inside centre)",
+        subtype="FILE_PATH",
+        default="",
+        options=_READ,
+    )
+    timeline_step: FloatProperty(
+        name="Process Noise",
+        description="How far the object may move between frames, along each axis, as a standard deviation: about twice its pace",
+        default=0.06,
+        min=1e-4,
+        soft_max=0.5,
+        precision=3,
+        unit="LENGTH",
+    )
 
 
 def _look_switched(session: Any) -> None:

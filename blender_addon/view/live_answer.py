@@ -78,7 +78,8 @@ def switch(on: bool) -> None:
         _live = _Live()
         try:
             launch = answering(environment.python())
-            request = AnswerPictures(model=environment.model(bpy.context.scene.nlos.model))
+            model = environment.chosen(bpy.context.scene.nlos.model, f"{environment.MODEL}, or an atlas")
+            request = AnswerPictures(model=model)
             _live.resident = Resident([launch], request, name=_NAME, starting="The model is read ...")
             state.once(_show, _SELDOM)
         except NlosError as error:

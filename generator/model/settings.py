@@ -97,8 +97,8 @@ class Sweep:
     @property
     def unused(self) -> tuple[str, ...]:
         """Settings without effect: neither the engine nor this kind of sweep (voxels or trajectory) uses them."""
-        kind = ("poses", "inside") if self.frames else ("frames", "pace")
-        kind = (*kind, "pace", "rotation") if self.timeline else kind
+        drawn = ("pace", "rotation") if self.timeline else ()
+        kind = ("poses", "inside", *drawn) if self.frames else ("frames", "pace")
         empty = tuple(name for name in ("leave_out", "vary", "timeline") if not getattr(self, name))
         return (*self.idle(self.engine), *kind, *empty, *(("targets",) if self.targets == 1 else ()))
 

@@ -755,3 +755,75 @@ def test_disable_enable_remove(package: Path, tmp_path: Path) -> None:
         assert not hasattr(bpy.types.Scene, "nlos") and not installed.exists()
         """,
     )
+
+
+@pytest.mark.slow
+def test_the_timeline_is_rendered_and_followed(
+    package: Path, tmp_path: Path, scene_file: Path, command: Callable[..., Any]
+) -> None:
+    """The path that is drawn is that of the frames; what stands still, or moves besides, is told in a sentence."""
+    sets, atlas, walk = tmp_path / "centre", tmp_path / "centre.atlas", tmp_path / "walk"
+    some = ("--pictures", "900", "--resolution", "16", "--accuracy", "1e-2", "--inside", "centre", "--no-probe")
+    made = command("generator", "bulk", scene_file, "-o", sets, *some, "--rotation", 0, 0, 0, process=True)
+    assert made.returncode == 0, made.stderr
+    assert command("classify", "atlas", sets, "-o", atlas, "--sensor", "default", "--frames", 10).returncode == 0
+    blender(
+        package,
+        tmp_path,
+        f"""
+        timeline, path, dataset, state = (
+            module(name) for name in ("operators.timeline", "view.path", "operators.dataset", "session.state")
+        )
+        bpy.context.preferences.addons[MODULE].preferences.python = sys.executable
+        bpy.ops.nlos.build_scene()
+        settings.engine, settings.resolution, settings.workers = "patch", (16, 16), 1
+        settings.samples, settings.timeline_folder = 4, {str(walk)!r}
+        scene.frame_start, scene.frame_end, scene.frame_step = 3, 11, 4
+        target = roles.find(scene, "target")
+
+        def rendered():
+            assert bpy.ops.nlos.timeline_render() == {{"FINISHED"}}
+            dataset.job._task._thread.join()
+            dataset.job._ended(dataset.job._task)
+            return dataset.job.status()
+
+        assert "'Target' stands still from frame 3 to frame 11" in rendered()
+        places = ((1.3, 1.2, 1.3), (1.7, 1.4, 1.3))
+        for frame, place in zip((3, 11), places):
+            target.location = place
+            target.keyframe_insert("location", frame=frame)
+        lamp = roles.find(scene, "spot").data
+        energy = lamp.energy
+        for frame, lamp.energy in ((3, energy), (11, 2.0 * energy)):
+            lamp.keyframe_insert("energy", frame=frame)
+        assert "energy of 'Spot' changes" in rendered(), dataset.job.status()
+        lamp.animation_data_clear()
+        lamp.energy = energy
+        assert rendered() == "Finished: 3 of 3 pictures", dataset.job.status()
+        assert "holds a data set already" in refused(bpy.ops.nlos.timeline_render)
+        assert "Choose an atlas" in refused(bpy.ops.nlos.timeline_follow)
+        settings.timeline_atlas, settings.timeline_folder = {str(atlas)!r}, {str(tmp_path / "elsewhere")!r}
+        assert "render the timeline first" in refused(bpy.ops.nlos.timeline_follow)
+        settings.timeline_folder = {str(walk)!r}
+        settings.timeline_step = 0.3
+        assert bpy.ops.nlos.timeline_follow() == {{"FINISHED"}}
+        shown = path.shown()
+        assert shown is not None, timeline.words
+        assert shown.numbers == (3, 7, 11) and bpy.context.window_manager.nlos.overlay
+        for index, frame in enumerate(shown.numbers):
+            scene.frame_set(frame)
+            assert path.current(frame) == index and path.current(frame + 1) is None
+            assert np.allclose(shown.truth[index], target.matrix_world.translation, atol=1e-5)
+        assert timeline.words[0].startswith("Median error ") and "of 3 frames inside" in timeline.words[0]
+        # Every corner of a region is as improbable as its neighbours: chi-square with three degrees of freedom.
+        covariance = np.diag([0.01, 0.04, 0.09])
+        corners = path.path([1], [[0, 0, 0]], [[0, 0, 0]], [covariance]).regions.reshape(-1, 3)
+        assert np.allclose(np.einsum("ni,ij,nj->n", corners, np.linalg.inv(covariance), corners), 7.815, atol=1e-2)
+
+        settings.timeline_atlas = {str(scene_file)!r}
+        bpy.ops.nlos.timeline_follow()
+        assert len(timeline.words) == 1 and "room.blend: is not an atlas" in timeline.words[0], timeline.words
+        bpy.ops.wm.read_homefile(use_empty=True)
+        assert path.shown() is None and not path._handles and not timeline.words
+        """,
+    )

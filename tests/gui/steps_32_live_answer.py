@@ -20,7 +20,7 @@ esac
 """
 ANSWERS = """
 import json, sys
-print('nlos {"ready": true, "words": "sheet.skops, a stand-in"}', flush=True)
+print('nlos {"ready": true, "words": "sheet.skops stands in"}', flush=True)
 for line in sys.stdin:
     asked = json.loads(line)
     n = asked["grid"]["shape"][0] * asked["grid"]["shape"][1] * asked["grid"]["shape"][2]
@@ -44,17 +44,17 @@ def environment():
 def answers():
     roles, live_answer = module("generator.blender.scene.roles"), module("view.live_answer")
     state, looking = module("session.state"), module("view.live")
-    session, settings = bpy.context.window_manager.nlos, bpy.context.scene.nlos
-    call(bpy.ops.nlos.open_image_editor)
+    session = bpy.context.window_manager.nlos
     session.overlay, session.show_poses = True, False
-    settings.look_resolution, settings.look_shadows = "64", True
     yield from tab("NLOS")
     for number, (python, model) in enumerate(environment()):
         bpy.context.preferences.addons[MODULE].preferences.python = python
-        settings.model = model
+        settings = bpy.context.scene.nlos  # another one after undo
+        settings.look_resolution, settings.look_shadows, settings.model = "64", True, model
         session.live_answer = True
         check(session.look, "it switches the look on")
-        yield from until(lambda: state.answer, "the first answer comes", 120.0)
+        name = model.rpartition("/")[2]
+        yield from until(lambda name=name: state.answer and name in live_answer.words()[0], f"{name} answers", 120.0)
         target = roles.find(bpy.context.scene, "target")
         place = tuple(target.location)
         looking.stalls(clear=True)

@@ -1,4 +1,4 @@
-"""The target's way along the timeline: its pose at each frame, as a render sees it; and what else changes meanwhile."""
+"""The target's way along the timeline: its pose at each frame as a render sees it, and what else changes."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""An animated target's poses are those of the frames, with all that moves it; what else changes is refused by name."""
+"""An animated target's poses are those of the frames, with all that moves it; other changes are refused by name."""
 
 from __future__ import annotations
 
@@ -185,5 +185,5 @@ def test_a_frame_where_it_cannot_stand_is_named():
     assert [record.file for record in records] == ["frames/00000.exr", "frames/00001.exr"]
     with pytest.raises(NlosError, match=r"frame 15: the target, at .* m, is outside the hidden voxels"):
         poses.along(grid, sweep, [(inside, still), (outside, still)])
-    with pytest.raises(NlosError, match="frame 10: .* cuts a surface"):
+    with pytest.raises(NlosError, match=r"frame 10: .* cuts a surface"):
         poses.along(grid, sweep, [(inside, still)] * 2, lambda *_: False)
