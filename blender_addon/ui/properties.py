@@ -309,7 +309,7 @@ class NlosSettings(bpy.types.PropertyGroup):
     )
     timeline_step: FloatProperty(
         name="Process Noise",
-        description="How far the object may move between frames, along each axis, as a standard deviation: about twice its pace",
+        description="How far the object may move from frame to frame, a standard deviation: about twice its pace",
         default=0.06,
         min=1e-4,
         soft_max=0.5,

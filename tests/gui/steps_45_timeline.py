@@ -9,7 +9,7 @@ import bpy
 import numpy as np
 from helpers import MODULE, WORK, call, check, module, redraw, say, screenshot, tab, until, view3d
 
-# They stand for an environment with NLOS Lab: what is tested here is how the extension asks and shows, not the tracker.
+# They stand for an environment with NLOS Lab: tested is how the extension asks and shows, not the tracker.
 PYTHON = """#!/bin/sh
 exec /usr/bin/python3 "$(dirname "$0")/track.py" "$@"
 """
