@@ -112,7 +112,7 @@ def ends():
     worker = live_answer._live.resident._worker
     worker.kill()
     yield from until(lambda: "has ended" in live_answer.words()[0], "a process that dies is told")
-    check(not state.answer, "and its answer taken away")
+    yield from until(lambda: not state.answer, "and its answer taken away")
     session.live_answer = False
     session.live_answer = True
     yield from until(lambda: live_answer._live.resident.about, "it starts again", 120.0)

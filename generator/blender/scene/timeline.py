@@ -20,8 +20,10 @@ from generator.model.poses import Pose
 
 _SAME = 1e-5
 """Metres, or share of a value, below which two frames count as equal."""
-_TRANSFORMS = ("location", "rotation", "scale", "delta_", "constraints", "pose", "modifiers")
+_TRANSFORMS = ("location", "rotation", "scale", "delta_", "constraints", "pose", "modifiers", "hide_viewport")
 """Starts of the paths of what moves or shapes an object, which is seen by where its surface is."""
+_CUSTOM = '["'
+"""Start of the paths of custom properties."""
 
 
 @dataclass(frozen=True)
@@ -175,8 +177,10 @@ def _values(scene: bpy.types.Scene, parts: Sequence[bpy.types.Object]) -> Iterat
                 trees += [node.node_tree for node in tree.nodes if getattr(node, "node_tree", None)]
     for block, name in blocks.items():
         for path in moving_paths(block):
-            if isinstance(block, bpy.types.Object) and path.startswith(_TRANSFORMS):
-                continue
+            if isinstance(block, bpy.types.Object):
+                drives = path.startswith(_CUSTOM) and (block in parts or block.type in ("EMPTY", "ARMATURE"))
+                if drives or path.startswith(_TRANSFORMS):
+                    continue  # a custom property of the target or of a rig may drive the target
             if isinstance(block, bpy.types.Scene) and not path.endswith("bounces"):
                 continue  # all else that lights a scene belongs to other blocks, or is replaced (`replaced`)
             try:

@@ -109,9 +109,8 @@ def test_of_many_pictures_the_newest_is_answered(atlas, question):
 def test_what_is_wrong_at_its_start_is_said_in_a_sentence(tmp_path, atlas):
     broken = tmp_path / "broken.skops"
     broken.write_bytes(b"PK")
-    for path, words in ((broken, "is not a model file"), (tmp_path / "absent", "no such model file")):
-        with begun(path) as worker, pytest.raises(NlosError, match=words):
-            worker.answer()
+    with begun(broken) as worker, pytest.raises(NlosError, match="is not a model file"):
+        worker.answer()
 
     def poor(arguments):
         code = "import sys, runpy; sys.modules['sklearn'] = None; "

@@ -28,7 +28,10 @@ def scene():
 
 def keyed(obj, name="location", values=((1.2, 1.2, 1.3), (1.6, 1.4, 1.3)), frames=(1, 9)):
     for frame, value in zip(frames, values, strict=True):
-        setattr(obj, name, value)
+        if name.startswith("["):
+            obj[name[2:-2]] = value
+        else:
+            setattr(obj, name, value)
         obj.keyframe_insert(name, frame=frame)
 
 
@@ -71,7 +74,17 @@ def by_a_driver(scene, target):
     target.location.y, target.location.z = 1.2, 1.3
 
 
-@pytest.mark.parametrize("moved", [by_keys, by_a_parent, by_a_constraint, by_a_driver])
+def by_a_custom_property(scene, target):
+    target["way"] = 0.0
+    keyed(target, '["way"]', (0.0, 0.4))
+    driver = target.driver_add("location", 0).driver
+    variable = driver.variables.new()
+    variable.name, variable.targets[0].id, variable.targets[0].data_path = "way", target, '["way"]'
+    driver.expression = "1.2 + way"
+    target.location.y, target.location.z = 1.2, 1.3
+
+
+@pytest.mark.parametrize("moved", [by_keys, by_a_parent, by_a_constraint, by_a_driver, by_a_custom_property])
 @pytest.mark.parametrize("frames", [(), (2, 8, 3)])
 def test_poses_are_those_of_the_frames(scene, moved, frames):
     target = roles.find(scene, "target")
