@@ -8,11 +8,11 @@ from typing import Any
 
 def _modules() -> tuple[Any, ...]:
     from . import handlers
-    from .operators import answer, assets, dataset, scene
+    from .operators import answer, assets, dataset, scene, timeline
     from .session import background
     from .ui import assets as assets_panel
-    from .ui import menus, panels, properties
-    from .view import caption, differs, live, overlay
+    from .ui import live_answer_panel, menus, panels, properties, timeline_panel
+    from .view import caption, differs, live, live_answer, overlay, path
 
     rest = (
         background,
@@ -20,11 +20,16 @@ def _modules() -> tuple[Any, ...]:
         dataset,
         answer,
         assets,
+        timeline,
         menus,
         panels,
         assets_panel,
+        live_answer_panel,
+        timeline_panel,
         overlay,
         live,
+        live_answer,
+        path,
         differs,
         caption,
         handlers,

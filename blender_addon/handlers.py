@@ -5,18 +5,20 @@ from typing import Any
 import bpy
 from bpy.app.handlers import persistent
 
+from .operators import timeline
 from .session import background, state
-from .view import images, live, overlay, target_file
+from .view import images, live, live_answer, overlay, target_file
 
 
 @persistent  # type: ignore[untyped-decorator]
 def _before(*_: Any) -> None:
     """Switch off the live picture and the overlay: nothing that follows a scene may outlive it."""
     manager = bpy.context.window_manager
+    live_answer.switch(False)
     live.switch(False)
     overlay.switch(False)
     if manager is not None:
-        manager.nlos.look = manager.nlos.overlay = False
+        manager.nlos.live_answer = manager.nlos.look = manager.nlos.overlay = False
 
 
 @persistent  # type: ignore[untyped-decorator]
@@ -25,9 +27,10 @@ def _after(*_: Any) -> None:
     images.captions.clear()
     state.forget()
     target_file.forget()
+    timeline.forget()
     session = bpy.context.window_manager.nlos
     # Blender may have taken the switches over from the file that was open.
-    session.look = session.overlay = False
+    session.live_answer = session.look = session.overlay = False
 
 
 def register() -> None:

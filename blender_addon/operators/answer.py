@@ -6,7 +6,6 @@ from __future__ import annotations
 
 import contextlib
 import json
-import os
 import subprocess
 import threading
 import time
@@ -137,11 +136,7 @@ class NLOS_OT_answer(bpy.types.Operator):
         settings = context.scene.nlos
         try:
             interpreter = environment.python()
-            if not settings.model:
-                raise NlosError("Choose a model, trained by nlos-classify train (.skops)")
-            model = Path(bpy.path.abspath(settings.model)).absolute()
-            if not os.path.isfile(model):
-                raise NlosError(f"{model} is no such file; choose a model, trained by nlos-classify train")
+            model = environment.chosen(settings.model, environment.MODEL)
             if state.shown is None:
                 raise NlosError("There is no picture yet: render the wall first")
             files = [background.folder() / f"{name}.exr" for name in ("asked", "asked-background")]

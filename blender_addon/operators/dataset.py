@@ -134,14 +134,18 @@ def _status_bar(text: str | None) -> None:
 
 
 def folder(scene: Any) -> Path:
-    """Return the data set's folder.
+    """Return the data set's folder; raise NlosError as `named` does."""
+    return named(scene.nlos.dataset)
+
+
+def named(name: str) -> Path:
+    """Return the folder of a data set by the name in the panel.
 
     Raises
     ------
     NlosError
         No folder is named, it is relative to a file that is not saved, or its path cannot be used.
     """
-    name = scene.nlos.dataset
     if not name:
         raise NlosError("Name a folder for the data set")
     if name.startswith("//") and not bpy.data.filepath:
@@ -154,7 +158,9 @@ def folder(scene: Any) -> Path:
     return path
 
 
-class _Running:
+class Running:
+    """An operator that renders a data set, of which there is one at a time."""
+
     @classmethod
     def poll(cls: Any, context: Any) -> bool:
         """Return whether no other data set is being rendered."""
@@ -173,7 +179,7 @@ class _Running:
         return {"FINISHED"}
 
 
-class NLOS_OT_sweep_start(_Running, bpy.types.Operator):
+class NLOS_OT_sweep_start(Running, bpy.types.Operator):
     """Render the object at many poses in every voxel, in Blenders without windows. This one stays free"""
 
     bl_idname = "nlos.sweep_start"
@@ -221,7 +227,7 @@ class NLOS_OT_sweep_start(_Running, bpy.types.Operator):
         )
 
 
-class NLOS_OT_sweep_resume(_Running, bpy.types.Operator):
+class NLOS_OT_sweep_resume(Running, bpy.types.Operator):
     """Render what the data set in the folder still lacks, with the scene and settings that it was begun with"""
 
     bl_idname = "nlos.sweep_resume"

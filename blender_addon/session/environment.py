@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+from pathlib import Path
 
 import bpy
 
@@ -35,3 +36,23 @@ def python() -> str:
     if not os.path.isfile(path):  # false as well for a name that no file can have
         raise NlosError(f"{path} (Preferences > Add-ons > NLOS Lab) is no file; name the Python of an environment")
     return path
+
+
+def chosen(path: str, what: str) -> Path:
+    """Return a file that was chosen; ``what`` it should be, in words.
+
+    Raises
+    ------
+    NlosError
+        None is chosen, or it is not there.
+    """
+    if not path:
+        raise NlosError(f"Choose {what}")
+    found = Path(bpy.path.abspath(path)).absolute()
+    if not os.path.isfile(found):  # false as well for a name that no file can have
+        raise NlosError(f"{found} is no such file; choose {what}")
+    return found
+
+
+MODEL = "a model, trained by nlos-classify train (.skops)"
+ATLAS = "an atlas, made by nlos-classify atlas of pictures with --inside centre"

@@ -46,6 +46,7 @@ class NLOS_MT_main(bpy.types.Menu):
         layout.operator("nlos.check")
         layout.prop(session, "overlay")
         layout.prop(session, "look")
+        layout.prop(session, "live_answer")
         layout.operator("nlos.open_image_editor")
         layout.operator("nlos.render_wall")
         for number in (1, 2, 3):
@@ -54,7 +55,7 @@ class NLOS_MT_main(bpy.types.Menu):
         for name in ("sweep_start", "sweep_resume", "sweep_cancel", "open_folder"):
             layout.operator(f"nlos.{name}")
         layout.separator()
-        for name in ("answer", "forget_answer", "test_environment"):
+        for name in ("answer", "forget_answer", "timeline_render", "timeline_follow", "test_environment"):
             layout.operator(f"nlos.{name}")
 
 

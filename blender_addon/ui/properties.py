@@ -30,7 +30,7 @@ from generator.model.scene import Scene, Spot, Target
 from generator.model.settings import Sweep
 
 from ..draft import PREFERENCES, ROOM, fill
-from ..view import live, overlay
+from ..view import live, live_answer, overlay
 
 _READ = {"PATH_SUPPORTS_BLEND_RELATIVE"} if bpy.app.version >= (4, 5, 0) else set()
 _WRITTEN = _READ and {*_READ, "OUTPUT_PATH"}
@@ -313,11 +313,47 @@ class NlosSettings(bpy.types.PropertyGroup):
     )
     model: StringProperty(
         name="Model",
-        description="Trained by nlos-classify train (.skops)",
+        description="Trained by nlos-classify train (.skops); Live Answer takes an atlas too (nlos-classify atlas)",
+        subtype="FILE_PATH",
+        default="",
+        options=_READ,
+        update=lambda settings, context: live_answer.restart(),
+    )
+    timeline_folder: StringProperty(
+        name="Folder",
+        description="Where the pictures of the timeline go: a new or empty folder",
+        subtype="DIR_PATH",
+        default="//timeline",
+        options=_WRITTEN,
+    )
+    timeline_atlas: StringProperty(
+        name="Atlas",
+        description="Made by nlos-classify atlas, of pictures whose poses fill the volume (--inside centre)",
         subtype="FILE_PATH",
         default="",
         options=_READ,
     )
+    timeline_step: FloatProperty(
+        name="Process Noise",
+        description="How far the object may move from frame to frame, a standard deviation: about twice its pace",
+        default=0.06,
+        min=1e-4,
+        soft_max=0.5,
+        precision=3,
+        unit="LENGTH",
+    )
+
+
+def _look_switched(session: Any) -> None:
+    live.switch(session.look)
+    if not session.look and session.live_answer:
+        session.live_answer = False
+
+
+def _live_answer_switched(session: Any) -> None:
+    live_answer.switch(session.live_answer)
+    if session.live_answer and not session.look:
+        session.look = True
 
 
 class NlosSession(bpy.types.PropertyGroup):
@@ -327,7 +363,14 @@ class NlosSession(bpy.types.PropertyGroup):
         name="Live Look",
         description="Show what the hidden object does to the wall, and follow it as it is moved",
         options={"SKIP_SAVE"},
-        update=lambda session, context: live.switch(session.look),
+        update=lambda session, context: _look_switched(session),
+    )
+    live_answer: BoolProperty(
+        name="Live Answer",
+        description="Ask the model about every whole picture of the live look, and show in the overlay how probable "
+        "each voxel is",
+        options={"SKIP_SAVE"},
+        update=lambda session, context: _live_answer_switched(session),
     )
     overlay: BoolProperty(
         name="Overlay",

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import math
 import time
+from collections.abc import Callable
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -24,6 +25,7 @@ from generator.blender.scene.description import read_scene
 from generator.jobs.protocol import Question
 from generator.model.engines import AUTO
 from generator.model.errors import NlosError
+from generator.model.scene import Scene
 from generator.transport.world_file import save_world
 
 from ..session import background, state
@@ -41,6 +43,32 @@ _OFTEN, _SOON = 0.01, 0.02
 draws its window next, which takes longer than most answers."""
 
 _TIMES, _MOST_STALLS = 400, 100_000
+
+
+@dataclass(frozen=True)
+class Whole:
+    """A whole picture that is shown, and what it is of.
+
+    Attributes
+    ----------
+    number : int
+        Of its question; rises.
+    fields : dict
+        The answer of the process that drew it.
+    world : str
+        File of what it drew.
+    scene : Scene
+        The scene when it was read for that.
+    """
+
+    number: int
+    fields: dict[str, Any]
+    world: str
+    scene: Scene
+
+
+followers: list[Callable[[Whole | None], None]] = []
+"""Called with each whole picture that is shown, and with None where what was shown is not so any more."""
 
 
 @dataclass
@@ -64,6 +92,8 @@ class _Look:
 
     resident: Resident | None = None
     world: Path | None = None
+    described: Scene | None = None
+    last: Whole | None = None
     watched: Any = None
     reference: float = 0.0
     scene: str = ""
@@ -118,6 +148,16 @@ def seconds() -> list[float]:
 def whole() -> tuple[list[float], list[float]]:
     """Return the seconds from a change to its first picture with shadows and to its whole one, of the last ones."""
     return list(_look.with_shadows), list(_look.whole)
+
+
+def first() -> int:
+    """Return the number of the first question about the scene as it is."""
+    return _look.first
+
+
+def last() -> Whole | None:
+    """Return the last whole picture that was shown; None if what was shown is not so any more."""
+    return _look.last
 
 
 def stalls(*, clear: bool = False) -> list[float]:
@@ -252,9 +292,7 @@ def _ask() -> float | None:
             return None
     except NlosError as error:
         _look.twice = check.played_twice(scene)
-        _say(str(error))
-        images.darken()
-        state.redraw("IMAGE_EDITOR", "VIEW_3D")
+        _refuse(str(error))
         return None
     finally:
         _note_stall(start)
@@ -277,9 +315,7 @@ def _show(patience: float = 0.0) -> float | None:
         return _OFTEN
     if "refused" in fields:
         _look.shown = number
-        _say(fields["refused"])
-        images.darken()
-        state.redraw("IMAGE_EDITOR", "VIEW_3D")
+        _refuse(fields["refused"])
         return _OFTEN if waits() else None
     images.look(pixels(fields), _look.watched, _look.reference)
     since = time.perf_counter() - _look.at[number]
@@ -289,6 +325,8 @@ def _show(patience: float = 0.0) -> float | None:
     _look.latest, _look.pictures = number, _look.pictures + 1
     if is_whole:
         _look.shown, _look.whole = number, [*_look.whole[-_TIMES:], since]
+        assert _look.described is not None
+        _tell(Whole(number, fields, str(_look.world), _look.described))
     if is_shadowed and _look.shadowed < number:
         _look.shadowed, _look.with_shadows = number, [*_look.with_shadows[-_TIMES:], since]
     follows = "" if is_whole else ", a finer one follows" if is_shadowed else ", shadows follow"
@@ -296,6 +334,19 @@ def _show(patience: float = 0.0) -> float | None:
     state.redraw("IMAGE_EDITOR", "VIEW_3D")
     _note_stall(start)
     return _OFTEN if waits() else None
+
+
+def _refuse(text: str) -> None:
+    _say(text)
+    images.darken()
+    state.redraw("IMAGE_EDITOR", "VIEW_3D")
+    _tell(None)
+
+
+def _tell(shown: Whole | None) -> None:
+    _look.last = shown
+    for follow in followers:
+        follow(shown)
 
 
 def _say(text: str) -> None:
@@ -341,6 +392,7 @@ def _read(scene: Any) -> None:
     if world is None:
         raise NlosError(f"No live picture: {surveyed.reasons('surfel')[0]}{_instead(scene, surveyed)}")
     _look.first, _look.watched, _look.reference = _look.asked + 1, world.watched, described.reference_radiance
+    _look.described = described
     path = background.folder() / f"look-{_look.first}.npz"
     save_world(path, world)
     _look.world, _look.pose, _look.twice = path, None, []

@@ -231,6 +231,7 @@ class Frame:
     label: str = described("the most probable voxel, if there is an object")
     position: list[float] = described("where it is then, metres")
     deviation: list[float] = described("standard deviation of that along x, y and z, metres")
+    covariance: list[list[float]] = described("covariance of the position, m^2: its 95 % region is an ellipsoid")
     true_position: list[float] = described("where the object stands, metres")
 
 
@@ -464,6 +465,7 @@ def run_track(options: argparse.Namespace) -> Answer:
                 label=atlas.grid.labels[step.voxels.argmax()],
                 position=step.position.tolist(),
                 deviation=np.sqrt(np.diag(step.covariance)).tolist(),
+                covariance=step.covariance.tolist(),
                 true_position=list(record.position),
             )
             for record, step, there in zip(tracked.records, tracked.steps, tracked.there, strict=True)

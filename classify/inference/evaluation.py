@@ -229,20 +229,29 @@ def draw(
     return figure
 
 
-def doubts(atlas: Atlas, dataset: PictureSet, camera: Camera) -> list[str]:
-    """Return what speaks against answers about a data set: another scene or another object than the atlas is of."""
+def doubts(atlas: Atlas, kind: str, *, level: float, mismatch: float) -> list[str]:
+    """Return what speaks against answers about pictures: another scene or another object than the atlas is of.
+
+    Parameters
+    ----------
+    atlas : Atlas
+    kind : str
+        Kind of the target in the pictures.
+    level, mismatch : float
+        As of `Camera`.
+    """
     sentences = []
-    if camera.mismatch:
+    if mismatch:
         sentences.append(
-            f"do not rely on these answers: the empty scene differs from that of the atlas by {camera.mismatch:.1%} "
+            f"do not rely on these answers: the empty scene differs from that of the atlas by {mismatch:.1%} "
             "in shape, so room, lamp or view are others; make the atlas of this scene"
         )
-    if camera.level != 1.0:
+    if level != 1.0:
         sentences.append(
-            f"exposed {camera.level:.3g} times as long as the atlas, so that the empty scene is as bright as there: "
+            f"exposed {level:.3g} times as long as the atlas, so that the empty scene is as bright as there: "
             "right if the relay wall, the lamp or the camera is another, wrong if the room is"
         )
-    kinds, kind = atlas.about["targets"], dataset.target_kind
+    kinds = atlas.about["targets"]
     if "box" not in kinds and kind not in kinds:  # an atlas of unknown boxes is asked about any object
         sentences.append(f"the atlas is of a {' and a '.join(kinds)}, and these pictures are of a {kind}")
     return sentences
@@ -335,6 +344,14 @@ def run(
         labels=tuple(atlas.grid.labels),
         seconds=np.array(seconds),
         level=camera.level,
-        doubts=tuple(filter(None, [*doubts(atlas, dataset, camera), doubt(np.array(misfits))])),
+        doubts=tuple(
+            filter(
+                None,
+                [
+                    *doubts(atlas, dataset.target_kind, level=camera.level, mismatch=camera.mismatch),
+                    doubt(np.array(misfits)),
+                ],
+            )
+        ),
         misfits=np.array(misfits),
     )

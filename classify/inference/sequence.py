@@ -286,7 +286,10 @@ def run(
     refuse_shared(atlas.positions, positions, "the atlas", str(dataset.path))
     tracker = Filter(atlas, step=step)
     camera = Camera(dataset, atlas.sensor, seed, like=atlas.background)
-    pursuit = TrackedSequence(held_out(atlas, step=step, seed=seed), doubts(atlas, dataset, camera))
+    pursuit = TrackedSequence(
+        held_out(atlas, step=step, seed=seed),
+        doubts(atlas, dataset.target_kind, level=camera.level, mismatch=camera.mismatch),
+    )
     background, clean = camera.background(), camera.empty()
     rng = np.random.default_rng([seed, 6])
     for record in _frames(dataset, patience):

@@ -290,7 +290,7 @@ class Camera:
         self._dataset = dataset
         self._seed = seed
         background = dataset.background()
-        self.level, self.mismatch = (1.0, 0.0) if like is None else _level(_grey(background), like)
+        self.level, self.mismatch = (1.0, 0.0) if like is None else level_between(_grey(background), like)
         self._set = _identity(dataset, background)
         pictures = itertools.chain([background], map(dataset.picture, dataset.records))
         self.sensor = sensor.exposed(pictures)
@@ -320,8 +320,21 @@ class Camera:
         return self.sensor.measure(clean, rng, pattern=self._seed)
 
 
-def _level(own: Array, wanted: Array) -> tuple[float, float]:
-    """Return the factor from one picture to another, 1 if they do not differ in level alone, and how they differ."""
+def level_between(own: Array, wanted: Array) -> tuple[float, float]:
+    """Return the factor from one picture to another, and how they differ.
+
+    Parameters
+    ----------
+    own, wanted : ndarray of shape (height, width)
+        W/m^2/sr.
+
+    Returns
+    -------
+    level : float
+        Factor; 1 where it is within 1 % of that, or the pictures do not differ in level alone.
+    mismatch : float
+        Relative root mean square by which they differ in shape, if by more than 2 %.
+    """
     if own.shape != wanted.shape or not (own.any() and wanted.any()):
         return 1.0, 0.0
     factor = float((own * wanted).sum() / (own * own).sum())

@@ -20,7 +20,7 @@ from generator.blender.engines import renderers, simplify, survey
 from generator.blender.engines.devices import require_gpu
 from generator.blender.engines.renderer import Renderer, Shot
 from generator.blender.engines.settings import settled
-from generator.blender.scene import blend_file, geometry, references, replaced, roles
+from generator.blender.scene import blend_file, geometry, references, replaced, roles, timeline
 from generator.blender.scene.clearance import clearance
 from generator.blender.scene.copies import Copies
 from generator.blender.scene.description import read_scene
@@ -86,6 +86,10 @@ def plan(
     check_no_set(path)
     linked = links.recorded(references.refuse(source), path)
     references.require(scene, source)  # of a scene that was open before, as in `batch`
+    walk = None
+    if "timeline" in chosen:
+        walk = timeline.take(scene, chosen["timeline"])
+        chosen = {**chosen, "timeline": walk.frames, "frames": len(walk.poses)}
     described = read_scene(scene)
     roles.refuse_hidden(scene)
     sweep, reasons = settled(scene, described, chosen)
@@ -100,19 +104,21 @@ def plan(
     for words in doubts.lines:
         tell(words)
     Varying(scene, sweep.variations)  # raises now, and not later, if a value cannot vary
-    records = placed(scene, described, sweep)
+    records = placed(scene, described, sweep, walk)
     simplify.apply(scene, sweep.leave_out)
     with renderers.opened(scene, sweep.engine, **renderers.settings(sweep)) as renderer:
         pass  # raises now, and not later, if the engine cannot render the scene
     meta = _described(scene, described, sweep, source)
     meta["engine_reasons"] = reasons
+    if walk is not None:
+        meta["frames_per_second"] = walk.fps
     meta |= {name: value for name, value in (("forced", doubts.errors), ("links", linked)) if value}
     with start_check.withdrawn(path, SCENE):
         blend_file.save_file(path / SCENE)
         if probe:
             meta["start_check"] = start_check.run(
                 path / SCENE,
-                path / SCENE if sweep.leave_out or reference is None else reference,
+                path / SCENE if sweep.leave_out or walk or reference is None else reference,
                 links.of_dataset(linked, path),
                 meta,
                 records[0],
@@ -174,11 +180,15 @@ def doubted(scene: bpy.types.Scene, sweep: Sweep, *, force: bool) -> misgivings.
     return doubts
 
 
-def placed(scene: bpy.types.Scene, described: Scene, sweep: Sweep) -> list[PoseRecord]:
+def placed(
+    scene: bpy.types.Scene, described: Scene, sweep: Sweep, walk: timeline.Timeline | None = None
+) -> list[PoseRecord]:
     """Return the poses of a sweep, clear of all surfaces, also of those that are left out of the pictures."""
     with Overrides() as overrides:
         geometry.shape_pictures(scene, sweep.resolution, overrides)  # the camera's view depends on their shape
         is_free = clearance(scene, described, engine=sweep.engine)
+    if walk is not None:
+        return poses.along(described.grid, sweep, walk.poses, is_free)
     planner = poses.trajectory if sweep.frames else poses.plan
     return planner(described.grid, sweep, geometry.hull(scene), is_free)
 

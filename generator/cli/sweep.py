@@ -79,11 +79,19 @@ def _add_trajectory(commands: Commands) -> None:
         "trajectory",
         help="render a data set of a target that moves: frame after frame, for track",
         description="As sweep does, but the target walks through the voxels, straight from one random pose to the "
-        "next, and its pictures are frames, one after the other.",
+        "next, or as it is animated in Blender, and its pictures are frames, one after the other.",
         epilog="example:\n  nlos-generate trajectory room.blend -o walk/ --frames 200 --pace 0.03 --engine surfel",
     )
     parser.add_argument("scene", type=Path, help="the .blend file")
     add_sweep_options(parser, frames=True)
+    group_of(parser, "poses and pictures").add_argument(
+        "--timeline",
+        nargs="?",
+        const=(),
+        type=_timeline,
+        metavar="FIRST:LAST[:STEP]",
+        help="move the target as the .blend animates it, in these frames (default of FIRST:LAST:STEP: the scene's)",
+    )
     farm_options(parser).add_argument(
         "--workers", type=int, default=0, metavar="W", help="processes (default: one per core; on a GPU four)"
     )
@@ -96,7 +104,8 @@ def run_sweep(options: argparse.Namespace) -> Answer:
 
     budget, accuracy = getattr(options, "budget", None), 0.0
     noisy = options.engine in ENGINES and ENGINES[options.engine].noisy
-    if budget or (noisy and not getattr(options, "frames", None)):
+    walks = getattr(options, "frames", None) or getattr(options, "timeline", None) is not None
+    if budget or (noisy and not walks):
         # Here the accuracy is a goal that decides on settings, and not a setting itself.
         accuracy, options.accuracy = options.accuracy or 0.0, None
     request = SweepRequest(
@@ -136,13 +145,33 @@ def _job_option(text: str) -> tuple[str, Any]:
     return name, int(value) if value.isdecimal() else value
 
 
+def _timeline(text: str) -> tuple[int, ...]:
+    parts = text.split(":")
+    if not (2 <= len(parts) <= 3 and all(part.removeprefix("-").isdecimal() for part in parts)):
+        raise argparse.ArgumentTypeError(f"{text!r} must read FIRST:LAST or FIRST:LAST:STEP, for example 1:250:2")
+    first, last, step = (*map(int, parts), 1)[:3]
+    if first > last or step < 1:
+        raise argparse.ArgumentTypeError(f"{text!r} must begin before it ends, with a step of 1 or more")
+    return first, last, step
+
+
 def run_trajectory(options: argparse.Namespace) -> Answer:
     """Render a trajectory, or what is missing of it."""
-    if options.frames is None:
-        from generator.sets.dataset import Dataset
+    from generator.sets.dataset import Dataset
 
-        settings = Dataset.open(options.output).settings if Dataset.exists(options.output) else {}
+    settings: dict[str, Any] = {}
+    if Dataset.exists(options.output):
+        settings = Dataset.open(options.output).settings
+    if options.timeline is not None:
+        for name in ("frames", "pace", "rotation"):
+            if getattr(options, name) is not None:
+                raise NlosError(f"--{name}: follows from the animation; leave it out, or --timeline")
+        if settings and not options.timeline:
+            if not settings.get("timeline"):
+                raise NlosError(f"{options.output}: holds no trajectory of a timeline; name another folder")
+            options.timeline = tuple(settings["timeline"])
+    elif options.frames is None and not settings.get("timeline"):
         options.frames = settings.get("frames", FRAMES)
-    if options.frames < 1:
+    if options.frames is not None and options.frames < 1:
         raise NlosError(f"--frames {options.frames}: must be 1 or more")
     return run_sweep(options)

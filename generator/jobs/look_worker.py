@@ -10,14 +10,12 @@ from __future__ import annotations
 
 import base64
 import json
-import os
-import signal
 import sys
-import threading
 import time
 from collections.abc import Sequence
 from pathlib import Path
 
+from generator.jobs.desk import Desk, DroppedError
 from generator.jobs.protocol import Question, answer
 from generator.model.errors import NlosError
 from generator.transport import Transport
@@ -32,53 +30,10 @@ _LOOSER = 3.0
 """How many times less accurate a draft is."""
 
 
-class _DroppedError(BaseException):
-    """Raised in what is being computed when its picture is not wanted any more; no error that anything may catch."""
-
-
-class _Desk:
-    """Reads questions in a thread; only the newest counts."""
-
-    def __init__(self) -> None:
-        self._newest: Question | None = None
-        self._came = threading.Event()
-        self._may_drop = False
-        signal.signal(signal.SIGINT, self._signalled)
-        threading.Thread(target=self._read, daemon=True).start()
-
-    def _read(self) -> None:
-        for line in sys.stdin:
-            self._newest = Question(**json.loads(line))
-            self._came.set()
-            if self._may_drop:
-                signal.raise_signal(signal.SIGINT)
-        os._exit(0)
-
-    def _signalled(self, *_: object) -> None:
-        # Handlers run in the main thread: what it does now is what may be dropped.
-        if self._may_drop and self._came.is_set():
-            self._may_drop = False
-            raise _DroppedError
-
-    def next(self) -> Question:
-        """Wait for a question that was not taken yet, and return it."""
-        self._came.wait()
-        self._came.clear()
-        assert self._newest is not None
-        return self._newest
-
-    def droppable(self, on: bool) -> None:
-        """Say whether what follows may be dropped for a newer question."""
-        self._may_drop = on
-        if on and self._came.is_set():  # it came while that could not be
-            self._may_drop = False
-            raise _DroppedError
-
-
 class _Painter:
     """Answers questions, with the engine of the last world."""
 
-    def __init__(self, desk: _Desk) -> None:
+    def __init__(self, desk: Desk[Question]) -> None:
         self._desk = desk
         self._engine: Transport | None = None
         self._draft: Transport | None = None
@@ -133,14 +88,14 @@ class _Painter:
 
 def main(arguments: Sequence[str] = ()) -> int:
     """Answer questions until the coordinator ends."""
-    desk = _Desk()
+    desk = Desk(lambda line: Question(**json.loads(line)))
     painter = _Painter(desk)
     answer(ready=True, compiled=bool(COMPILED), words=compiling_words("surfel"))
     while True:
         question = desk.next()
         try:
             painter.paint(question)
-        except _DroppedError:
+        except DroppedError:
             continue
 
 

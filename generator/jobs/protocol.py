@@ -189,6 +189,42 @@ class Question:
 
 
 @dataclass(frozen=True, kw_only=True)
+class PictureQuestion:
+    """What `AnswerPictures` is asked about.
+
+    Attributes
+    ----------
+    number : int
+        Comes back with the answer; rises.
+    world : str
+        File that `world_file.save_world` wrote, of the scene that the picture is of.
+    shape : (int, int, int)
+        Height, width and channels of the picture.
+    pixels : str
+        Change due to the target, float32, W/m^2/sr, as base64.
+    grid : dict
+        The scene's voxel grid, as `files.toml.to_dict` gives it.
+    target : str
+        Kind of the scene's target.
+    colour_space : str
+        Linear colour space of the channels.
+    """
+
+    number: int
+    world: str
+    shape: Sequence[int]
+    pixels: str
+    grid: Mapping[str, Any]
+    target: str
+    colour_space: str
+
+    @property
+    def line(self) -> str:
+        """The question as the worker reads it."""
+        return json.dumps(asdict(self))
+
+
+@dataclass(frozen=True, kw_only=True)
 class PlanBulk(PlanSweep):
     """Plan a bulk set, and check it at its start; answers ``planned`` and ``notes``."""
 
@@ -208,6 +244,21 @@ class DrawLook(Request):
 
     module: ClassVar[str] = "generator.jobs.look_worker"
     trust_links: bool = False
+
+
+@dataclass(frozen=True, kw_only=True)
+class AnswerPictures(Request):
+    """Say for one picture after another in which voxel the target stands; takes a `PictureQuestion` a line.
+
+    Attributes
+    ----------
+    model : Path
+        A trained model, or an atlas.
+    """
+
+    module: ClassVar[str] = "classify.cli.answer_worker"
+    trust_links: bool = False
+    model: Path
 
 
 REQUESTS = (

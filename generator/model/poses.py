@@ -389,6 +389,40 @@ def trajectory(
     return records
 
 
+def along(
+    grid: VoxelGrid, sweep: Sweep, path: Sequence[Pose], is_free: Callable[[Vector, Vector], bool] = lambda *_: True
+) -> list[PoseRecord]:
+    """Return the frames of a path that is given, such as that of an animated target.
+
+    Parameters
+    ----------
+    grid, sweep, is_free
+        As for `plan`; the sweep's ``timeline`` numbers the frames.
+    path : sequence of ((float, float, float), (float, float, float))
+        Position, metres, and rotation, degrees, of each frame.
+
+    Raises
+    ------
+    NlosError
+        The target leaves the hidden volume, or is not clear of every surface and hidden; the frame is named.
+    """
+    first, last, step = sweep.timeline
+    records = []
+    numbers = range(first, last + 1, step)
+    for index, (number, (place, turn)) in enumerate(zip(numbers, path, strict=True)):
+        where = ", ".join(f"{x:.3g}" for x in place)
+        if not all(low <= x <= high for low, x, high in zip(grid.lo, place, grid.hi, strict=True)):
+            raise NlosError(f"frame {number}: the target, at {where} m, is outside the hidden voxels")
+        if not is_free(place, turn):
+            raise NlosError(
+                f"frame {number}: the target, at {where} m, cuts a surface, or is in sight of the lamp or the camera"
+            )
+        voxel, file = grid.voxel(np.asarray(place)), f"frames/{index:05d}.exr"
+        seed = noise_seed(sweep.seed, 1 + index)
+        records.append(PoseRecord(index, voxel, grid.labels[voxel], place, turn, seed, file=file))
+    return records
+
+
 def _vector(values: Array) -> Vector:
     x, y, z = (float(v) for v in values)
     return x, y, z

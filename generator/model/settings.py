@@ -63,6 +63,11 @@ class Sweep:
         "of a trajectory, one after the other, in place of poses in every voxel; 0 is none", 0, lo=0, hi=1_000_000
     )
     pace: float = described("of a trajectory, metres from frame to frame", 0.03)
+    timeline: tuple[int, ...] = described(
+        "first frame, last frame and step of Blender's timeline, along which an animated target moves; else a "
+        "trajectory is drawn",
+        (),
+    )
     leave_out: tuple[str, ...] = described(
         "pieces of the scene (`generator.blender.engines.simplify`) and parts of surfel "
         "(`generator.transport.left_out`) that are not modelled",
@@ -93,8 +98,9 @@ class Sweep:
     @property
     def unused(self) -> tuple[str, ...]:
         """Settings without effect: neither the engine nor this kind of sweep (voxels or trajectory) uses them."""
-        kind = ("poses", "inside") if self.frames else ("frames", "pace")
-        empty = tuple(name for name in ("leave_out", "vary") if not getattr(self, name))
+        drawn = ("pace", "rotation") if self.timeline else ()
+        kind = ("poses", "inside", *drawn) if self.frames else ("frames", "pace")
+        empty = tuple(name for name in ("leave_out", "vary", "timeline") if not getattr(self, name))
         return (*self.idle(self.engine), *kind, *empty, *(("targets",) if self.targets == 1 else ()))
 
     @property
@@ -116,6 +122,16 @@ class Sweep:
         check_ranges(self)
         require(not self.frames or self.targets == 1, "targets: one object walks along a trajectory; leave it out")
         require(0.0 < self.pace < math.inf, f"pace: {self.pace:g} must be positive, metres from frame to frame")
+        if self.timeline:
+            require(
+                len(self.timeline) == 3 and self.timeline[2] >= 1,
+                f"timeline: {self.timeline} must be the first frame, the last one and a step of 1 or more",
+            )
+            first, last, step = self.timeline
+            require(
+                not self.frames or len(range(first, last + 1, step)) == self.frames,
+                f"timeline: {self.timeline} does not have the {self.frames} frames of the trajectory",
+            )
         variations = self.variations
         require(not (self.frames and variations), "vary: nothing varies along a trajectory; leave it out")
         require(

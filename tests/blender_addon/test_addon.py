@@ -477,6 +477,143 @@ def test_the_live_look_goes_without_the_python_that_cannot_draw_it(package: Path
     )
 
 
+LIVE_ANSWER = (
+    LOOK
+    + """
+        import os
+        live_answer = module("view.live_answer")
+        preferences = bpy.context.preferences.addons[MODULE].preferences
+
+        def begin():
+            # The look is drawn by Blender's own Python: compiling in another would take most of a minute.
+            preferences.python = ""
+            session.look = True
+            preferences.python = sys.executable
+            session.live_answer = True
+
+        def answered(seconds=60.0, *, look=True):
+            # The timers by hand, until the look's picture is answered, or it is said why not.
+            if look:
+                drawn()
+            end = time.monotonic() + seconds
+            live_answer._show()
+            while live_answer.waits():
+                assert time.monotonic() < end, live_answer.words()
+                time.sleep(0.005)
+                live_answer._show()
+            return dict(state.answer)
+
+        def gone(pid):
+            for _ in range(100):
+                try:
+                    os.kill(pid, 0)
+                except ProcessLookupError:
+                    return True
+                time.sleep(0.05)
+            return False
+"""
+)
+
+
+@pytest.mark.slow
+def test_a_model_answers_while_the_object_moves(
+    package: Path, tmp_path: Path, scene_file: Path, command: Callable[..., Any]
+) -> None:
+    """As it answers the picture of that pose; what does not fit is said, and nothing is left running."""
+    sets, table, atlas, model = (tmp_path / name for name in ("set", "set.h5", "a.atlas", "a.skops"))
+    some = ("--pictures", "600", "--resolution", "32", "--rotation", "0", "0", "0", "--no-probe")
+    assert command("generator", "bulk", scene_file, "-o", sets, *some, process=True).returncode == 0
+    features = ("--features", "physics", "--sensor", "default")
+    assert command("classify", "features", sets, "-o", table, *features).returncode == 0
+    assert command("classify", "train", table, "-o", model, "--hyperparameters", "paper").returncode == 0
+    assert command("classify", "atlas", sets, "-o", atlas, "--sensor", "default", "--frames", "100").returncode == 0
+    blender(
+        package,
+        tmp_path,
+        LIVE_ANSWER
+        + f"""
+        settings.model = {str(model)!r}
+        begin()
+        grid = roles.read_grid(scene)
+        for path in ({str(model)!r}, {str(atlas)!r}):
+            settings.model = path
+            right = 0
+            for voxel in range(9):
+                target.location = np.mean(grid.bounds(voxel), axis=0)
+                found = answered()
+                assert set(found) == set("ABCDEFGHI") and abs(sum(found.values()) - 1.0) < 1e-6, live_answer.words()
+                right += max(found, key=found.get) == grid.labels[voxel]
+            assert right >= 6, (path, right)
+            words = live_answer.words()
+            assert len(words) == 1 and path.rpartition("/")[2] in words[0] and "simulated noise" in words[0], words
+        assert "; at " in state.answer_words and " ± " in state.answer_words, state.answer_words
+        assert max(live_answer.stalls()) < 0.05
+
+        settings.look_shadows = False
+        assert not answered() and "switch Shadows on" in live_answer.words()[-1]
+        settings.look_shadows = True
+        assert answered()
+        target.location.y = 0.0
+        assert not answered(), "without a picture there is no answer"
+        target.location = np.mean(grid.bounds(4), axis=0)
+        assert answered()
+        scene["nlos_grid_shape"] = (3, 2, 1)
+        live.changed()
+        assert not answered() and "has other voxels" in live_answer.words()[-1], live_answer.words()
+        scene["nlos_grid_shape"] = (3, 3, 1)
+        live.changed()
+        assert answered()
+
+        pid = live_answer._live.resident._worker.pid
+        session.look = False
+        assert not session.live_answer and not state.answer and gone(pid) and not live.followers
+        begin()
+        assert answered()
+        pid = live_answer._live.resident._worker.pid
+        bpy.ops.wm.read_homefile(use_empty=True)
+        assert not bpy.context.window_manager.nlos.live_answer and gone(pid) and not live.followers
+        """,
+        without="numba",
+    )
+
+
+@pytest.mark.slow
+def test_live_answers_that_cannot_be_are_told_in_a_sentence(package: Path, tmp_path: Path) -> None:
+    empty, bare = tmp_path / "empty.skops", tmp_path / "python"
+    empty.write_bytes(b"")
+    bare.write_text(f'#!/bin/sh\nexec {sys._base_executable} -S "$@"\n')
+    bare.chmod(0o755)
+    blender(
+        package,
+        tmp_path,
+        LIVE_ANSWER
+        + f"""
+        def said(path, python=sys.executable):
+            settings.model, preferences.python = path, python
+            session.live_answer = True
+            assert session.look, "it needs the look"
+            answered(look=False)
+            words = live_answer.words()
+            session.look = False
+            assert len(words) == 1 and not state.answer and live_answer.words() == [], words
+            return words[0]
+
+        assert said("").startswith("Choose a model")
+        assert "is no such file" in said("/nowhere.skops")
+        assert "make setup" in said({str(empty)!r}, "")
+        assert "empty.skops: is not a model file" in said({str(empty)!r})
+        assert "it lacks" in said({str(empty)!r}, {str(bare)!r})
+        settings.model, preferences.python = {str(empty)!r}, sys.executable
+        session.live_answer = True
+        while live_answer._live.resident._worker is None:
+            time.sleep(0.01)
+        live_answer._live.resident._worker.kill()
+        answered(look=False)
+        assert "has ended" in live_answer.words()[0], live_answer.words()
+        """,
+    )
+
+
 @pytest.mark.slow
 def test_the_data_sets_workers_end_with_blender(package: Path, tmp_path: Path) -> None:
     """Even where it is killed: they notice that nobody listens any more."""
@@ -717,5 +854,77 @@ def test_disable_enable_remove(package: Path, tmp_path: Path) -> None:
             i for i, r in enumerate(bpy.context.preferences.extensions.repos) if r.module == "user_default"
         ][0], pkg_id="nlos_lab")
         assert not hasattr(bpy.types.Scene, "nlos") and not installed.exists()
+        """,
+    )
+
+
+@pytest.mark.slow
+def test_the_timeline_is_rendered_and_followed(
+    package: Path, tmp_path: Path, scene_file: Path, command: Callable[..., Any]
+) -> None:
+    """The path that is drawn is that of the frames; what stands still, or moves besides, is told in a sentence."""
+    sets, atlas, walk = tmp_path / "centre", tmp_path / "centre.atlas", tmp_path / "walk"
+    some = ("--pictures", "900", "--resolution", "16", "--accuracy", "1e-2", "--inside", "centre", "--no-probe")
+    made = command("generator", "bulk", scene_file, "-o", sets, *some, "--rotation", 0, 0, 0, process=True)
+    assert made.returncode == 0, made.stderr
+    assert command("classify", "atlas", sets, "-o", atlas, "--sensor", "default", "--frames", 10).returncode == 0
+    blender(
+        package,
+        tmp_path,
+        f"""
+        timeline, path, dataset, state = (
+            module(name) for name in ("operators.timeline", "view.path", "operators.dataset", "session.state")
+        )
+        bpy.context.preferences.addons[MODULE].preferences.python = sys.executable
+        bpy.ops.nlos.build_scene()
+        settings.engine, settings.resolution, settings.workers = "patch", (16, 16), 1
+        settings.samples, settings.timeline_folder = 4, {str(walk)!r}
+        scene.frame_start, scene.frame_end, scene.frame_step = 3, 11, 4
+        target = roles.find(scene, "target")
+
+        def rendered():
+            assert bpy.ops.nlos.timeline_render() == {{"FINISHED"}}
+            dataset.job._task._thread.join()
+            dataset.job._ended(dataset.job._task)
+            return dataset.job.status()
+
+        assert "'Target' stands still from frame 3 to frame 11" in rendered()
+        places = ((1.3, 1.2, 1.3), (1.7, 1.4, 1.3))
+        for frame, place in zip((3, 11), places):
+            target.location = place
+            target.keyframe_insert("location", frame=frame)
+        lamp = roles.find(scene, "spot").data
+        energy = lamp.energy
+        for frame, lamp.energy in ((3, energy), (11, 2.0 * energy)):
+            lamp.keyframe_insert("energy", frame=frame)
+        assert "energy of 'Spot' changes" in rendered(), dataset.job.status()
+        lamp.animation_data_clear()
+        lamp.energy = energy
+        assert rendered() == "Finished: 3 of 3 pictures", dataset.job.status()
+        assert "holds a data set already" in refused(bpy.ops.nlos.timeline_render)
+        assert "Choose an atlas" in refused(bpy.ops.nlos.timeline_follow)
+        settings.timeline_atlas, settings.timeline_folder = {str(atlas)!r}, {str(tmp_path / "elsewhere")!r}
+        assert "render the timeline first" in refused(bpy.ops.nlos.timeline_follow)
+        settings.timeline_folder = {str(walk)!r}
+        settings.timeline_step = 0.3
+        assert bpy.ops.nlos.timeline_follow() == {{"FINISHED"}}
+        shown = path.shown()
+        assert shown is not None, timeline.words
+        assert shown.numbers == (3, 7, 11) and bpy.context.window_manager.nlos.overlay
+        for index, frame in enumerate(shown.numbers):
+            scene.frame_set(frame)
+            assert path.current(frame) == index and path.current(frame + 1) is None
+            assert np.allclose(shown.truth[index], target.matrix_world.translation, atol=1e-5)
+        assert timeline.words[0].startswith("Median error ") and "of 3 frames inside" in timeline.words[0]
+        # Every corner of a region is as improbable as its neighbours: chi-square with three degrees of freedom.
+        covariance = np.diag([0.01, 0.04, 0.09])
+        corners = path.path([1], [[0, 0, 0]], [[0, 0, 0]], [covariance]).regions.reshape(-1, 3)
+        assert np.allclose(np.einsum("ni,ij,nj->n", corners, np.linalg.inv(covariance), corners), 7.815, atol=1e-2)
+
+        settings.timeline_atlas = {str(scene_file)!r}
+        bpy.ops.nlos.timeline_follow()
+        assert len(timeline.words) == 1 and "room.blend: is not an atlas" in timeline.words[0], timeline.words
+        bpy.ops.wm.read_homefile(use_empty=True)
+        assert path.shown() is None and not path._handles and not timeline.words
         """,
     )

@@ -41,7 +41,7 @@ def move_target(scene: bpy.types.Scene, position: Vector, rotation: Vector) -> N
     """
     target = find(scene, "target")
     if target.parent is not None:
-        _cut_loose(scene, target)
+        cut_loose(scene, target)
     # Not by the matrix: its scale, read back and set again, would drift by a rounding error with every pose, and
     # the pixels would depend on earlier poses.
     turn = Euler([math.radians(a) for a in rotation], "XYZ")
@@ -78,8 +78,14 @@ def held(target: bpy.types.Object) -> str:
     return f"{name} does not go where it is put, because {' and '.join(holders)} {'hold' if several else 'holds'} it"
 
 
-def _cut_loose(scene: bpy.types.Scene, target: bpy.types.Object) -> None:
-    """Remove the target's parent, and keep the size that the parents give it."""
+def cut_loose(scene: bpy.types.Scene, target: bpy.types.Object) -> None:
+    """Remove the target's parent, and keep the size that the parents give it.
+
+    Raises
+    ------
+    NlosError
+        The parents shear it.
+    """
     matrix = Matrix(snapshot(scene).matrices["target"].tolist())
     scale = matrix.to_scale()
     unsheared = Matrix.LocRotScale(*matrix.decompose())

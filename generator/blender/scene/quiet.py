@@ -141,6 +141,15 @@ def animating(owner: Any, name: str) -> list[Any]:
     return matching
 
 
+def moving_paths(block: Any) -> list[str]:
+    """Return the paths of a data-block's attributes that animation or drivers set, each once."""
+    animation = getattr(block, "animation_data", None)
+    if animation is None:
+        return []
+    curves = [*animation.drivers, *(c for action, slot in _actions(animation) for c in _curves(action, slot))]
+    return list(dict.fromkeys(curve.data_path for curve in curves if not curve.mute))
+
+
 def _sets(curve: Any, owner: Any, name: str) -> bool:
     """Whether an unmuted F-curve sets an attribute."""
     path = curve.data_path

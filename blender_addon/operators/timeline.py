@@ -1,0 +1,215 @@
+"""Renders the target as it is animated, and follows it by a tracker in the Python of the preferences."""
+
+# mypy: disable-error-code="misc"
+
+from __future__ import annotations
+
+import json
+import re
+import subprocess
+import threading
+from pathlib import Path
+from typing import Any
+
+import bpy
+
+from generator.jobs.request import SweepRequest
+from generator.model.errors import NlosError
+from generator.sets.dataset import Dataset
+
+from ..draft import sweep_of
+from ..session import background, environment, state
+from ..view import path
+from . import dataset
+
+_FRAME = re.compile(r"frame (\d+): ")
+_TOPIC = "follow"
+
+words: list[str] = []
+"""How the last tracking went, or how far it is, in sentences."""
+_following: background.Task | None = None
+
+
+def following() -> bool:
+    """Return whether the target is being followed."""
+    return _following is not None
+
+
+class NLOS_OT_timeline_render(dataset.Running, bpy.types.Operator):
+    """Render the object in each frame of the timeline, in Blenders without windows. This one stays free"""
+
+    bl_idname = "nlos.timeline_render"
+    bl_label = "Render Timeline"
+
+    def begin(self, scene: Any) -> dataset.Job:
+        """Begin a data set of the scene's frame range."""
+        settings = scene.nlos
+        folder = dataset.named(settings.timeline_folder)
+        if Dataset.exists(folder):
+            raise NlosError(
+                f"{folder} holds a data set already: name another folder, or resume it by the Data Set panel"
+            )
+        chosen = {name: value for name, value in sweep_of(settings).items() if name not in ("poses", "inside")}
+        frames = (scene.frame_start, scene.frame_end, scene.frame_step)
+        return dataset.Job(
+            SweepRequest(
+                scene=background.snapshot("timeline.blend"),
+                path=folder,
+                chosen={**chosen, "timeline": frames},
+                workers=settings.workers,
+                trust_links=True,  # Blender has already followed the links of the open file
+            )
+        )
+
+
+class NLOS_OT_timeline_follow(bpy.types.Operator):
+    """Follow the object through the rendered frames by the atlas, and draw where it was and where it was found"""
+
+    bl_idname = "nlos.timeline_follow"
+    bl_label = "Follow"
+
+    def execute(self, context: Any) -> set[str]:
+        """Start the tracker in a background thread."""
+        global _following
+        settings = context.scene.nlos
+        try:
+            python = environment.python()
+            atlas = environment.chosen(settings.timeline_atlas, environment.ATLAS)
+            folder = dataset.named(settings.timeline_folder)
+            if not Dataset.exists(folder):
+                raise NlosError(f"{folder} holds no frames yet: render the timeline first")
+        except NlosError as error:
+            self.report({"ERROR"}, str(error))
+            return {"CANCELLED"}
+        step = str(settings.timeline_step)
+        command = [python, "-E", "-m", "classify.cli", "track", str(atlas), str(folder), "--process-noise", step]
+        words[:] = ["The atlas is tried ..."]
+        _following = background.Task(
+            lambda task: _tracked([*command, "--json"], folder, task.stop), _show, _tell, topic=_TOPIC
+        )
+        _following.settle()
+        return {"FINISHED"}
+
+
+class NLOS_OT_timeline_cancel(bpy.types.Operator):
+    """End the tracking"""
+
+    bl_idname = "nlos.timeline_cancel"
+    bl_label = "Cancel"
+
+    @classmethod
+    def poll(cls: Any, context: Any) -> bool:
+        """Return whether the target is being followed."""
+        cls.poll_message_set("Nothing is being followed")
+        return following()
+
+    def execute(self, context: Any) -> set[str]:
+        """Ask the tracker to stop."""
+        forget()
+        words[:] = ["Cancelled"]
+        return {"FINISHED"}
+
+
+def forget() -> None:
+    """End the tracking, and draw no path any more."""
+    global _following
+    background.drop(_TOPIC)
+    _following = None
+    words.clear()
+    path.forget()
+
+
+_now = ""
+
+
+def _tracked(command: list[str], folder: Path, stop: threading.Event) -> tuple[path.Path, list[str]]:
+    """Run the tracker, note which frame it has reached, and return the path and what is to be said of it."""
+    global _now
+    _now = ""
+    settings = Dataset.open(folder).settings
+    if not settings.get("timeline"):
+        raise NlosError(f"{folder} holds no frames of a timeline: render the timeline into another folder")
+    first, last, step = settings["timeline"]
+    numbers = range(first, last + 1, step)
+    try:
+        process = subprocess.Popen(
+            command,
+            stdin=subprocess.DEVNULL,
+            stdout=subprocess.PIPE,
+            stderr=subprocess.PIPE,
+            encoding="utf-8",
+            errors="replace",
+            cwd=str(Path(command[0]).parent),
+        )
+    except OSError as error:
+        raise NlosError(f"{command[0]} cannot be run ({error.strerror or error})") from None
+    threading.Thread(target=_kill_when, args=(stop, process), daemon=True).start()
+    assert process.stdout is not None
+    assert process.stderr is not None
+    last_line = ""
+    for line in process.stderr:
+        last_line = line.strip() or last_line
+        if match := _FRAME.match(line):
+            _now = f"Frame {int(match[1]) + 1} of {len(numbers)}"
+    output = process.stdout.read()
+    code = process.wait()
+    cancelled = stop.is_set()
+    stop.set()  # ends the thread that would kill it
+    if cancelled or code:
+        raise NlosError("Cancelled" if cancelled else last_line.removeprefix("error: ") or f"exit code {code}")
+    return _read(output, numbers)
+
+
+def _read(output: str, numbers: range) -> tuple[path.Path, list[str]]:
+    try:
+        said = json.loads(output)
+        frames = said["frames"]
+        found = path.path(
+            [numbers[frame["frame"]] for frame in frames],
+            *([frame[name] for frame in frames] for name in ("true_position", "position", "covariance")),
+        )
+        summary = (
+            f"Median error {100.0 * said['error']['value']:.1f} cm; {said['covered']['value']:.0%} of {len(frames)} "
+            "frames inside the stated 95 % regions"
+        )
+        return found, [summary, *(str(line) for line in said["words"])]
+    except (ValueError, LookupError, TypeError):
+        raise NlosError(f"the Python in the preferences printed no track but {output.strip()[:80]!r}") from None
+
+
+def _kill_when(stop: threading.Event, process: subprocess.Popen[str]) -> None:
+    stop.wait()
+    if process.poll() is None:
+        process.kill()
+
+
+def _tell(task: background.Task) -> None:
+    if _now and words[:1] != [_now]:
+        words[:] = [_now]
+        state.redraw("VIEW_3D")
+
+
+def _show(task: background.Task) -> None:
+    global _following
+    _following = None
+    if task.error:
+        words[:] = [task.error]
+        return
+    found, words[:] = task.result
+    path.show(found)
+    bpy.context.window_manager.nlos.overlay = True
+
+
+_CLASSES = (NLOS_OT_timeline_render, NLOS_OT_timeline_follow, NLOS_OT_timeline_cancel)
+_register, _unregister = bpy.utils.register_classes_factory(_CLASSES)
+
+
+def register() -> None:
+    """Add the operators."""
+    _register()
+
+
+def unregister() -> None:
+    """End the tracking, and remove the operators."""
+    forget()
+    _unregister()
