@@ -8,13 +8,14 @@ from typing import Any
 
 def _modules() -> tuple[Any, ...]:
     from . import handlers
-    from .operators import answer, dataset, scene
+    from .operators import answer, dataset, environment, scene
     from .session import background
     from .ui import menus, panels, properties, translations
     from .view import caption, differs, live, overlay
 
     rest = (
         background,
+        environment,
         scene,
         dataset,
         answer,

@@ -2,14 +2,27 @@
 
 from __future__ import annotations
 
+import contextlib
 import os
+import subprocess
+import threading
+import time
+from pathlib import Path
 
 import bpy
 
 from generator.model.errors import NlosError
 
+from . import making
+
 EXTENSION = (__package__ or "nlos_lab.session").rpartition(".")[0]
 """Name of the extension, under which Blender keeps its preferences."""
+TEST = "import classify.classifiers.models, sys; print('.'.join(map(str, sys.version_info[:3])))"
+"""Prints the version of a Python that can read and train models."""
+_PATIENCE = 120.0
+"""Seconds within which a Python process must start, import its modules and answer."""
+
+_is_made: bool | None = None
 
 
 def named() -> str:
@@ -29,9 +42,80 @@ def python() -> str:
     path = named()
     if not path:
         raise NlosError(
-            "Answers need a Python with NLOS Lab's command line: make one with 'make setup' in its folder, "
-            "and name its .venv/bin/python in Preferences > Add-ons > NLOS Lab"
+            "Answers need a Python with scikit-learn: press Make Environment here or in Preferences > Add-ons > "
+            "NLOS Lab, or name there the one that 'make setup' made (.venv/bin/python)"
         )
     if not os.path.isfile(path):  # false as well for a name that no file can have
         raise NlosError(f"{path} (Preferences > Add-ons > NLOS Lab) is no file; name the Python of an environment")
     return path
+
+
+def own() -> Path:
+    """Return the folder of the environment that the extension makes; it outlives the extension's updates.
+
+    Raises
+    ------
+    NlosError
+        Blender keeps no such folder, as for an add-on that is no extension.
+    """
+    try:
+        return Path(bpy.utils.extension_path_user(EXTENSION, path="environment"))
+    except ValueError as error:
+        raise NlosError(f"Blender has no folder for what the extension makes ({error})") from None
+
+
+def is_made() -> bool:
+    """Return whether the extension's own environment is there, as was seen last: panels ask while drawn."""
+    return look() if _is_made is None else _is_made
+
+
+def look() -> bool:
+    """Look whether the extension's own environment is there."""
+    global _is_made
+    try:
+        _is_made = making.is_whole(own())
+    except NlosError:
+        _is_made = False
+    return _is_made
+
+
+def name(path: str) -> None:
+    """Set the Python in the preferences, which Blender saves when it ends."""
+    bpy.context.preferences.addons[EXTENSION].preferences.python = path
+    bpy.context.preferences.is_dirty = True
+
+
+def run(arguments: list[str], stop: threading.Event) -> str:
+    """Run a Python command, isolated from Blender's modules, and return its output; kill it once ``stop`` is set.
+
+    Raises
+    ------
+    NlosError
+        The command cannot be started, takes too long, or fails; then with the last line of its error output.
+    """
+    try:
+        # -E ignores Blender's PYTHONPATH and PYTHONHOME. -P would exclude the current folder, but needs Python 3.11.
+        process = subprocess.Popen(
+            [arguments[0], "-E", *arguments[1:]],
+            stdin=subprocess.DEVNULL,
+            stdout=subprocess.PIPE,
+            stderr=subprocess.PIPE,
+            encoding="utf-8",
+            errors="replace",
+            cwd=str(Path(arguments[0]).parent),
+        )
+    except OSError as error:
+        raise NlosError(f"{arguments[0]} cannot be run ({error.strerror or error})") from None
+    deadline = time.monotonic() + _PATIENCE
+    while not stop.is_set() and time.monotonic() < deadline:
+        with contextlib.suppress(subprocess.TimeoutExpired):
+            output, errors = process.communicate(timeout=0.2)
+            break
+    else:
+        process.kill()
+        process.communicate()
+        raise NlosError(f"{arguments[0]} did not answer within {_PATIENCE:.0f} seconds")
+    if process.returncode:
+        lines = [line for line in errors.splitlines() if line.strip()]
+        raise NlosError(lines[-1].removeprefix("error: ") if lines else f"exit code {process.returncode}")
+    return output

@@ -103,10 +103,11 @@ def test_zip_holds_what_is_needed_and_no_more(package: Path) -> None:
         "generator/transport/world.py",
     )
     assert {"blender_manifest.toml", "generator/transport/__init__.py", *wanted} <= set(sources)
-    unwanted = ("tests", "__pycache__", "classify", "packaging", "cli/", "bulk", ".whl")
+    assert {"requirements.txt", "classify/cli/__main__.py", "classify/report/templates/page.html"} <= set(sources)
+    unwanted = ("tests", "__pycache__", "packaging", "batch.py", "cli/sweep.py", ".whl")
     assert not [n for n in sources if any(word in n for word in unwanted)]
     for name, text in sources.items():
-        if not name.endswith(".py"):
+        if not name.endswith(".py") or name.startswith("classify/"):
             continue
         for node in ast.walk(ast.parse(text)):
             if isinstance(node, ast.Import):
@@ -127,7 +128,7 @@ def test_manifest() -> None:
     project = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]
     assert manifest["version"] == project["version"]
     assert manifest["license"] == [f"SPDX:{project['license']}"]
-    assert set(manifest["permissions"]) == {"files"}
+    assert set(manifest["permissions"]) == {"files", "network"}
 
 
 def test_absolute_import_is_refused(tmp_path: Path) -> None:
@@ -144,7 +145,7 @@ def test_absolute_import_is_refused(tmp_path: Path) -> None:
             "from generator import sets",
             "sets/__init__",
             "from .generator import sets",
-            "from ..generator import sets",
+            "from . import sets",
         ),
         ("from generator.files import exr", "files/exr", "from .generator.files import exr", None),
         ("from generator.files.exr import read", "files/exr", "from .generator.files.exr import read", None),
@@ -152,7 +153,7 @@ def test_absolute_import_is_refused(tmp_path: Path) -> None:
             "if 1:\n    from generator.files import exr",
             "files/exr",
             None,
-            "if 1:\n    from ..generator.files import exr",
+            "if 1:\n    from .files import exr",
         ),
     ],
 )
@@ -545,6 +546,47 @@ def test_a_trained_model_answers(
         settings.model = {str(features)!r}
         bpy.ops.nlos.answer()
         assert not state.answer and "tiny.h5" in state.answer_words, state.answer_words
+        """,
+    )
+
+
+def test_an_environment_is_made_named_renewed_and_removed(package: Path, tmp_path: Path) -> None:
+    """By a shell script in place of Python and pip; `session/test_making.py` has the ways to fail."""
+    python = tmp_path / "python"
+    python.write_text(
+        """#!/bin/sh
+        case "$*" in
+          *find_spec*) echo 3.11 whole;;
+          *"-m venv"*) mkdir -p "$4/bin" "$4/site"; cp "$0" "$4/bin/python";;
+          *sysconfig*) echo "$(dirname "$0")/../site";;
+          *version_info*) echo 3.11.9;;
+        esac
+        """.replace("\n        ", "\n")
+    )
+    python.chmod(0o755)
+    blender(
+        package,
+        tmp_path,
+        f"""
+        state, environment = module("session.state"), module("session.environment")
+        preferences = bpy.context.preferences
+        preferences.system.use_online_access = False
+        assert "Allow Online Access" in refused(bpy.ops.nlos.make_environment)
+        preferences.system.use_online_access = True
+        sys.executable = {str(python)!r}
+        folder, named = environment.own(), preferences.addons[MODULE].preferences
+        assert not environment.is_made()
+        for _ in range(2):
+            assert bpy.ops.nlos.make_environment() == {{"FINISHED"}}
+            assert named.python == str(folder / "bin/python") and environment.is_made()
+            assert "Python 3.11.9 can read trained models, train" in state.environment_words
+            assert (folder / "site/nlos_lab.pth").read_text().strip() == str(module("session.making").ADDON)
+        assert bpy.ops.nlos.remove_environment() == {{"FINISHED"}}
+        assert not named.python and not environment.is_made() and not folder.exists()
+        sys.executable = "/nowhere"
+        named.python = "/usr/bin/env"
+        assert bpy.ops.nlos.make_environment() == {{"FINISHED"}}
+        assert "/nowhere cannot be run" in state.environment_words and named.python == "/usr/bin/env"
         """,
     )
 
