@@ -8,9 +8,9 @@ from typing import Any
 
 def _modules() -> tuple[Any, ...]:
     from . import handlers
-    from .operators import answer, dataset, environment, scene
+    from .operators import answer, dataset, environment, scene, train
     from .session import background
-    from .ui import menus, panels, properties, translations
+    from .ui import menus, panels, properties, training, translations
     from .view import caption, differs, live, overlay
 
     rest = (
@@ -19,8 +19,10 @@ def _modules() -> tuple[Any, ...]:
         scene,
         dataset,
         answer,
+        train,
         menus,
         panels,
+        training,
         overlay,
         live,
         differs,

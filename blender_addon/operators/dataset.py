@@ -122,15 +122,15 @@ def _status_bar(text: str | None) -> None:
                 workspace.status_text_set(text)
 
 
-def folder(scene: Any) -> Path:
-    """Return the data set's folder.
+def folder(scene: Any, name: str = "") -> Path:
+    """Return the data set's folder, or one of another name, which may be relative to the open file.
 
     Raises
     ------
     NlosError
         No folder is named, it is relative to a file that is not saved, or its path cannot be used.
     """
-    name = scene.nlos.dataset
+    name = name or scene.nlos.dataset
     if not name:
         raise NlosError("Name a folder for the data set")
     if name.startswith("//") and not bpy.data.filepath:

@@ -4,9 +4,11 @@ from __future__ import annotations
 
 import contextlib
 import os
+import signal
 import subprocess
 import threading
 import time
+from collections.abc import Callable
 from pathlib import Path
 
 import bpy
@@ -85,8 +87,23 @@ def name(path: str) -> None:
     bpy.context.preferences.is_dirty = True
 
 
-def run(arguments: list[str], stop: threading.Event) -> str:
+def run(
+    arguments: list[str],
+    stop: threading.Event,
+    tell: Callable[[str], None] = lambda line: None,
+    patience: float = _PATIENCE,
+) -> str:
     """Run a Python command, isolated from Blender's modules, and return its output; kill it once ``stop`` is set.
+
+    Parameters
+    ----------
+    arguments : list of str
+        The Python, and what it is to run.
+    stop : Event
+    tell : callable
+        Called in another thread with each line of its error output.
+    patience : float
+        Seconds that it may take.
 
     Raises
     ------
@@ -103,19 +120,46 @@ def run(arguments: list[str], stop: threading.Event) -> str:
             encoding="utf-8",
             errors="replace",
             cwd=str(Path(arguments[0]).parent),
+            start_new_session=True,
         )
     except OSError as error:
         raise NlosError(f"{arguments[0]} cannot be run ({error.strerror or error})") from None
-    deadline = time.monotonic() + _PATIENCE
-    while not stop.is_set() and time.monotonic() < deadline:
+    output: list[str] = []
+    errors: list[str] = []
+
+    def listen() -> None:
+        for line in process.stderr or ():
+            if line.strip():
+                errors.append(line.strip())
+                tell(line.strip())
+
+    def read() -> None:
+        output.extend(process.stdout or ())
+
+    readers = [threading.Thread(target=work, daemon=True) for work in (listen, read)]
+    for reader in readers:
+        reader.start()
+    deadline = time.monotonic() + patience
+    while process.poll() is None and not stop.is_set() and time.monotonic() < deadline:
         with contextlib.suppress(subprocess.TimeoutExpired):
-            output, errors = process.communicate(timeout=0.2)
-            break
+            process.wait(0.2)
+    if process.poll() is None:
+        _kill(process)
+        raise NlosError(
+            "Cancelled" if stop.is_set() else f"{arguments[0]} did not answer within {patience:.0f} seconds"
+        )
+    for reader in readers:
+        reader.join(10.0)  # a process that it left running may hold its output open
+    if process.returncode:
+        raise NlosError(errors[-1].removeprefix("error: ") if errors else f"exit code {process.returncode}")
+    return "".join(output)
+
+
+def _kill(process: subprocess.Popen[str]) -> None:
+    """End a process that leads a session, and those that it started."""
+    if hasattr(os, "killpg"):
+        with contextlib.suppress(ProcessLookupError):
+            os.killpg(process.pid, signal.SIGKILL)
     else:
         process.kill()
-        process.communicate()
-        raise NlosError(f"{arguments[0]} did not answer within {_PATIENCE:.0f} seconds")
-    if process.returncode:
-        lines = [line for line in errors.splitlines() if line.strip()]
-        raise NlosError(lines[-1].removeprefix("error: ") if lines else f"exit code {process.returncode}")
-    return output
+    process.wait()

@@ -75,7 +75,8 @@ def make(
         Python cannot make environments, there is no space, or a package cannot be installed; or it was stopped.
     """
     python = python or sys.executable
-    packages = sum(bool(line.strip()) for line in (ADDON / REQUIREMENTS).read_text(encoding="utf-8").splitlines())
+    lines = (ADDON / REQUIREMENTS).read_text(encoding="utf-8").split()
+    packages = len({line.split("==")[0] for line in lines if "==" in line})
     found: set[str] = set()
 
     def follow(line: str) -> None:
@@ -86,7 +87,7 @@ def make(
                 f"Downloading {rest.split('==')[0]}, package {len(found)} of {packages}", 0.8 * len(found) / packages
             )
         elif kind == "Installing":
-            tell(f"Unpacking {packages} packages", 0.8)
+            tell(f"Unpacking {packages} packages, which takes a minute or two", 0.8)
 
     remove(folder)
     try:

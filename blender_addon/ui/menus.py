@@ -52,7 +52,7 @@ class NLOS_MT_main(bpy.types.Menu):
         for name in ("sweep_start", "sweep_resume", "sweep_cancel", "open_folder"):
             layout.operator(f"nlos.{name}")
         layout.separator()
-        for name in ("answer", "forget_answer", "make_environment", "test_environment"):
+        for name in ("train", "answer", "forget_answer", "make_environment", "test_environment"):
             layout.operator(f"nlos.{name}")
 
 

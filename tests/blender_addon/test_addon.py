@@ -522,11 +522,10 @@ def test_without_cycles_there_is_a_sentence(package: Path, tmp_path: Path) -> No
 def test_a_trained_model_answers(
     package: Path, tmp_path: Path, scene_file: Path, command: Callable[..., Any]
 ) -> None:
-    features, model, pictures = tmp_path / "tiny.h5", tmp_path / "tiny.skops", tmp_path / "pictures"
+    features, pictures = tmp_path / "tiny.h5", tmp_path / "pictures"
     some = ("--engine", "patch", "--poses", "4", "--samples", "64", "--resolution", "8", "--no-probe")
     assert command("generator", "sweep", scene_file, "-o", pictures, *some).returncode == 0
     assert command("classify", "features", pictures, "-o", features).returncode == 0
-    assert command("classify", "train", features, "-o", model, "--classifier", "NB").returncode == 0
     blender(
         package,
         tmp_path,
@@ -538,7 +537,11 @@ def test_a_trained_model_answers(
         assert "no picture yet" in refused(bpy.ops.nlos.answer) or not settings.model
         bpy.ops.nlos.build_scene()
         settings.engine, settings.samples, settings.resolution = "patch", 4, (8, 8)
-        settings.model = {str(model)!r}
+        settings.train_set, settings.train_classifier = {str(pictures)!r}, "LDA"
+        assert bpy.ops.nlos.train() == {{"FINISHED"}}
+        words = module("operators.train").job.words
+        assert words.startswith("Finds the right voxel in ") and "in 4 folds of 36 pictures; took" in words, words
+        assert settings.model == {str(pictures) + ".skops"!r}
         bpy.ops.nlos.render_wall()
         assert bpy.ops.nlos.answer() == {{"FINISHED"}}
         assert set(state.answer) == set("ABCDEFGHI"), state.answer_words
@@ -587,6 +590,56 @@ def test_an_environment_is_made_named_renewed_and_removed(package: Path, tmp_pat
         named.python = "/usr/bin/env"
         assert bpy.ops.nlos.make_environment() == {{"FINISHED"}}
         assert "/nowhere cannot be run" in state.environment_words and named.python == "/usr/bin/env"
+        """,
+    )
+
+
+def test_training_is_told_and_its_failures_are_sentences(package: Path, tmp_path: Path) -> None:
+    """By a shell script in place of the command line, which `test_a_trained_model_answers` asks."""
+    python = tmp_path / "python"
+    python.write_text(
+        """#!/bin/sh
+        echo "$*" >> """
+        + f"{tmp_path}/asked"
+        + """
+        case "$*" in
+          *" features "*few*) echo "error: few: class A has 1 samples" >&2; exit 2;;
+          *" features "*) echo "7 of 18 pictures" >&2; echo '{"pictures": 18, "planned": 27}';;
+          *odd*) echo '{"folds": 10}';;
+          *) echo "10 of 10 folds" >&2; echo '{"accuracy": {"value": 0.5, "low": 0.4, "high": 0.625}, "folds": 10}';;
+        esac
+        """.replace("\n        ", "\n")
+    )
+    python.write_text(python.read_text().replace("\n        ", "\n"))
+    python.chmod(0o755)
+    for name in ("set", "few", "odd"):
+        (tmp_path / name).mkdir()
+    blender(
+        package,
+        tmp_path,
+        f"""
+        import pathlib
+        train = module("operators.train")
+        assert "Make Environment" in refused(bpy.ops.nlos.train)
+        bpy.context.preferences.addons[MODULE].preferences.python = {str(python)!r}
+        settings.dataset = {str(tmp_path / "nowhere")!r}
+        assert "nowhere is not there" in refused(bpy.ops.nlos.train)
+        settings.dataset, settings.train_features = {str(tmp_path / "set")!r}, "physics"
+        told = []
+        told_by = train.Job._told
+        train.Job._told = lambda job, words: lambda line: (told_by(job, words)(line), told.append(job.words))
+        assert bpy.ops.nlos.train() == {{"FINISHED"}}
+        assert told == ["Describing the pictures: 7 of 18 pictures", "Training on all of them"], told
+        assert train.job.words.startswith("Finds the right voxel in 50.0 % of pictures (95 % interval: 40.0 to 62.5)")
+        assert "10 folds of 18 of 27 pictures; took" in train.job.words and not train.job.running
+        assert settings.model == {str(tmp_path / "set.skops")!r}
+        asked = pathlib.Path("asked").read_text()
+        assert "--features physics --partial" in asked and "--classifier SVM --cross-validate" in asked
+        settings.model = "kept"
+        for name, words in (("few", "few: class A has 1 samples"), ("odd", "did not tell how well")):
+            settings.train_set = {str(tmp_path)!r} + "/" + name
+            assert bpy.ops.nlos.train() == {{"FINISHED"}}
+            assert words in train.job.words and settings.model == "kept", train.job.words
         """,
     )
 

@@ -17,4 +17,5 @@ def test_the_extension_asks_for_what_constraints_pin() -> None:
     assert there == requirements.text(), "run: python -m blender_addon.packaging.requirements"
     for needed in ("numba==", "scikit-learn==", "skops==", "numpy==", "llvmlite=="):
         assert needed in there
-    assert "bpy" not in there and "pytest" not in there
+    assert "bpy" not in there
+    assert "pytest" not in there
