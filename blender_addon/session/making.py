@@ -75,8 +75,8 @@ def make(
         Python cannot make environments, there is no space, or a package cannot be installed; or it was stopped.
     """
     python = python or sys.executable
-    lines = (ADDON / REQUIREMENTS).read_text(encoding="utf-8").split()
-    packages = len({line.split("==")[0] for line in lines if "==" in line})
+    lines = (ADDON / REQUIREMENTS).read_text(encoding="utf-8").splitlines()
+    packages = len({line.split("==")[0] for line in lines})
     found: set[str] = set()
 
     def follow(line: str) -> None:

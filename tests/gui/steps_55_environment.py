@@ -6,14 +6,14 @@ import sys
 import time
 
 import bpy
-from helpers import MODULE, WORK, call, check, invoke, memory, module, screenshot, scroll, tab, until, xdotool
+from helpers import MODULE, WORK, call, check, invoke, memory, module, panel_picture, screenshot, tab, until, xdotool
 
 FAKE = """#!/bin/sh
 case "$*" in
   *find_spec*) echo 3.13 whole;;
   *"-m venv"*) mkdir -p "$4/bin" "$4/site"; cp "$0" "$4/bin/python";;
   *sysconfig*) echo "$(dirname "$0")/../site";;
-  *"-m pip"*) for name in numpy scipy numba llvmlite h5py; do echo "Collecting $name==1.0"; sleep 1; done;;
+  *"-m pip"*) for name in numpy scipy numba llvmlite h5py; do echo "Collecting $name==1.0"; sleep 2; done;;
   *version_info*) echo 3.13.5;;
 esac
 """
@@ -36,7 +36,6 @@ def cancelled():
     memory["executable"], sys.executable = sys.executable, str(python)
     bpy.context.preferences.addons[MODULE].preferences.python = ""
     yield from tab("NLOS")
-    bpy.types.NLOS_PT_answer.bl_options.discard("DEFAULT_CLOSED")
     invoke(bpy.ops.nlos.make_environment)
     yield 0.5
     yield from screenshot("55-asks")
@@ -48,8 +47,7 @@ def cancelled():
         gaps.append(time.monotonic() - last)
         last = time.monotonic()
     check(max(gaps) < 1.0, f"the window stays free: longest wait {max(gaps):.2f} s")
-    yield from scroll(100)
-    yield from screenshot("55-makes")
+    yield from panel_picture("NLOS_PT_answer", "55-makes")
     check("package" in making().job.words, making().job.words)
     check(call(bpy.ops.nlos.cancel_environment) == {"FINISHED"}, "it can be cancelled")
     yield from until(lambda: making().job is None, "it ends")
