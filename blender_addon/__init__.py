@@ -8,10 +8,10 @@ from typing import Any
 
 def _modules() -> tuple[Any, ...]:
     from . import handlers
-    from .operators import answer, dataset, environment, scene, train
+    from .operators import answer, browser, dataset, environment, scene, train
     from .session import background
-    from .ui import menus, panels, properties, training, translations
-    from .view import caption, differs, live, overlay
+    from .ui import browser_panel, menus, panels, properties, training, translations
+    from .view import caption, differs, live, overlay, thumbnails
 
     rest = (
         background,
@@ -20,9 +20,12 @@ def _modules() -> tuple[Any, ...]:
         dataset,
         answer,
         train,
+        browser,
+        thumbnails,
         menus,
         panels,
         training,
+        browser_panel,
         overlay,
         live,
         differs,

@@ -6,7 +6,7 @@ import bpy
 from bpy.app.handlers import persistent
 
 from .session import background, state
-from .view import images, live, overlay
+from .view import images, live, overlay, thumbnails
 
 
 @persistent  # type: ignore[untyped-decorator]
@@ -23,6 +23,7 @@ def _before(*_: Any) -> None:
 def _after(*_: Any) -> None:
     background.drop()  # results of the running tasks would not apply to this file
     images.captions.clear()
+    thumbnails.forget()
     state.forget()
     session = bpy.context.window_manager.nlos
     # Blender may have taken the switches over from the file that was open.

@@ -5,7 +5,6 @@
 from __future__ import annotations
 
 import os
-from pathlib import Path
 from typing import Any, cast
 
 import bpy
@@ -21,7 +20,7 @@ from generator.model.quantities import clock
 from generator.sets.dataset import Dataset
 from generator.sets.manifest import SCENE
 
-from ..draft import sweep_of, wished
+from ..draft import folder, sweep_of, wished
 from ..session import background, state
 
 
@@ -120,27 +119,6 @@ def _status_bar(text: str | None) -> None:
             # For a moment after a file is opened a timer has no window, and Blender 5.2 crashes here without one.
             with bpy.context.temp_override(window=window):
                 workspace.status_text_set(text)
-
-
-def folder(scene: Any, name: str = "") -> Path:
-    """Return the data set's folder, or one of another name, which may be relative to the open file.
-
-    Raises
-    ------
-    NlosError
-        No folder is named, it is relative to a file that is not saved, or its path cannot be used.
-    """
-    name = name or scene.nlos.dataset
-    if not name:
-        raise NlosError("Name a folder for the data set")
-    if name.startswith("//") and not bpy.data.filepath:
-        raise NlosError("Save the file first, or name the data set's folder in full: it lies beside the file")
-    path = Path(bpy.path.abspath(name)).absolute()
-    try:
-        path.exists()
-    except OSError as error:
-        raise NlosError(f"{path}: is no folder that can be used ({error.strerror})") from None
-    return path
 
 
 class _Running:

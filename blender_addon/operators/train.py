@@ -15,8 +15,8 @@ import bpy
 from generator.model.errors import NlosError
 from generator.model.quantities import clock
 
+from ..draft import folder
 from ..session import background, environment, state
-from .dataset import folder
 
 _PROGRESS = re.compile(r"(\d+) of (\d+) \w+")
 _DAY = 86400.0

@@ -115,9 +115,14 @@ def darken(name: str) -> None:
 def coloured(name: str, picture: Picture, reference: float, width: float, *, keep: bool = True) -> Any:
     """Store a difference picture in colours, with its caption, and return the image; see `look`."""
     level = picture.mean(axis=2)
-    top = round_up(float(np.quantile(np.abs(level), 0.995)) or float(np.abs(level).max()))
+    top = scale(level)
     captions[name] = Caption(top, reference / top if top else 0.0, width)
     return store(name, signed(level / top if top else level), keep=keep)
+
+
+def scale(level: Picture) -> float:
+    """Return the value of the brightest colour for a picture of signed values; 0 if all are 0."""
+    return round_up(float(np.quantile(np.abs(level), 0.995)) or float(np.abs(level).max()))
 
 
 def signed(values: Picture) -> Picture:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import ast
 import os
+import shutil
 import subprocess
 import sys
 import textwrap
@@ -640,6 +641,91 @@ def test_training_is_told_and_its_failures_are_sentences(package: Path, tmp_path
             settings.train_set = {str(tmp_path)!r} + "/" + name
             assert bpy.ops.nlos.train() == {{"FINISHED"}}
             assert words in train.job.words and settings.model == "kept", train.job.words
+        """,
+    )
+
+
+def test_the_pictures_of_a_set_are_shown_and_the_target_put_where_they_have_it(
+    package: Path, tmp_path: Path, tiny_dataset: Path, scene_file: Path
+) -> None:
+    shutil.copytree(tiny_dataset, tmp_path / "set")
+    blender(
+        package,
+        tmp_path,
+        f"""
+        import math, pathlib, shutil
+        thumbnails, pages = module("view.thumbnails"), module("operators.browser")
+        sets, differs = module("generator.sets.dataset"), module("view.differs")
+        bpy.ops.wm.open_mainfile(filepath={str(scene_file)!r})
+        scene, settings = bpy.context.scene, bpy.context.scene.nlos
+        path = pathlib.Path("set").absolute()
+
+        def look():
+            records = [record for record, _, _ in pages.shown(thumbnails.opened())] if thumbnails.opened() else []
+            for _ in range(2):  # the tables, then the pictures
+                thumbnails.want(settings.dataset, records)
+                thumbnails._serve()
+                records = [r for r, _, _ in pages.shown(thumbnails.opened())] if thumbnails.opened() else []
+            return records
+
+        settings.dataset = str(path.parent / "nowhere")
+        look()
+        assert "is not a data set" in thumbnails.words(), thumbnails.words()
+        assert "poll" in refused(lambda: bpy.ops.nlos.browse_place(voxel=0))
+        settings.dataset = str(path)
+        records = look()
+        assert [r.label for r in records] == list("ABCDEFGHI") and not thumbnails.words()
+        dataset = sets.Dataset.open(path)
+        images = module("view.images")
+        for record in records:
+            icon, fault = thumbnails.thumbnail(record)
+            assert not fault, fault
+            shown = thumbnails._shelf.previews[record.file]
+            level = (dataset.picture(record) - dataset.background()).mean(axis=2)
+            values = np.array(shown.image_pixels_float).reshape(8, 8, 4)[::-1]
+            assert tuple(shown.image_size) == (8, 8)
+            brighter = np.abs(level) > 0.1 * images.scale(level)
+            assert ((values[..., 0] > values[..., 2]) == (level > 0.0))[brighter].all() and brighter.any()
+
+        place = records[4]
+        assert bpy.ops.nlos.browse_place(voxel=4, position=0) == {{"FINISHED"}}
+        target = roles.find(scene, "target")
+        assert np.allclose(target.location, place.position, rtol=0, atol=1e-7)
+        assert np.allclose([math.degrees(a) for a in target.rotation_euler], place.rotation, atol=1e-5)
+        assert "no picture 2 of that voxel" in refused(lambda: bpy.ops.nlos.browse_place(voxel=4, position=1))
+        target.constraints.new("LIMIT_LOCATION").use_max_x = True
+        assert "does not go where it is put" in refused(lambda: bpy.ops.nlos.browse_place(voxel=8))
+        assert np.allclose(target.location, place.position, rtol=0, atol=1e-7)
+        target.constraints.clear()
+
+        differs.read()
+        assert thumbnails.others_than(differs.described()) == []
+        scene["nlos_grid_shape"] = (2, 2, 1)
+        roles.find(scene, "spot").data.energy *= 2.0
+        differs.read()
+        assert sorted(thumbnails.others_than(differs.described())) == ["grid", "spot"]
+
+        # What comes, goes or breaks is told, each picture for itself.
+        (path / "A/0000.exr").write_bytes((path / "A/0000.exr").read_bytes()[:300])
+        shutil.copy(path / "B/0000.exr", path / "C/0000.exr")
+        away = (path / "D/0000.exr").rename(path / "away.exr")
+        thumbnails.forget()
+        faults = [thumbnails.thumbnail(record)[1] for record in look()]
+        assert "truncated" in faults[0] and "picture of label B" in faults[2], faults
+        assert "away.exr" in thumbnails.opened().fault, thumbnails.opened().fault
+        assert faults[3] == "is not rendered yet" and not any(faults[4:]), faults
+        away.rename(path / "D/0000.exr")
+        thumbnails._shelf.looked_at = -10.0
+        faults = [thumbnails.thumbnail(record)[1] for record in look()]
+        assert not faults[3] and "truncated" in faults[0], faults
+        (path / "background.exr").unlink()
+        thumbnails.forget()
+        assert all("background.exr" in thumbnails.thumbnail(record)[1] for record in look()[4:])
+
+        large = np.zeros((200, 130, 3), np.float32)
+        large[:100] = 1.0
+        small = thumbnails.coloured(large)
+        assert small.shape == (50, 32, 3) and small[:25].any() and not small[25:].any()
         """,
     )
 
