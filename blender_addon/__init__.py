@@ -8,10 +8,10 @@ from typing import Any
 
 def _modules() -> tuple[Any, ...]:
     from . import handlers
-    from .operators import answer, browser, dataset, environment, scene, train
+    from .operators import answer, browser, dataset, environment, grid, scene, train
     from .session import background
     from .ui import browser_panel, menus, panels, properties, training, translations
-    from .view import caption, differs, live, overlay, thumbnails
+    from .view import caption, differs, handles, live, overlay, thumbnails
 
     rest = (
         background,
@@ -21,12 +21,14 @@ def _modules() -> tuple[Any, ...]:
         answer,
         train,
         browser,
+        grid,
         thumbnails,
         menus,
         panels,
         training,
         browser_panel,
         overlay,
+        handles,
         live,
         differs,
         caption,

@@ -730,6 +730,36 @@ def test_the_pictures_of_a_set_are_shown_and_the_target_put_where_they_have_it(
     )
 
 
+def test_a_face_of_the_voxel_grid_is_moved_and_never_passes_the_other(package: Path, tmp_path: Path) -> None:
+    blender(
+        package,
+        tmp_path,
+        """
+        assert "poll" in refused(lambda: bpy.ops.nlos.drag_face(axis="X", side="LOW", by=0.1))
+        bpy.ops.nlos.build_scene()
+        before = roles.read_grid(scene)
+        for axis, name in enumerate("XYZ"):
+            for side, by in (("LOW", 0.1), ("HIGH", -0.2)):
+                assert bpy.ops.nlos.drag_face(axis=name, side=side, by=by) == {"FINISHED"}
+            found = roles.read_grid(scene)
+            assert abs(found.lo[axis] - before.lo[axis] - 0.1) < 1e-6, found
+            assert abs(found.hi[axis] - before.hi[axis] + 0.2) < 1e-6, found
+            assert np.allclose(settings.grid_lo, found.lo) and np.allclose(settings.grid_hi, found.hi)
+        assert found.shape == before.shape
+        for side, by in (("LOW", 100.0), ("HIGH", -100.0)):
+            bpy.ops.nlos.drag_face(axis="Y", side=side, by=by)
+            found = roles.read_grid(scene)
+            assert 0.0 < found.hi[1] - found.lo[1] < 0.0021, found
+        assert description.read_scene(scene).grid == found
+        settings.grid_counts = (2, 2, 2)  # a draft that waits for Apply stays
+        bpy.ops.nlos.drag_face(axis="Y", side="HIGH", by=0.5)
+        assert tuple(settings.grid_counts) == (2, 2, 2) and roles.read_grid(scene).shape == before.shape
+        scene["nlos_grid_lo"] = (9.0, 9.0, 9.0)
+        assert "must lie below" in refused(lambda: bpy.ops.nlos.drag_face(axis="X", side="LOW", by=0.1))
+        """,
+    )
+
+
 def test_bad_states_are_told_in_a_sentence(package: Path, tmp_path: Path) -> None:
     blender(
         package,
