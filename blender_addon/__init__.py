@@ -8,25 +8,33 @@ from typing import Any
 
 def _modules() -> tuple[Any, ...]:
     from . import handlers
-    from .operators import answer, assets, dataset, scene, timeline
+    from .operators import answer, assets, browser, dataset, environment, grid, scene, timeline, train
     from .session import background
     from .ui import assets as assets_panel
-    from .ui import live_answer_panel, menus, panels, properties, timeline_panel
-    from .view import caption, differs, live, live_answer, overlay, path
+    from .ui import browser_panel, live_answer_panel, menus, panels, properties, timeline_panel, training
+    from .view import caption, differs, handles, live, live_answer, overlay, path, thumbnails
 
     rest = (
         background,
+        environment,
         scene,
         dataset,
         answer,
         assets,
+        train,
+        browser,
+        grid,
+        thumbnails,
         timeline,
         menus,
         panels,
         assets_panel,
+        training,
+        browser_panel,
         live_answer_panel,
         timeline_panel,
         overlay,
+        handles,
         live,
         live_answer,
         path,

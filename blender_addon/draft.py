@@ -2,6 +2,7 @@
 
 import math
 from dataclasses import replace
+from pathlib import Path
 from typing import Any
 
 import bpy
@@ -69,6 +70,31 @@ def resolved_sweep(scene: Any) -> Sweep:
         chosen["engine"] = "patch"
     sweep: Sweep = from_dict(Sweep, with_defaults(read_scene(scene), chosen), "")
     return sweep
+
+
+def folder(scene: Any) -> Path:
+    """Return the data set's folder; raise NlosError as `folder_named` does."""
+    return folder_named(scene.nlos.dataset)
+
+
+def folder_named(name: str) -> Path:
+    """Return the folder of a data set by the name in a panel, which may be relative to the open file.
+
+    Raises
+    ------
+    NlosError
+        No folder is named, it is relative to a file that is not saved, or its path cannot be used.
+    """
+    if not name:
+        raise NlosError("Name a folder for the data set")
+    if name.startswith("//") and not bpy.data.filepath:
+        raise NlosError("Save the file first, or name the data set's folder in full: it lies beside the file")
+    path = Path(bpy.path.abspath(name)).absolute()
+    try:
+        path.exists()
+    except OSError as error:
+        raise NlosError(f"{path}: is no folder that can be used ({error.strerror})") from None
+    return path
 
 
 def spec_of(settings: Any) -> Scene:

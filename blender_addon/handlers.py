@@ -7,7 +7,7 @@ from bpy.app.handlers import persistent
 
 from .operators import timeline
 from .session import background, state
-from .view import images, live, live_answer, overlay, target_file
+from .view import images, live, live_answer, overlay, target_file, thumbnails
 
 
 @persistent  # type: ignore[untyped-decorator]
@@ -25,6 +25,7 @@ def _before(*_: Any) -> None:
 def _after(*_: Any) -> None:
     background.drop()  # results of the running tasks would not apply to this file
     images.captions.clear()
+    thumbnails.forget()
     state.forget()
     target_file.forget()
     timeline.forget()

@@ -6,7 +6,6 @@ from __future__ import annotations
 
 import os
 from dataclasses import replace
-from pathlib import Path
 from typing import Any, cast
 
 import bpy
@@ -23,7 +22,7 @@ from generator.model.quantities import clock
 from generator.sets.dataset import Dataset
 from generator.sets.manifest import SCENE
 
-from ..draft import sweep_of, wished
+from ..draft import folder, sweep_of, wished
 from ..session import background, state
 
 
@@ -131,31 +130,6 @@ def _status_bar(text: str | None) -> None:
             # For a moment after a file is opened a timer has no window, and Blender 5.2 crashes here without one.
             with bpy.context.temp_override(window=window):
                 workspace.status_text_set(text)
-
-
-def folder(scene: Any) -> Path:
-    """Return the data set's folder; raise NlosError as `named` does."""
-    return named(scene.nlos.dataset)
-
-
-def named(name: str) -> Path:
-    """Return the folder of a data set by the name in the panel.
-
-    Raises
-    ------
-    NlosError
-        No folder is named, it is relative to a file that is not saved, or its path cannot be used.
-    """
-    if not name:
-        raise NlosError("Name a folder for the data set")
-    if name.startswith("//") and not bpy.data.filepath:
-        raise NlosError("Save the file first, or name the data set's folder in full: it lies beside the file")
-    path = Path(bpy.path.abspath(name)).absolute()
-    try:
-        path.exists()
-    except OSError as error:
-        raise NlosError(f"{path}: is no folder that can be used ({error.strerror})") from None
-    return path
 
 
 class Running:

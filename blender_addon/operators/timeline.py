@@ -17,7 +17,7 @@ from generator.jobs.request import SweepRequest
 from generator.model.errors import NlosError
 from generator.sets.dataset import Dataset
 
-from ..draft import sweep_of
+from ..draft import folder_named, sweep_of
 from ..session import background, environment, state
 from ..view import path
 from . import dataset
@@ -44,7 +44,7 @@ class NLOS_OT_timeline_render(dataset.Running, bpy.types.Operator):
     def begin(self, scene: Any) -> dataset.Job:
         """Begin a data set of the scene's frame range."""
         settings = scene.nlos
-        folder = dataset.named(settings.timeline_folder)
+        folder = folder_named(settings.timeline_folder)
         if Dataset.exists(folder):
             raise NlosError(
                 f"{folder} holds a data set already: name another folder, or resume it by the Data Set panel"
@@ -75,7 +75,7 @@ class NLOS_OT_timeline_follow(bpy.types.Operator):
         try:
             python = environment.python()
             atlas = environment.chosen(settings.timeline_atlas, environment.ATLAS)
-            folder = dataset.named(settings.timeline_folder)
+            folder = folder_named(settings.timeline_folder)
             if not Dataset.exists(folder):
                 raise NlosError(f"{folder} holds no frames yet: render the timeline first")
         except NlosError as error:

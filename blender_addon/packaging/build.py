@@ -1,8 +1,10 @@
 """Builds the extension: ``python -m blender_addon.packaging.build -o DIST``.
 
 Blender has no pip, so the zip carries the modules of `generator` that the add-on needs. An extension must not import
-top-level packages, so its imports of `generator` are made relative. Blender's own extension tool, from the bpy wheel,
-makes the zip and checks it. The same sources give the same zip, byte by byte, wherever it is built.
+top-level packages, so its imports of `generator` are made relative. `classify`, which Blender never imports, goes in
+as it is: the Python that the extension makes (`session.making`) finds both in the extension's folder. Blender's own
+extension tool, from the bpy wheel, makes the zip and checks it. The same sources give the same zip, byte by byte,
+wherever it is built.
 """
 
 from __future__ import annotations
@@ -19,6 +21,7 @@ import tempfile
 import zipfile
 from pathlib import Path
 
+from ..session.making import REQUIREMENTS
 from . import sbom
 
 _HERE = Path(__file__).resolve().parent
@@ -72,7 +75,15 @@ def assemble(folder: Path) -> None:
     folder.mkdir(parents=True)
     shutil.copy(_ADDON / "blender_manifest.toml", folder)
     shutil.copy(_licence(), folder)
+    shutil.copy(_ADDON / REQUIREMENTS, folder)
     needed = set(_RUN_BY_NAME)
+    for source in sorted((_ROOT / "classify").rglob("*")):
+        place = source.relative_to(_ROOT)
+        if source.suffix in (".py", ".html"):
+            (folder / place).parent.mkdir(parents=True, exist_ok=True)
+            shutil.copy(source, folder / place)
+        if source.suffix == ".py":
+            needed |= _needed(source)
     for source in sorted(_ADDON.rglob("*.py")):
         if source.parent != _HERE:
             needed |= _copy(source, folder, source.relative_to(_ADDON))
@@ -117,7 +128,24 @@ def _copy(source: Path, folder: Path, place: Path) -> set[Path]:
         Files of `generator` that it imports, and those of the packages that contain them, relative to the project.
     """
     text = source.read_text(encoding="utf-8")
-    tree = ast.parse(text)
+    if place.parts[0] == "generator":  # relative within it, so that it is a package by itself as well
+        relative = _IMPORT.sub(lambda m: f"{m[1]}from {'.' * (len(place.parts) - 1)}{m[2][1:]} import ", text)
+    else:
+        relative = _IMPORT.sub(lambda m: f"{m[1]}from {'.' * len(place.parts)}generator{m[2]} import ", text)
+    for node in ast.walk(ast.parse(relative)):
+        names = [alias.name for alias in node.names] if isinstance(node, ast.Import) else []
+        if isinstance(node, ast.ImportFrom) and not node.level:
+            names = [node.module or ""]
+        if any(name.partition(".")[0] == "generator" for name in names):
+            raise BuildError(f"{source}: line {ast.unparse(node)!r} must read 'from generator... import ...'")
+    (folder / place).parent.mkdir(parents=True, exist_ok=True)
+    (folder / place).write_text(relative, encoding="utf-8")
+    return _needed(source)
+
+
+def _needed(source: Path) -> set[Path]:
+    """Return the files of `generator` that a module imports when it is run, relative to the project."""
+    tree = ast.parse(source.read_text(encoding="utf-8"))
     type_checking = [
         node for node in ast.walk(tree) if isinstance(node, ast.If) and ast.unparse(node.test) == "TYPE_CHECKING"
     ]
@@ -128,15 +156,6 @@ def _copy(source: Path, folder: Path, place: Path) -> set[Path]:
             continue
         if str(node.module).partition(".")[0] == "generator":
             needed |= _files(source, node)
-    relative = _IMPORT.sub(lambda m: f"{m[1]}from {'.' * len(place.parts)}generator{m[2]} import ", text)
-    for node in ast.walk(ast.parse(relative)):
-        names = [alias.name for alias in node.names] if isinstance(node, ast.Import) else []
-        if isinstance(node, ast.ImportFrom) and not node.level:
-            names = [node.module or ""]
-        if any(name.partition(".")[0] == "generator" for name in names):
-            raise BuildError(f"{source}: line {ast.unparse(node)!r} must read 'from generator... import ...'")
-    (folder / place).parent.mkdir(parents=True, exist_ok=True)
-    (folder / place).write_text(relative, encoding="utf-8")
     return needed
 
 

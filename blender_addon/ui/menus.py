@@ -55,7 +55,8 @@ class NLOS_MT_main(bpy.types.Menu):
         for name in ("sweep_start", "sweep_resume", "sweep_cancel", "open_folder"):
             layout.operator(f"nlos.{name}")
         layout.separator()
-        for name in ("answer", "forget_answer", "timeline_render", "timeline_follow", "test_environment"):
+        answers = ("train", "answer", "forget_answer", "timeline_render", "timeline_follow")
+        for name in (*answers, "make_environment", "test_environment"):
             layout.operator(f"nlos.{name}")
 
 

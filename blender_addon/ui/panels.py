@@ -12,6 +12,7 @@ from generator.blender.scene import roles
 from generator.model.engines import AUTO, traits_of
 
 from ..operators import dataset
+from ..operators import environment as environments
 from ..session import environment, state
 from ..view import differs, live, target_file, views
 from . import choices, menus
@@ -401,9 +402,12 @@ class NLOS_PT_answer(_OfScene, bpy.types.Panel):
             _sentence(
                 context,
                 layout,
-                "Answers need a Python with scikit-learn: name one in the add-on's preferences",
+                "Answers need a Python with scikit-learn: make one here, or name one in the add-on's preferences",
                 "INFO",
             )
+            environments.draw(layout)
+            if state.environment_words:
+                _sentence(context, layout, state.environment_words)
 
 
 _MOST_LIKELY = 5

@@ -311,6 +311,31 @@ class NlosSettings(bpy.types.PropertyGroup):
         min=0,
         soft_max=64,
     )
+    train_set: StringProperty(
+        name="Set",
+        description="Folder of the data set to learn from; empty for that of the Data Set panel",
+        subtype="DIR_PATH",
+        options=_READ,
+    )
+    train_features: EnumProperty(
+        name="Features",
+        description="Numbers by which a picture is described to the classifier",
+        items=(
+            ("global", "Global", "Colour histogram, Hu moments and Haralick texture: the best for the presets"),
+            ("spatial-hog", "Spatial", "A smaller copy of the picture, its colour histogram and its gradients"),
+            ("physics", "Physics", "Level, shape without level, and the fit of an unknown target"),
+        ),
+    )
+    train_classifier: EnumProperty(
+        name="Classifier",
+        description="How the voxel is learnt from the numbers",
+        items=(
+            ("SVM", "Support Vectors", "Support vector machine: as good as any with the global features"),
+            ("RF", "Random Forest", "The best with spatial features; no settings have to fit"),
+            ("LR", "Logistic", "Logistic regression: simple and quick"),
+            ("LDA", "Linear", "Linear discriminant analysis: the quickest"),
+        ),
+    )
     model: StringProperty(
         name="Model",
         description="Trained by nlos-classify train (.skops); Live Answer takes an atlas too (nlos-classify atlas)",

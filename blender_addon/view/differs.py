@@ -30,6 +30,7 @@ _changes = 0
 _changed_at = 0.0
 _read_at = -1
 _found: tuple[list[str], list[str]] = [], []
+_described: Scene | None = None
 _now = ""
 
 
@@ -38,6 +39,12 @@ def found() -> tuple[list[str], list[str]]:
     if _read_at != _changes:
         state.once(_read, _AFTER)
     return _found
+
+
+def described() -> Scene | None:
+    """Return the scene's description as it was a moment ago; None if it cannot be read, or has not been yet."""
+    found()
+    return _described
 
 
 def note(topic: str) -> None:
@@ -94,20 +101,20 @@ def _read() -> float | None:
 
 def read() -> None:
     """Read the scene as it is."""
-    global _read_at, _found, _now
+    global _read_at, _found, _now, _described
     scene = bpy.context.scene
     if scene is None or state.rendering_now():
         return
-    before, _read_at = (_found, _now), _changes
+    before, _read_at = (_found, _now, _described), _changes
     with state.reading():
         try:
-            described = read_scene(scene) if roles.GRID_SHAPE in scene else None
+            _described = read_scene(scene) if roles.GRID_SHAPE in scene else None
         except NlosError:  # it is told elsewhere
-            described = None
-        _found = differing(scene.nlos, described) if described else ([], [])
+            _described = None
+        _found = differing(scene.nlos, _described) if _described else ([], [])
         if state.of:
-            _now = _fingerprint(scene, described)
-    if (_found, _now) != before:
+            _now = _fingerprint(scene, _described)
+    if (_found, _now, _described) != before:
         state.redraw("VIEW_3D")
 
 

@@ -153,9 +153,14 @@ def coloured(name: str, picture: Picture, reference: float, width: float) -> Any
 
 def _colours(name: str, picture: Picture, reference: float, width: float) -> Picture:
     level = picture.mean(axis=2)
-    top = round_up(float(np.quantile(np.abs(level), 0.995)) or float(np.abs(level).max()))
+    top = scale(level)
     captions[name] = Caption(top, reference / top if top else 0.0, width)
     return signed(level / top if top else level)
+
+
+def scale(level: Picture) -> float:
+    """Return the value of the brightest colour for a picture of signed values; 0 if all are 0."""
+    return round_up(float(np.quantile(np.abs(level), 0.995)) or float(np.abs(level).max()))
 
 
 def signed(values: Picture) -> Picture:

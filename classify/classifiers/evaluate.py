@@ -254,6 +254,58 @@ def compare(
     return results
 
 
+def cross_validated(
+    features: Features,
+    classifier: str,
+    settings: Settings,
+    *,
+    most_folds: int = 10,
+    seed: int = 0,
+    progress: Callable[[int, int, str], None] = lambda done, total, what: None,
+) -> Result:
+    """Cross-validate one classifier on a set, as `compare` does.
+
+    Parameters
+    ----------
+    features : Features
+    classifier, settings : str
+    most_folds : int
+        Number of stratified folds; fewer are taken where a class has fewer samples.
+    seed : int
+        Seed of the folds, the classifier and the bootstrap.
+    progress : callable
+        Called with (folds done, folds in all, "").
+
+    Raises
+    ------
+    NlosError
+        As for `compare`.
+    """
+    models.check_seed(seed)
+    rarest = int(np.unique(features.labels, return_counts=True)[1].min())
+    folds = max(2, min(most_folds, rarest))
+    models.check_folds(features.labels, folds, [settings])
+    models.check_varied(features)
+    tasks = (
+        joblib.delayed(fit_and_test)(
+            models.make(classifier, settings, features.settings.set, len(train_rows), seed=seed),
+            features.values[train_rows],
+            features.labels[train_rows],
+            features.values[test_rows],
+            features.labels[test_rows],
+        )
+        for train_rows, test_rows in _splits(features, features, folds, seed)
+    )
+    fits = []
+    progress(0, folds, "")
+    with joblib.Parallel(n_jobs=-1, return_as="generator") as parallel:
+        for fit in parallel(tasks):
+            fits.append(fit)
+            progress(len(fits), folds, "")
+    name = features.contents
+    return _summarise(fits, name, name, classifier, settings, _classes(features), seed)
+
+
 def _splits(
     train: Features, test: Features, folds: int, seed: int
 ) -> list[tuple[NDArray[np.int64], NDArray[np.int64]]]:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import ast
 import os
+import shutil
 import subprocess
 import sys
 import textwrap
@@ -103,10 +104,11 @@ def test_zip_holds_what_is_needed_and_no_more(package: Path) -> None:
         "generator/transport/world.py",
     )
     assert {"blender_manifest.toml", "generator/transport/__init__.py", *wanted} <= set(sources)
-    unwanted = ("tests", "__pycache__", "classify", "packaging", "cli/", "bulk", ".whl")
+    assert {"requirements.txt", "classify/cli/__main__.py", "classify/report/templates/page.html"} <= set(sources)
+    unwanted = ("tests", "__pycache__", "packaging", "batch.py", "cli/sweep.py", ".whl")
     assert not [n for n in sources if any(word in n for word in unwanted)]
     for name, text in sources.items():
-        if not name.endswith(".py"):
+        if not name.endswith(".py") or name.startswith("classify/"):
             continue
         for node in ast.walk(ast.parse(text)):
             if isinstance(node, ast.Import):
@@ -127,7 +129,7 @@ def test_manifest() -> None:
     project = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]
     assert manifest["version"] == project["version"]
     assert manifest["license"] == [f"SPDX:{project['license']}"]
-    assert set(manifest["permissions"]) == {"files"}
+    assert set(manifest["permissions"]) == {"files", "network"}
 
 
 def test_absolute_import_is_refused(tmp_path: Path) -> None:
@@ -144,7 +146,7 @@ def test_absolute_import_is_refused(tmp_path: Path) -> None:
             "from generator import sets",
             "sets/__init__",
             "from .generator import sets",
-            "from ..generator import sets",
+            "from . import sets",
         ),
         ("from generator.files import exr", "files/exr", "from .generator.files import exr", None),
         ("from generator.files.exr import read", "files/exr", "from .generator.files.exr import read", None),
@@ -152,7 +154,7 @@ def test_absolute_import_is_refused(tmp_path: Path) -> None:
             "if 1:\n    from generator.files import exr",
             "files/exr",
             None,
-            "if 1:\n    from ..generator.files import exr",
+            "if 1:\n    from .files import exr",
         ),
     ],
 )
@@ -698,11 +700,10 @@ def test_without_cycles_there_is_a_sentence(package: Path, tmp_path: Path) -> No
 def test_a_trained_model_answers(
     package: Path, tmp_path: Path, scene_file: Path, command: Callable[..., Any]
 ) -> None:
-    features, model, pictures = tmp_path / "tiny.h5", tmp_path / "tiny.skops", tmp_path / "pictures"
+    features, pictures = tmp_path / "tiny.h5", tmp_path / "pictures"
     some = ("--engine", "patch", "--poses", "4", "--samples", "64", "--resolution", "8", "--no-probe")
     assert command("generator", "sweep", scene_file, "-o", pictures, *some).returncode == 0
     assert command("classify", "features", pictures, "-o", features).returncode == 0
-    assert command("classify", "train", features, "-o", model, "--classifier", "NB").returncode == 0
     blender(
         package,
         tmp_path,
@@ -714,7 +715,11 @@ def test_a_trained_model_answers(
         assert "no picture yet" in refused(bpy.ops.nlos.answer) or not settings.model
         bpy.ops.nlos.build_scene()
         settings.engine, settings.samples, settings.resolution = "patch", 4, (8, 8)
-        settings.model = {str(model)!r}
+        settings.train_set, settings.train_classifier = {str(pictures)!r}, "LDA"
+        assert bpy.ops.nlos.train() == {{"FINISHED"}}
+        words = module("operators.train").job.words
+        assert words.startswith("Finds the right voxel in ") and "in 4 folds of 36 pictures; took" in words, words
+        assert settings.model == {str(pictures) + ".skops"!r}
         bpy.ops.nlos.render_wall()
         assert bpy.ops.nlos.answer() == {{"FINISHED"}}
         assert set(state.answer) == set("ABCDEFGHI"), state.answer_words
@@ -722,6 +727,212 @@ def test_a_trained_model_answers(
         settings.model = {str(features)!r}
         bpy.ops.nlos.answer()
         assert not state.answer and "tiny.h5" in state.answer_words, state.answer_words
+        """,
+    )
+
+
+def test_an_environment_is_made_named_renewed_and_removed(package: Path, tmp_path: Path) -> None:
+    """By a shell script in place of Python and pip; `session/test_making.py` has the ways to fail."""
+    python = tmp_path / "python"
+    python.write_text(
+        """#!/bin/sh
+        case "$*" in
+          *find_spec*) echo 3.11 whole;;
+          *"-m venv"*) mkdir -p "$4/bin" "$4/site"; cp "$0" "$4/bin/python";;
+          *sysconfig*) echo "$(dirname "$0")/../site";;
+          *version_info*) echo 3.11.9;;
+        esac
+        """.replace("\n        ", "\n")
+    )
+    python.chmod(0o755)
+    blender(
+        package,
+        tmp_path,
+        f"""
+        state, environment = module("session.state"), module("session.environment")
+        preferences = bpy.context.preferences
+        preferences.system.use_online_access = False
+        assert "Allow Online Access" in refused(bpy.ops.nlos.make_environment)
+        preferences.system.use_online_access = True
+        sys.executable = {str(python)!r}
+        folder, named = environment.own(), preferences.addons[MODULE].preferences
+        assert not environment.is_made()
+        for _ in range(2):
+            assert bpy.ops.nlos.make_environment() == {{"FINISHED"}}
+            assert named.python == str(folder / "bin/python") and environment.is_made()
+            assert "Python 3.11.9 can read trained models, train" in state.environment_words
+            assert (folder / "site/nlos_lab.pth").read_text().strip() == str(module("session.making").ADDON)
+        assert bpy.ops.nlos.remove_environment() == {{"FINISHED"}}
+        assert not named.python and not environment.is_made() and not folder.exists()
+        sys.executable = "/nowhere"
+        named.python = "/usr/bin/env"
+        assert bpy.ops.nlos.make_environment() == {{"FINISHED"}}
+        assert "/nowhere cannot be run" in state.environment_words and named.python == "/usr/bin/env"
+        """,
+    )
+
+
+def test_training_is_told_and_its_failures_are_sentences(package: Path, tmp_path: Path) -> None:
+    """By a shell script in place of the command line, which `test_a_trained_model_answers` asks."""
+    python = tmp_path / "python"
+    python.write_text(
+        """#!/bin/sh
+        echo "$*" >> """
+        + f"{tmp_path}/asked"
+        + """
+        case "$*" in
+          *" features "*few*) echo "error: few: class A has 1 samples" >&2; exit 2;;
+          *" features "*) echo "7 of 18 pictures" >&2; echo '{"pictures": 18, "planned": 27}';;
+          *odd*) echo '{"folds": 10}';;
+          *) echo "10 of 10 folds" >&2; echo '{"accuracy": {"value": 0.5, "low": 0.4, "high": 0.625}, "folds": 10}';;
+        esac
+        """.replace("\n        ", "\n")
+    )
+    python.write_text(python.read_text().replace("\n        ", "\n"))
+    python.chmod(0o755)
+    for name in ("set", "few", "odd"):
+        (tmp_path / name).mkdir()
+    blender(
+        package,
+        tmp_path,
+        f"""
+        import pathlib
+        train = module("operators.train")
+        assert "Make Environment" in refused(bpy.ops.nlos.train)
+        bpy.context.preferences.addons[MODULE].preferences.python = {str(python)!r}
+        settings.dataset = {str(tmp_path / "nowhere")!r}
+        assert "nowhere is not there" in refused(bpy.ops.nlos.train)
+        settings.dataset, settings.train_features = {str(tmp_path / "set")!r}, "physics"
+        told = []
+        told_by = train.Job._told
+        train.Job._told = lambda job, words: lambda line: (told_by(job, words)(line), told.append(job.words))
+        assert bpy.ops.nlos.train() == {{"FINISHED"}}
+        assert told == ["Describing the pictures: 7 of 18 pictures", "Training on all of them"], told
+        assert train.job.words.startswith("Finds the right voxel in 50.0 % of pictures (95 % interval: 40.0 to 62.5)")
+        assert "10 folds of 18 of 27 pictures; took" in train.job.words and not train.job.running
+        assert settings.model == {str(tmp_path / "set.skops")!r}
+        asked = pathlib.Path("asked").read_text()
+        assert "--features physics --partial" in asked and "--classifier SVM --cross-validate" in asked
+        settings.model = "kept"
+        for name, words in (("few", "few: class A has 1 samples"), ("odd", "did not tell how well")):
+            settings.train_set = {str(tmp_path)!r} + "/" + name
+            assert bpy.ops.nlos.train() == {{"FINISHED"}}
+            assert words in train.job.words and settings.model == "kept", train.job.words
+        """,
+    )
+
+
+def test_the_pictures_of_a_set_are_shown_and_the_target_put_where_they_have_it(
+    package: Path, tmp_path: Path, tiny_dataset: Path, scene_file: Path
+) -> None:
+    shutil.copytree(tiny_dataset, tmp_path / "set")
+    blender(
+        package,
+        tmp_path,
+        f"""
+        import math, pathlib, shutil
+        thumbnails, pages = module("view.thumbnails"), module("operators.browser")
+        sets, differs = module("generator.sets.dataset"), module("view.differs")
+        bpy.ops.wm.open_mainfile(filepath={str(scene_file)!r})
+        scene, settings = bpy.context.scene, bpy.context.scene.nlos
+        path = pathlib.Path("set").absolute()
+
+        def look():
+            records = [record for record, _, _ in pages.shown(thumbnails.opened())] if thumbnails.opened() else []
+            for _ in range(2):  # the tables, then the pictures
+                thumbnails.want(settings.dataset, records)
+                thumbnails._serve()
+                records = [r for r, _, _ in pages.shown(thumbnails.opened())] if thumbnails.opened() else []
+            return records
+
+        settings.dataset = str(path.parent / "nowhere")
+        look()
+        assert "is not a data set" in thumbnails.words(), thumbnails.words()
+        assert "poll" in refused(lambda: bpy.ops.nlos.browse_place(voxel=0))
+        settings.dataset = str(path)
+        records = look()
+        assert [r.label for r in records] == list("ABCDEFGHI") and not thumbnails.words()
+        dataset = sets.Dataset.open(path)
+        images = module("view.images")
+        for record in records:
+            icon, fault = thumbnails.thumbnail(record)
+            assert not fault, fault
+            shown = thumbnails._shelf.previews[record.file]
+            level = (dataset.picture(record) - dataset.background()).mean(axis=2)
+            values = np.array(shown.image_pixels_float).reshape(8, 8, 4)[::-1]
+            assert tuple(shown.image_size) == (8, 8)
+            brighter = np.abs(level) > 0.1 * images.scale(level)
+            assert ((values[..., 0] > values[..., 2]) == (level > 0.0))[brighter].all() and brighter.any()
+
+        place = records[4]
+        assert bpy.ops.nlos.browse_place(voxel=4, position=0) == {{"FINISHED"}}
+        target = roles.find(scene, "target")
+        assert np.allclose(target.location, place.position, rtol=0, atol=1e-7)
+        assert np.allclose([math.degrees(a) for a in target.rotation_euler], place.rotation, atol=1e-5)
+        assert "no picture 2 of that voxel" in refused(lambda: bpy.ops.nlos.browse_place(voxel=4, position=1))
+        target.constraints.new("LIMIT_LOCATION").use_max_x = True
+        assert "does not go where it is put" in refused(lambda: bpy.ops.nlos.browse_place(voxel=8))
+        assert np.allclose(target.location, place.position, rtol=0, atol=1e-7)
+        target.constraints.clear()
+
+        differs.read()
+        assert thumbnails.others_than(differs.described()) == []
+        scene["nlos_grid_shape"] = (2, 2, 1)
+        roles.find(scene, "spot").data.energy *= 2.0
+        differs.read()
+        assert sorted(thumbnails.others_than(differs.described())) == ["grid", "spot"]
+
+        # What comes, goes or breaks is told, each picture for itself.
+        (path / "A/0000.exr").write_bytes((path / "A/0000.exr").read_bytes()[:300])
+        shutil.copy(path / "B/0000.exr", path / "C/0000.exr")
+        away = (path / "D/0000.exr").rename(path / "away.exr")
+        thumbnails.forget()
+        faults = [thumbnails.thumbnail(record)[1] for record in look()]
+        assert "truncated" in faults[0] and "picture of label B" in faults[2], faults
+        assert "away.exr" in thumbnails.opened().fault, thumbnails.opened().fault
+        assert faults[3] == "is not rendered yet" and not any(faults[4:]), faults
+        away.rename(path / "D/0000.exr")
+        thumbnails._shelf.looked_at = -10.0
+        faults = [thumbnails.thumbnail(record)[1] for record in look()]
+        assert not faults[3] and "truncated" in faults[0], faults
+        (path / "background.exr").unlink()
+        thumbnails.forget()
+        assert all("background.exr" in thumbnails.thumbnail(record)[1] for record in look()[4:])
+
+        large = np.zeros((200, 130, 3), np.float32)
+        large[:100] = 1.0
+        small = thumbnails.coloured(large)
+        assert small.shape == (50, 32, 3) and small[:25].any() and not small[25:].any()
+        """,
+    )
+
+
+def test_a_face_of_the_voxel_grid_is_moved_and_never_passes_the_other(package: Path, tmp_path: Path) -> None:
+    blender(
+        package,
+        tmp_path,
+        """
+        assert "poll" in refused(lambda: bpy.ops.nlos.drag_face(axis="X", side="LOW", by=0.1))
+        bpy.ops.nlos.build_scene()
+        before = roles.read_grid(scene)
+        for axis, name in enumerate("XYZ"):
+            for side, by in (("LOW", 0.1), ("HIGH", -0.2)):
+                assert bpy.ops.nlos.drag_face(axis=name, side=side, by=by) == {"FINISHED"}
+            found = roles.read_grid(scene)
+            assert abs(found.lo[axis] - before.lo[axis] - 0.1) < 1e-6, found
+            assert abs(found.hi[axis] - before.hi[axis] + 0.2) < 1e-6, found
+            assert np.allclose(settings.grid_lo, found.lo) and np.allclose(settings.grid_hi, found.hi)
+        assert found.shape == before.shape
+        for side, by in (("LOW", 100.0), ("HIGH", -100.0)):
+            bpy.ops.nlos.drag_face(axis="Y", side=side, by=by)
+            found = roles.read_grid(scene)
+            assert 0.0 < found.hi[1] - found.lo[1] < 0.0021, found
+        assert description.read_scene(scene).grid == found
+        settings.grid_counts = (2, 2, 2)  # a draft that waits for Apply stays
+        bpy.ops.nlos.drag_face(axis="Y", side="HIGH", by=0.5)
+        assert tuple(settings.grid_counts) == (2, 2, 2) and roles.read_grid(scene).shape == before.shape
+        scene["nlos_grid_lo"] = (9.0, 9.0, 9.0)
+        assert "must lie below" in refused(lambda: bpy.ops.nlos.drag_face(axis="X", side="LOW", by=0.1))
         """,
     )
 

@@ -140,6 +140,26 @@ def tab(name: str) -> Wait:
 
 
 @_waits
+def panel_picture(panel: str, name: str) -> Wait:
+    """Have a picture taken in which a panel, closed or below others else, stands open in a tab of its own."""
+    kind = getattr(bpy.types, panel)
+    kept = {key: value for key, value in vars(kind).items() if key in ("bl_label", "draw", "draw_header")}
+    where = {"bl_space_type": "VIEW_3D", "bl_region_type": "UI", "bl_category": "Picture"}
+    copy = type(f"{panel}_picture", (bpy.types.Panel,), {**kept, **where})
+    bpy.utils.register_class(copy)
+    try:
+        redraw()
+        yield 0.3
+        yield from tab("Picture")
+        yield from screenshot(name)
+    finally:
+        bpy.utils.unregister_class(copy)
+    redraw()
+    yield 0.3
+    yield from tab("NLOS")
+
+
+@_waits
 def press(operator: str, across: float = 0.0) -> Wait:
     """Find an operator's button in the sidebar by mouse, scrolling if need be, and click on it.
 

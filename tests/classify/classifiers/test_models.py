@@ -154,6 +154,19 @@ def test_shared_kernels_choose_what_a_grid_search_chooses(pair):
         )
 
 
+def test_one_classifier_is_cross_validated_as_in_a_comparison(pair):
+    told = []
+    alone = evaluate.cross_validated(
+        pair[0], "LDA", "paper", most_folds=4, seed=2, progress=lambda done, total, what: told.append((done, total))
+    )
+    [among] = evaluate.compare(pair[:1], ["a"], classifiers=["LDA"], settings=["paper"], folds=4, seed=2)
+    np.testing.assert_array_equal(alone.right, among.right)
+    assert (alone.accuracy, alone.folds, alone.train) == (among.accuracy, among.folds, among.train)
+    assert told == [(done, 4) for done in range(5)]
+    rarest = min(np.unique(pair[0].labels, return_counts=True)[1])
+    assert len(evaluate.cross_validated(pair[0], "NB", "paper", most_folds=10**6).folds) == rarest
+
+
 def test_results_follow_from_the_seed(pair):
     first, again = (
         evaluate.compare(pair[:1], ["a"], classifiers=("RF",), settings=["paper"], folds=3, seed=5) for _ in range(2)
@@ -302,6 +315,11 @@ def test_commands_from_data_set_to_answer(tmp_path, command):
     assert "trained on sheet, tested on sphere" in done.stdout
     done = command("classify", "train", "sheet.h5", "-o", "m.skops", "--classifier", "LDA", cwd=tmp_path)
     assert done.returncode == 0, done.stderr
+    done = command(
+        "classify", "train", "sheet.h5", "-o", "m.skops", "--classifier", "LDA", "--cross-validate", cwd=tmp_path
+    )
+    assert "right voxel: " in done.stdout, done.stderr
+    assert "in 6 folds" in done.stdout
     pictures = [f"sheet/{v}/0000.exr" for v in "AEI"]
     done = command("classify", "predict", "m.skops", *pictures, "--json", cwd=tmp_path, process=True)
     answers = json.loads(done.stdout)["answers"]
