@@ -1,4 +1,4 @@
-"""The faces of the voxel grid are dragged by their arrows: an undo step a drag, the panel follows, Esc takes it back."""
+"""The faces of the voxel grid are dragged by their arrows: one undo step each; the panel follows, Esc undoes it."""
 
 from __future__ import annotations
 
