@@ -24,6 +24,7 @@ ROOMS = (
     "generator.cli",
     "generator",
     "classify.intervals",
+    "classify.tail",
     "classify.pictures",
     "classify.classifiers",
     "classify.inference",

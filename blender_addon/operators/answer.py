@@ -17,12 +17,13 @@ from ..session import background, environment, state
 from ..view import overlay
 
 
-def _probabilities(said: str) -> dict[str, float]:
-    """Return the probability of each voxel, by label, from the output of the command line."""
+def _answered(said: str) -> tuple[dict[str, float], list[str]]:
+    """Return the probability of each voxel, by label, and what speaks against it, from the command line's output."""
     try:
-        probabilities = {str(label): float(p) for label, p in json.loads(said)["answers"][0]["probability"].items()}
+        answer = json.loads(said)
+        probabilities = {str(label): float(p) for label, p in answer["answers"][0]["probability"].items()}
         if probabilities and all(0.0 <= p <= 1.0 for p in probabilities.values()):
-            return probabilities
+            return probabilities, [str(text) for text in answer.get("doubts", ())]
         raise ValueError
     except (ValueError, LookupError, TypeError, AttributeError):
         raise NlosError(f"the Python in the preferences printed no answer but {said.strip()[:80]!r}") from None
@@ -57,14 +58,16 @@ class NLOS_OT_answer(bpy.types.Operator):
             if task.error:
                 state.answer_words = task.error
             else:
-                state.answer.update(task.result)
+                probabilities, doubts = task.result
+                state.answer.update(probabilities)
                 label = max(state.answer, key=lambda v: state.answer[v])
-                state.answer_words = f"Voxel {label}, with a probability of {state.answer[label]:.0%}"
+                words = f"Voxel {label}, with a probability of {state.answer[label]:.0%}"
+                state.answer_words = "; ".join([words, *(text.replace(str(model), model.name) for text in doubts)])
             overlay.changed()
 
         command = [interpreter, *arguments, "--json"]
         background.Task(
-            lambda task: _probabilities(environment.run(command, task.stop)), then, topic="answer"
+            lambda task: _answered(environment.run(command, task.stop, doubtful=True)), then, topic="answer"
         ).settle()
         return {"FINISHED"}
 

@@ -116,6 +116,7 @@ def run(
     stop: threading.Event,
     tell: Callable[[str], None] = lambda line: None,
     patience: float = _PATIENCE,
+    doubtful: bool = False,
 ) -> str:
     """Run a Python command, isolated from Blender's modules, and return its output; kill it once ``stop`` is set.
 
@@ -128,6 +129,8 @@ def run(
         Called in another thread with each line of its error output.
     patience : float
         Seconds that it may take.
+    doubtful : bool
+        Whether it tells by exit code 1 that its output is an answer in doubt.
 
     Raises
     ------
@@ -174,7 +177,7 @@ def run(
         )
     for reader in readers:
         reader.join(10.0)  # a process that it left running may hold its output open
-    if process.returncode:
+    if process.returncode and not (doubtful and process.returncode == 1 and output):
         raise NlosError(errors[-1].removeprefix("error: ") if errors else f"exit code {process.returncode}")
     return "".join(output)
 

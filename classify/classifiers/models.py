@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Iterable, Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, Literal
 
@@ -26,10 +26,12 @@ from sklearn.svm import SVC
 from sklearn.tree import DecisionTreeClassifier
 from sklearn.tree._tree import Tree
 
+from classify.classifiers.familiar import Familiar
 from classify.classifiers.names import ALL
 from classify.classifiers.search import KernelSearch
 from classify.pictures.feature_table import Features
 from classify.pictures.features import describe, feature_names
+from classify.pictures.sensor import level_between
 from classify.pictures.settings import FeatureSettings
 from generator.files.limits import check_archive
 from generator.files.pictures import COLOUR_SPACE, Picture
@@ -145,6 +147,8 @@ class Model:
     grid : VoxelGrid
     about : dict
         Classifier, its settings, the target, provenance of the features.
+    familiar : Familiar or None
+        What is familiar to it; None if it was trained on too few pictures, or by an older version.
     """
 
     estimator: Any
@@ -153,6 +157,7 @@ class Model:
     reference_radiance: float
     grid: VoxelGrid
     about: dict[str, Any]
+    familiar: Familiar | None = None
 
     @property
     def colour_space(self) -> str:
@@ -163,7 +168,34 @@ class Model:
     def probabilities(
         self, picture: Picture, *, background: Picture | None = None, name: str = "picture"
     ) -> dict[str, float]:
-        """Return the probability of each voxel for one picture, (height, width, 3), W/m^2/sr."""
+        """Return the probability of each voxel for one picture; see `judged`."""
+        return self.judged(picture, background=background, name=name)[0]
+
+    def judged(
+        self, picture: Picture, *, background: Picture | None = None, name: str = "picture"
+    ) -> tuple[dict[str, float], float | None]:
+        """Return the probability of each voxel for one picture, and how familiar it is.
+
+        Parameters
+        ----------
+        picture : ndarray of shape (height, width, 3)
+            W/m^2/sr.
+        background : ndarray of shape (height, width, 3), optional
+            Of the scene as it is now. If it differs from that of the training in its level alone, both pictures were
+            exposed otherwise, which is made up for.
+        name : str
+            Name of the picture, for messages.
+
+        Returns
+        -------
+        probability : dict of str to float
+            Of each voxel, by label.
+        misfit : float or None
+            Probability that a picture like those of the training is as far from them; None if that is not known.
+        """
+        if background is not None and self.settings.input != "raw":
+            level = np.float32(self.level_of(background)[0])
+            picture, background = picture * level, background * level
         row = describe(
             picture,
             self.settings,
@@ -172,7 +204,24 @@ class Model:
             name=name,
         )
         values = _answer(self.estimator, row, name)
-        return {str(label): float(p) for label, p in zip(self.estimator.classes_, values, strict=True)}
+        probability = {str(label): float(p) for label, p in zip(self.estimator.classes_, values, strict=True)}
+        return probability, None if self.familiar is None else self.familiar.probability(row)
+
+    def level_of(self, background: Picture) -> tuple[float, float]:
+        """Return factor and difference in shape from a background to that of the training (`level_between`)."""
+        own, wanted = (p.mean(axis=2, dtype=np.float64) for p in (background, self.background))
+        return level_between(own, wanted)
+
+
+def doubts(model: Model, background: Picture) -> list[str]:
+    """Return what speaks against answers about a scene, by its background: another one than that of the training."""
+    mismatch = 0.0 if model.settings.input == "raw" else model.level_of(background)[1]
+    if not mismatch:
+        return []
+    return [
+        f"do not rely on these answers: the empty scene differs from that of the training by {mismatch:.1%} in "
+        "shape, so room, lamp, reflections or view are others"
+    ]
 
 
 def train(features: Features, name: str, settings: Settings, *, seed: int = 0) -> Model:
@@ -208,6 +257,7 @@ def train(features: Features, name: str, settings: Settings, *, seed: int = 0) -
             "samples": dict(zip(map(str, labels), map(int, counts), strict=True)),
             "provenance": features.provenance,
         },
+        familiar=Familiar.of(features.values, features.labels, seed=seed),
     )
 
 
@@ -267,6 +317,8 @@ def save(path: Path, model: Model) -> None:
         "grid": json.dumps(to_dict(model.grid)),
         "about": json.dumps(model.about),
     }
+    if model.familiar is not None:
+        bundle["familiar"] = model.familiar.arrays()
     with atomic(path) as temporary:
         skops.io.dump(bundle, temporary)
 
@@ -320,6 +372,8 @@ def load(path: Path) -> Model:
             about=json.loads(bundle["about"]),
         )
         n_features = int(model.estimator.n_features_in_)
+        if "familiar" in bundle:
+            model = replace(model, familiar=Familiar.from_arrays(bundle["familiar"], n_features))
         _check_inside(model.estimator, n_features)
     except Exception as error:  # the contents may be wrong in many ways, NlosError among them
         raise NlosError(f"{path}: is not a model file ({type(error).__name__}: {error})") from None

@@ -41,6 +41,8 @@ class _Clerk:
     def answered(self, question: PictureQuestion) -> dict[str, Any]:
         """Return the fields of the answer."""
         self._look_at(question)
+        from classify.tail import RARE
+
         shape = tuple(question.shape)
         difference = np.frombuffer(base64.b64decode(question.pixels), dtype="<f4").reshape(shape)
         found = self._answerer.answer(difference)
@@ -48,7 +50,10 @@ class _Clerk:
         if found.place is not None:
             deviation = np.sqrt(np.diag(found.place.covariance))
             place = {"position": found.place.position.tolist(), "deviation": deviation.tolist()}
-        return {"probability": found.probability, **place, "doubts": self._answerer.doubts}
+        doubts = list(self._answerer.doubts)
+        if found.misfit is not None and found.misfit < RARE:
+            doubts.append(f"this picture is unlike those that it knows (misfit {found.misfit:.1g})")
+        return {"probability": found.probability, **place, "doubts": doubts}
 
     def _look_at(self, question: PictureQuestion) -> None:
         from classify.inference.answerer import Seen

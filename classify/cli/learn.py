@@ -206,6 +206,9 @@ class Prediction:
     picture: str = described("the picture")
     label: str = described("the most probable voxel")
     probability: dict[str, float] = described("probability of each voxel")
+    misfit: float | None = described(
+        "probability that a picture like those of the training is as far from them; null if the model does not tell"
+    )
 
 
 @json_object
@@ -213,6 +216,7 @@ class Predictions:
     """In which voxel the object stands."""
 
     answers: list[Prediction] = described("answers, picture by picture")
+    doubts: list[str] = described("what speaks against these answers, in sentences; exit code 1 if anything does")
 
 
 def run_compare(options: argparse.Namespace) -> Answer:
@@ -361,6 +365,9 @@ def run_train(options: argparse.Namespace) -> Answer:
 
 def run_predict(options: argparse.Namespace) -> Answer:
     """Print the voxel that a model predicts for each picture."""
+    import numpy as np
+
+    from classify import tail
     from classify.classifiers import models
     from generator.files.pictures import COLOUR_SPACE, read_picture
     from generator.sets.readable import check_colours
@@ -375,11 +382,21 @@ def run_predict(options: argparse.Namespace) -> Answer:
     background = read(options.background) if options.background else None
     if background is not None and model.settings.input == "raw":
         console.complain("note: --background: means nothing to this model, whose features are of the raw picture")
+    doubts = [] if background is None else models.doubts(model, background)
     found, lines = [], []
     for path in options.pictures:
-        voxels = model.probabilities(read(path), background=background, name=str(path))
+        voxels, misfit = model.judged(read(path), background=background, name=str(path))
         likely = sorted(voxels.items(), key=lambda item: -item[1])
-        found.append(Prediction(picture=str(path), label=likely[0][0], probability=voxels))
+        found.append(Prediction(picture=str(path), label=likely[0][0], probability=voxels, misfit=misfit))
         shown = "  ".join(f"{voxel} {p:.1%}" for voxel, p in likely if p >= 5e-4)
-        lines.append(f"{path}: {likely[0][0]}   {shown}")
-    return Answer(Predictions(answers=found), lines)
+        unlike = misfit is not None and misfit < tail.RARE
+        lines.append(f"{path}: {likely[0][0]}   {shown}{f'   (unlike the training: {misfit:.1g})' if unlike else ''}")
+    known = np.array([answer.misfit for answer in found if answer.misfit is not None])
+    rare, surprising = tail.more_than_chance(known)
+    if surprising:
+        several = f"{rare} of {len(found)} pictures are" if len(found) > 1 else "the picture is"
+        doubts.append(
+            f"{several} unlike all that {options.model} was trained on, as {tail.RARE:.0%} would be by chance; do "
+            "not rely on such answers"
+        )
+    return Answer(Predictions(answers=found, doubts=doubts), [*lines, *doubts], 1 if doubts else 0)

@@ -19,6 +19,7 @@ from classify.classifiers import models
 from classify.inference import atlas_file
 from classify.inference.atlas import Atlas
 from classify.inference.evaluation import doubts
+from classify.inference.misfit import Misfits
 from classify.inference.posterior import Place, locate
 from classify.pictures.sensor import Sensor, level_between
 from generator.files.pictures import Picture
@@ -29,6 +30,7 @@ from generator.model.grid import VoxelGrid
 from generator.sets.readable import check_colours
 
 _SEED = 0
+_Measured = tuple[dict[str, float], Place | None, float | None]
 _SAME_PLACE = 1e-4
 """Share of the volume's size by which two grids may differ: a scene keeps its numbers in single precision."""
 
@@ -64,12 +66,15 @@ class Answered:
         Probability of each voxel, by label.
     place : Place or None
         Position, from an atlas.
+    misfit : float or None
+        Probability that a picture which is what the model is made for fits as badly; None if that is not known.
     picture, background : ndarray of shape (height, width, 3), float32
         What was answered: as measured, W/m^2/sr.
     """
 
     probability: dict[str, float]
     place: Place | None
+    misfit: float | None
     picture: Picture
     background: Picture
 
@@ -143,8 +148,7 @@ class Answerer(ABC):
             The picture cannot be brought to the right size, or the model does not answer.
         """
         picture = self._measured(self._clean + self._resized(difference), 1)
-        probability, place = self.measured_answer(picture, self._background)
-        return Answered(probability, place, picture, self._background)
+        return Answered(*self.measured_answer(picture, self._background), picture, self._background)
 
     def _resized(self, picture: Picture) -> Picture:
         """Average a picture down to the size that it is made for: what a larger pixel collects."""
@@ -172,8 +176,8 @@ class Answerer(ABC):
         return 1.0
 
     @abstractmethod
-    def measured_answer(self, picture: Picture, background: Picture) -> tuple[dict[str, float], Place | None]:
-        """Return the probability of each voxel, and the place from an atlas, for a measured picture."""
+    def measured_answer(self, picture: Picture, background: Picture) -> _Measured:
+        """Return the probability of each voxel, the place from an atlas, and the misfit, for a measured picture."""
 
     @abstractmethod
     def _doubts(self, target: str, level: float, mismatch: float) -> list[str]:
@@ -196,20 +200,18 @@ class ByModel(Answerer):
         background = model.background.mean(axis=2, dtype=np.float64)
         super().__init__(path, model.grid, background, model.colour_space, sensor)
 
-    def measured_answer(self, picture: Picture, background: Picture) -> tuple[dict[str, float], None]:
-        """Return the probability of each voxel, and no place."""
-        return self._model.probabilities(picture, background=background, name="the look"), None
+    def measured_answer(self, picture: Picture, background: Picture) -> _Measured:
+        """Return the probability of each voxel, no place, and the misfit."""
+        probability, misfit = self._model.judged(picture, background=background, name="the look")
+        return probability, None, misfit
 
     def _doubts(self, target: str, level: float, mismatch: float) -> list[str]:
         trained = str(self._model.about.get("target", ""))
-        sentences = []
-        if mismatch:
+        sentences = models.doubts(self._model, self._clean)
+        if level != 1.0:
             sentences.append(
-                f"do not rely on these answers: the empty scene differs from that of the training by {mismatch:.1%} "
-                "in shape, so room, lamp, reflections or view are others"
+                f"the empty scene is {1.0 / level:.3g} times as bright as that of the training, which is made up for"
             )
-        elif level != 1.0:
-            sentences.append(f"the empty scene is {1.0 / level:.3g} times as bright as that of the training")
         if target != trained:
             sentences.append(f"it was trained on a {trained}, and the look is of a {target}")
         return sentences
@@ -221,13 +223,16 @@ class ByAtlas(Answerer):
     what = "atlas"
 
     def __init__(self, path: Path, atlas: Atlas) -> None:
-        self._atlas = atlas
+        self._atlas, self._misfits = atlas, Misfits(atlas)
         super().__init__(path, atlas.grid, atlas.background, atlas.colour_space, atlas.sensor)
 
-    def measured_answer(self, picture: Picture, background: Picture) -> tuple[dict[str, float], Place]:
-        """Return the probability of each voxel, and the place."""
-        place = locate(self._atlas, self._atlas.code(picture, background, name="the look"), seed=_SEED)
-        return dict(zip(self._atlas.grid.labels, map(float, place.voxels), strict=True)), place
+    def measured_answer(self, picture: Picture, background: Picture) -> _Measured:
+        """Return the probability of each voxel, the place, and the misfit."""
+        difference = self._atlas.difference(picture, background, name="the look")
+        code = self._atlas.code_of(difference)
+        place = locate(self._atlas, code, seed=_SEED)
+        probability = dict(zip(self._atlas.grid.labels, map(float, place.voxels), strict=True))
+        return probability, place, self._misfits(difference, code).probability
 
     def _taken_level(self, level: float) -> float:
         return level

@@ -11,18 +11,15 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.stats import binom, chi2, genpareto
+from scipy.stats import chi2
 
 from classify.inference.atlas import Atlas
+from classify.tail import RARE, Tail, more_than_chance
 from generator.model.arrays import Array
 
-RARE = 0.01
-"""Probability below which a picture is counted as one that does not fit."""
 _DRAWS = 1000
 _POSES = 20_000
 """Most poses of the atlas that a code is compared with."""
-_TAIL = 0.1
-"""Share of the simulated distances that the distribution's tail is fitted to."""
 _CHANCE = 1e-4
 """Probability of a false warning about a set."""
 
@@ -63,8 +60,7 @@ class Misfits:
     What a code leaves out has unit variance in every direction, times the atlas' ``spread``, if the picture is of its
     scene: the sum of squares is chi-squared. The distance of a code from the nearest of the atlas', and from the
     plane through the nearest few, depends on how densely these lie, so its distribution is simulated: poses of the
-    atlas, each left out of it, with noise. Beyond the simulated ones, excesses over a high threshold have a
-    generalised Pareto distribution (Pickands 1975).
+    atlas, each left out of it, with noise.
     """
 
     def __init__(self, atlas: Atlas, *, seed: int = 0) -> None:
@@ -80,11 +76,7 @@ class Misfits:
         noise = rng.normal(size=(_DRAWS, size))
         codes = np.array([self._subset.example(int(pose), rng) for pose in left_out]) + noise
         own = [self._distance(code.astype(np.float32), int(pose)) for code, pose in zip(codes, left_out, strict=True)]
-        self._distances = np.sort(own)
-        self._threshold = float(np.quantile(self._distances, 1.0 - _TAIL))
-        excesses = self._distances[self._distances > self._threshold] - self._threshold
-        shape, _, scale = genpareto.fit(excesses, floc=0.0)
-        self._tail = genpareto(max(0.0, float(shape)), scale=float(scale))  # never a largest distance
+        self._tail = Tail(np.array(own))
 
     def __call__(self, difference: Array, code: NDArray[np.float32]) -> Misfit:
         """Test a picture.
@@ -99,11 +91,7 @@ class Misfits:
         rest = difference - self._directions @ (difference @ self._directions)
         freedom = len(difference) - self._directions.shape[1]
         pixels = float(chi2.sf(rest @ rest / self._atlas.spread, freedom)) if freedom else 1.0
-        distance = self._distance(code)
-        if distance > self._threshold:
-            return Misfit(_TAIL * float(self._tail.sf(distance - self._threshold)), pixels)
-        beyond = len(self._distances) - np.searchsorted(self._distances, distance)
-        return Misfit(float(beyond / len(self._distances)), pixels)
+        return Misfit(self._tail.exceeded(self._distance(code)), pixels)
 
     def _distance(self, code: NDArray[np.float32], without: int | None = None) -> float:
         """Squared distance of a code from the nearest, or from the plane through the nearest few if that is less.
@@ -133,8 +121,9 @@ def doubt(probabilities: Array) -> str:
     probabilities : ndarray of shape (n,)
         `Misfit.probability` of pictures.
     """
-    count, bad = len(probabilities), int((probabilities < RARE).sum())
-    if bad <= 2.0 * RARE * count or binom.sf(bad - 1, count, RARE) >= _CHANCE:
+    count = len(probabilities)
+    bad, surprising = more_than_chance(probabilities, _CHANCE)
+    if bad <= 2.0 * RARE * count or not surprising:  # pictures that share a background are alike
         return ""
     return (
         f"{bad} of {count} pictures do not fit the atlas ({RARE:.0%} would by chance): scene, object or camera are "

@@ -243,9 +243,11 @@ def _identity(dataset: PictureSet, background: Picture) -> int:
         empty = dataset.background_of(first) if dataset.own_backgrounds else background
         change = f"{float((dataset.picture(first) - empty).mean(dtype=np.float64)):.1e}"
     scene = dataset.meta.get("scene")
-    if isinstance(scene, dict) and isinstance(scene.get("target"), dict) and not scene["target"].get("gloss"):
-        # Sets from before targets could be glossy keep their noise.
-        scene = {**scene, "target": {k: v for k, v in scene["target"].items() if k not in ("gloss", "roughness")}}
+    if isinstance(scene, dict) and isinstance(target := scene.get("target"), dict):
+        # Sets from before targets could be glossy, or have files of any unit, keep their noise.
+        plain = [name for name in ("unit", "up") if target.get(name) == "auto"]
+        plain += [] if target.get("gloss") else ["gloss", "roughness"]
+        scene = {**scene, "target": {name: value for name, value in target.items() if name not in plain}}
     content = json.dumps([settings, scene, change], sort_keys=True, default=str)
     return int.from_bytes(hashlib.sha256(content.encode()).digest()[:8], "big")
 

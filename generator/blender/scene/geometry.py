@@ -369,7 +369,10 @@ def view(scene: bpy.types.Scene, camera: bpy.types.Object, place: Array | None =
         raise NlosError(
             f"{file_name()}: the camera {camera.name!r} does not look at the relay wall (the plane y = 0)"
         )
-    return starts, starts - ways * (starts[:, 1:2] / ways[:, 1:2])
+    # In single precision, as scenes have always been described: data sets go by these figures to the last digit.
+    rays = zip(map(mathutils.Vector, starts), map(mathutils.Vector, ways), strict=True)
+    corners = [start - way * (start.y / way.y) for start, way in rays]
+    return starts, np.array(corners, dtype=np.float64)
 
 
 def corner_rays(scene: bpy.types.Scene, camera: bpy.types.Object, place: Array | None = None) -> tuple[Array, Array]:

@@ -107,10 +107,11 @@ def test_locate_says_the_same_of_the_same_picture(atlas, seen, command):
     camera = Camera(seen, asked._sensor, 0)
     [expected, *_] = json.loads(said.stdout)["answers"]
     [record] = [record for record in seen.records if record.file == expected["file"]]
-    probability, place = asked.measured_answer(camera.picture(record), camera.background())
+    probability, place, misfit = asked.measured_answer(camera.picture(record), camera.background())
     assert max(probability, key=probability.get) == expected["label"]
     assert max(probability.values()) == pytest.approx(expected["probability"], abs=1e-12)
     np.testing.assert_allclose(place.position, expected["position"], atol=1e-12)
+    assert misfit == pytest.approx(expected["misfit"], rel=1e-9)
 
 
 def test_an_atlas_finds_what_it_is_shown(atlas, seen):
