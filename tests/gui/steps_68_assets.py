@@ -6,7 +6,7 @@ import time
 from pathlib import Path
 
 import bpy
-from helpers import call, check, module, redraw, roles, screenshot, until, xdotool
+from helpers import call, check, module, point, redraw, roles, screenshot, until, xdotool
 
 
 def write_the_library():
@@ -41,6 +41,7 @@ def look_at_it():
     lower.ui_type = "ASSETS"
     yield 0.5
     lower.spaces.active.params.asset_library_reference = assets.LIBRARY
+    yield from point(lower.x + lower.width / 2, lower.y + 1.5 * lower.height)  # its tooltip would cover some of it
     redraw()
     yield 2.0
     yield from screenshot("68-assets")

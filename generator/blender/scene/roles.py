@@ -51,6 +51,9 @@ COLLECTION = "NLOS"
 SINGLE_ROLES = ("relay_wall", "spot", "camera", "target")
 
 
+_FIT = "Fit Voxels, a button of Check in Blender's NLOS tab, lays one around the target"
+
+
 _NO_SURFACE = ("LIGHT_PROBE", "CAMERA", "SPEAKER", "ARMATURE", "LATTICE")
 
 
@@ -195,11 +198,10 @@ def read_grid(scene: bpy.types.Scene) -> VoxelGrid:
         No grid is stored, or the stored values are not a valid grid.
     """
     if any(key not in scene for key in (GRID_LO, GRID_HI, GRID_SHAPE)):
-        raise NlosError(f"{file_name()}: lacks the voxel grid; Fit Voxels lays one around the target")
+        raise NlosError(f"{file_name()}: lacks the voxel grid; {_FIT}")
     if not all(hasattr(scene[key], "__len__") for key in (GRID_LO, GRID_HI, GRID_SHAPE)):
         raise NlosError(
-            f"{file_name()}: the voxel grid is no three lists of three numbers (two corners, numbers of voxels); "
-            "Fit Voxels lays a new one around the target"
+            f"{file_name()}: the voxel grid is no three lists of three numbers (corners, numbers of voxels); {_FIT}"
         )
     data = {
         "lo": [short(v) for v in scene[GRID_LO]],
