@@ -81,9 +81,7 @@ def followed():
     bpy.context.scene.frame_set(15)
     check(path.current(15) == 7, "the current frame is one of its own")
     target = module("generator.blender.scene.roles").find(bpy.context.scene, "target")
-    check(
-        np.allclose(path.shown().truth[7], target.matrix_world.translation, atol=1e-5), "the target is on the path"
-    )
+    check(np.allclose(path.shown().truth[7], target.matrix_world.translation, atol=1e-5), "the target is on the path")
     with view3d() as (area, _region):
         bpy.ops.view3d.view_axis(type="TOP")
         area.spaces.active.region_3d.view_location = (1.4, 1.2, 1.3)
