@@ -34,6 +34,9 @@ _Measured = tuple[dict[str, float], Place | None, float | None]
 _SAME_PLACE = 1e-4
 """Share of the volume's size by which two grids may differ: a scene keeps its numbers in single precision."""
 
+_ROUNDED = 0.5
+"""Pixels by which the height of a picture of the same shape may differ, since it is a whole number."""
+
 
 @dataclass(frozen=True, kw_only=True)
 class Seen:
@@ -153,7 +156,7 @@ class Answerer(ABC):
     def _resized(self, picture: Picture) -> Picture:
         """Average a picture down to the size that it is made for: what a larger pixel collects."""
         (height, width), (own_height, own_width) = self._empty.shape, picture.shape[:2]
-        if own_width < width or own_width * height != own_height * width:
+        if own_width < width or abs(own_height - own_width * height / width) > _ROUNDED:
             raise NlosError(
                 f"{self._path.name}: is of {width} x {height} pixels, and the look has {own_width} x {own_height}; "
                 f"set the look to {width} pixels or more, of the same shape"
@@ -256,7 +259,7 @@ def opened(path: Path) -> Answerer:
 
 def _sensor_words(sensor: Sensor | None) -> str:
     if sensor is None:
-        return "the look's picture without noise, as were those that it learnt from"
+        return "the look's picture without a sensor's noise, like those that it learnt from"
     frames = "one frame" if sensor.frames == 1 else f"{sensor.frames} frames"
     without = ", without drift" if sensor.drift else ""
     return (

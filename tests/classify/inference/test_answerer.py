@@ -90,7 +90,7 @@ def test_a_model_sees_what_its_own_sensor_takes(models, seen):
         off = one.picture.mean(axis=2) - clean.mean(axis=2)
         if name == "clean":
             np.testing.assert_allclose(one.picture, clean, rtol=1e-5, atol=1e-12)
-            assert "without noise" in asked.words
+            assert "without a sensor's noise" in asked.words
             continue
         sensor = asked._sensor
         assert (sensor.full_well, sensor.frames) == {"default": (10_500.0, 1), "dim": (300.0, 2)}[name]
