@@ -67,15 +67,10 @@ def spec_of(settings: Any) -> Scene:
     NlosError
         The values contradict each other, or a mesh target has no file.
     """
-    kind, mesh = settings.target_kind, ""
-    if kind == "mesh":
-        if not settings.target_mesh:
-            raise NlosError("target: choose a mesh file (OBJ, PLY or STL)")
-        mesh = Target.named(bpy.path.abspath(settings.target_mesh)).mesh
     base = preset(settings.preset)
     scene = replace(
         base,
-        target=Target(kind=kind, size=short(settings.target_size), albedo=short(settings.target_albedo), mesh=mesh),
+        target=target_of(settings),
         spot=replace(base.spot, power=short(settings.light_power), half_angle=half_angle(settings)),
         grid=grid_of(settings),
         reflection_order=settings.reflection_order,
@@ -84,7 +79,27 @@ def spec_of(settings: Any) -> Scene:
     return scene.with_ambient(short(settings.ambient_radiance) if settings.use_ambient else 0.0)
 
 
-_BUILT = ("preset", "target_kind", "target_size", "target_albedo", "use_ambient", "ambient_radiance")
+def target_of(settings: Any) -> Target:
+    """Return the target that the draft describes.
+
+    Raises
+    ------
+    NlosError
+        A mesh target has no file, or one of a kind that is not known.
+    """
+    target = Target(kind=settings.target_kind, size=short(settings.target_size), albedo=short(settings.target_albedo))
+    if target.kind != "mesh":
+        return target
+    if not settings.target_mesh:
+        raise NlosError("target: choose a mesh file (OBJ, PLY, STL, glTF, USD, FBX or .blend)")
+    mesh = Target.named(bpy.path.abspath(settings.target_mesh)).mesh
+    return replace(target, mesh=mesh, unit=settings.target_unit, up=settings.target_up)
+
+
+_BUILT = (
+    *("preset", "target_kind", "target_size", "target_albedo", "target_unit", "target_up"),
+    *("use_ambient", "ambient_radiance"),
+)
 _APPLIED = (
     "light_power",
     "light_half_angle",
@@ -104,7 +119,9 @@ def differing(settings: Any, scene: Scene) -> tuple[list[str], list[str]]:
     there = {
         "preset": scene.preset if scene.preset in PRESETS else settings.preset,
         "target_kind": target.kind,
-        "target_size": target.size,
+        "target_size": 0.0 if target.kind == "mesh" and not settings.target_size else target.size,
+        "target_unit": target.unit if target.kind == "mesh" else settings.target_unit,
+        "target_up": target.up if target.kind == "mesh" else settings.target_up,
         "target_albedo": settings.target_albedo if target.albedo is None else target.albedo,
         "use_ambient": ambient > 0.0,
         "ambient_radiance": ambient if ambient > 0.0 and settings.use_ambient else settings.ambient_radiance,
@@ -161,6 +178,7 @@ def fill(settings: Any, scene: Scene, *, target: bool = True) -> None:
     if target:
         settings.target_kind = scene.target.kind
         settings.target_size = scene.target.size
+        settings.target_unit, settings.target_up = scene.target.unit, scene.target.up
         if scene.target.albedo is not None:
             settings.target_albedo = scene.target.albedo
     settings.light_power = scene.spot.power

@@ -6,7 +6,7 @@ import bpy
 from bpy.app.handlers import persistent
 
 from .session import background, state
-from .view import images, live, overlay
+from .view import images, live, overlay, target_file
 
 
 @persistent  # type: ignore[untyped-decorator]
@@ -24,6 +24,7 @@ def _after(*_: Any) -> None:
     background.drop()  # results of the running tasks would not apply to this file
     images.captions.clear()
     state.forget()
+    target_file.forget()
     session = bpy.context.window_manager.nlos
     # Blender may have taken the switches over from the file that was open.
     session.look = session.overlay = False

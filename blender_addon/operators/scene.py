@@ -11,14 +11,16 @@ from generator.blender import check
 from generator.blender.finding import ERROR, FIXES, Finding
 from generator.blender.scene import adopt, build, roles
 from generator.blender.scene.description import lamp_power, read_scene
+from generator.blender.scene.mesh_file import MeshFile
 from generator.files.pictures import read_picture
 from generator.jobs.protocol import CheckScene, DrawExperiment, RenderWall
 from generator.model.errors import NlosError
 from generator.model.quantities import radiance
+from generator.model.scene import Scene
 
 from ..draft import fill, grid_of, spec_of, sweep_of
 from ..session import background, state
-from ..view import differs, images, live
+from ..view import differs, images, live, target_file
 
 _ROLE_WORDS = {
     "relay_wall": ("Relay Wall", "What lamp and camera look at"),
@@ -79,16 +81,36 @@ class NLOS_OT_build_scene(_Task, bpy.types.Operator):
     def work(self, scene: Any) -> tuple[str, str]:
         """Build the scene; return the kind and the text of the report."""
         spec = spec_of(scene.nlos)
-        build.build(scene, spec)
-        differs.mark(scene)
-        message = f"Built the {spec.preset} with {spec.grid.n_voxels} voxels"
-        extra_objects = roles.others(scene)
-        if extra_objects:  # such as the cube and the lamp that Blender starts with
-            return (
-                "WARNING",
-                f"{message}. Also rendered: {', '.join(extra_objects)}; delete what is not meant",
-            )
-        return "INFO", message
+        if spec.target.kind != "mesh":
+            return _built(scene, spec)
+        name, is_later, reports = scene.name, False, list[tuple[str, str]]()
+
+        def then(found: MeshFile) -> None:
+            there = bpy.data.scenes.get(name)
+            if there is None or bpy.context.mode != "OBJECT" or state.rendering_now():
+                raise NlosError("The file is read; go to Object Mode, let renders end, and build again")
+            reports.append(_built(there, spec, found))
+            if is_later:
+                state.remember("Build Scene")
+                live.changed()
+
+        if waits := target_file.read(spec.target, then):
+            is_later = True
+            return "INFO", waits
+        return reports[0]
+
+
+def _built(scene: Any, spec: Scene, found: MeshFile | None = None) -> tuple[str, str]:
+    """Build a scene; return the kind and the text of the report."""
+    build.build(scene, spec, found)
+    differs.mark(scene)
+    message = f"Built the {spec.preset} with {spec.grid.n_voxels} voxels"
+    extra_objects = roles.others(scene)
+    if extra_objects:  # such as the cube and the lamp that Blender starts with
+        return "WARNING", f"{message}. Also rendered: {', '.join(extra_objects)}; delete what is not meant"
+    if found is not None and (warning := found.warning(spec.grid)):
+        return "WARNING", f"{message}. {warning}"
+    return "INFO", message
 
 
 class NLOS_OT_apply(_Task, bpy.types.Operator):

@@ -11,7 +11,8 @@ PRESETS = "nlos_lab/scene"
 """Folder of the user's presets, inside Blender's folder of presets."""
 
 _KEPT = (
-    *("preset", "target_kind", "target_size", "target_albedo", "target_mesh", "light_power", "light_half_angle"),
+    *("preset", "target_kind", "target_size", "target_albedo", "target_mesh", "target_unit", "target_up"),
+    *("light_power", "light_half_angle"),
     *("use_ambient", "ambient_radiance", "grid_counts", "grid_lo", "grid_hi", "reflection_order", "engine"),
     *("samples", "accuracy", "resolution", "seed", "difference", "denoise", "poses", "inside"),
 )

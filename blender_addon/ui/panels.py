@@ -13,7 +13,7 @@ from generator.model.engines import AUTO, traits_of
 
 from ..operators import dataset
 from ..session import environment, state
-from ..view import differs, live
+from ..view import differs, live, target_file
 from . import menus
 
 _ICONS = {GOOD: "CHECKMARK", NOTE: "INFO", WARNING: "ERROR", ERROR: "CANCEL"}
@@ -164,8 +164,12 @@ class NLOS_PT_target(_Tab, bpy.types.Panel):
         _setting(layout, settings, "target_kind")
         if settings.target_kind == "mesh":
             layout.prop(settings, "target_mesh")
+            _setting(layout, settings, "target_unit")
+            _setting(layout, settings, "target_up")
         _setting(layout, settings, "target_size")
         _setting(layout, settings, "target_albedo")
+        for text, icon in target_file.words(settings):
+            _sentence(context, layout, text, icon)
 
 
 class NLOS_PT_light(_Tab, bpy.types.Panel):

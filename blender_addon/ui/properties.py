@@ -45,7 +45,18 @@ def _range(kind: type, name: str) -> dict[str, Any]:
 _KINDS = (
     ("sheet", "Sheet", "A square sheet, two-sided; unrotated it faces the wall"),
     ("sphere", "Sphere", "A sphere"),
-    ("mesh", "Mesh File", "A mesh from an OBJ, PLY or STL file"),
+    ("mesh", "Mesh File", "A mesh from an OBJ, PLY, STL, glTF, USD, FBX or .blend file"),
+)
+_UNITS = (
+    ("auto", "As the File Says", "What the file states; metres for OBJ, PLY and STL, which state nothing"),
+    ("m", "Metres", "A length of 1 in the file is a metre"),
+    ("cm", "Centimetres", "A length of 1 in the file is a centimetre"),
+    ("mm", "Millimetres", "A length of 1 in the file is a millimetre, as usual for CAD"),
+    ("inch", "Inches", "A length of 1 in the file is an inch"),
+)
+_UP = (
+    ("auto", "As the File Says", "What the file states; Y for OBJ, and Z for PLY and STL, which state nothing"),
+    *((axis, axis, f"The file's {axis} axis points up") for axis in "XYZ"),
 )
 # Files store an item's number, so a number is never reused.
 _ENGINES = (
@@ -104,8 +115,13 @@ class NlosSettings(bpy.types.PropertyGroup):
         subtype="FACTOR",
     )
     target_mesh: StringProperty(
-        name="File", description="Mesh file: OBJ, PLY or STL", subtype="FILE_PATH", options=_READ
+        name="File",
+        description="Mesh file: OBJ, PLY, STL, glTF, USD, FBX or .blend; only its meshes are taken",
+        subtype="FILE_PATH",
+        options=_READ,
     )
+    target_unit: EnumProperty(name="Unit", description=sentence_for(Target, "unit"), items=_UNITS)
+    target_up: EnumProperty(name="Up", description=sentence_for(Target, "up"), items=_UP)
     light_power: FloatProperty(
         name="Power",
         description=sentence_for(Spot, "power"),

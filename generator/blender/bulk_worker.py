@@ -108,7 +108,7 @@ def plan(
     meta = {
         "reference_radiance": described.reference_radiance,
         "colour_space": sweep_worker.colour_space(),
-        "scene": to_dict(described),
+        **sweep_worker.described_scene(scene, described),
         **({"forced": doubts.errors} if doubts.errors else {}),
         **({"links": linked} if linked else {}),
         "software": {

@@ -145,11 +145,20 @@ def _described(scene: bpy.types.Scene, described: Scene, sweep: Sweep, source: P
         },
         "reference_radiance": described.reference_radiance,
         "colour_space": colour_space(),
-        "scene": to_dict(described),
+        **described_scene(scene, described),
         "extra_objects": roles.others(scene),
         "replaced": [replaced.told(scene, setting) for setting in replaced.replaced(scene)],
         "software": {"nlos-lab": version(), "blender": bpy.app.version_string, "numpy": np.__version__},
     }
+
+
+def described_scene(scene: bpy.types.Scene, described: Scene) -> dict[str, Any]:
+    """Return the entries of a manifest about a scene: its figures, and how its target's file was read, if any."""
+    plain, file = to_dict(described), roles.target_file(scene)
+    if described.target.kind != "mesh":  # older versions, which know no such fields, read these sets too
+        for name in ("unit", "up"):
+            del plain["target"][name]
+    return {"scene": plain, **({"target_file": file} if file else {})}
 
 
 def doubted(scene: bpy.types.Scene, sweep: Sweep, *, force: bool) -> misgivings.Misgivings:

@@ -15,7 +15,7 @@ from generator.blender import trial_render
 from generator.blender.check import check_scene
 from generator.blender.engines.settings import settled
 from generator.blender.measure import experiment
-from generator.blender.scene import blend_file
+from generator.blender.scene import blend_file, mesh_file
 from generator.blender.scene.description import read_scene
 from generator.blender.sweep_worker import check_blender, doubted, open_scene, picture, plan, render
 from generator.files.pictures import write_picture
@@ -23,6 +23,7 @@ from generator.jobs.protocol import (
     CheckScene,
     DrawExperiment,
     PlanSweep,
+    ReadMesh,
     RenderSweep,
     RenderWall,
     Request,
@@ -32,6 +33,7 @@ from generator.jobs.protocol import (
     read_request,
 )
 from generator.model.errors import NlosError
+from generator.model.scene import Target
 from generator.sets import links
 from generator.sets.dataset import Dataset
 
@@ -83,6 +85,12 @@ def _draw(request: DrawExperiment) -> None:
     answer(drawn=True)
 
 
+def _read_mesh(request: ReadMesh) -> None:
+    found = mesh_file.read(Target(**request.target))
+    found.save(request.file)
+    answer(read=mesh_file.described(found), left_out=found.left_out)
+
+
 Commands = Mapping[type[Request], Callable[[Any], None]]
 COMMANDS: Commands = {
     PlanSweep: _plan,
@@ -91,6 +99,7 @@ COMMANDS: Commands = {
     TrialRender: _try,
     RenderWall: _picture,
     DrawExperiment: _draw,
+    ReadMesh: _read_mesh,
 }
 
 

@@ -9,13 +9,13 @@ from pathlib import Path
 from typing import Any
 
 from generator.cli.answer import Answer, json_object
-from generator.cli.options import Commands, add_setting
+from generator.cli.options import Commands, add_links_option, add_setting
 from generator.files.toml import dump_toml, from_dict, merge, read_toml, set_field, to_dict
 from generator.model.described import described
 from generator.model.errors import NlosError
 from generator.model.presets import PRESETS, preset
 from generator.model.quantities import ALL_ORDERS
-from generator.model.scene import Scene, unlike
+from generator.model.scene import Scene, Target, unlike
 
 
 def add_parsers(commands: Commands) -> None:
@@ -33,6 +33,8 @@ def add_parsers(commands: Commands) -> None:
     parser.add_argument(
         "--target", metavar="sheet|sphere|FILE", help="the hidden object (default: that of --config, or else sheet)"
     )
+    for name in ("unit", "up"):
+        add_setting(parser, name, Target, flag=f"--target-{name}")
     parser.add_argument("-o", "--output", type=Path, metavar="FILE.blend", help="where to save it")
     parser.add_argument("--config", type=Path, metavar="FILE.toml", help="figures that replace the preset's")
     parser.add_argument(
@@ -44,6 +46,7 @@ def add_parsers(commands: Commands) -> None:
     )
     add_setting(parser, "ambient", Scene, default="the preset's", type=float, metavar="RADIANCE")
     parser.add_argument("--show", action="store_true", help="print every figure as TOML (to edit, for --config)")
+    add_links_option(parser)
     parser.set_defaults(run=run_scene, answer=Built)
 
 
@@ -54,6 +57,12 @@ class Built:
     path: Path | None = described("the .blend file; null if only shown")
     figures: dict[str, Any] = described("every figure of the scene, by the names that --set takes")
     voxels: list[str] = described("labels of the voxels")
+    target_size: list[float] | None = described(
+        "width, depth and height of a target from a file, metres; null if it is of no file, or nothing was built"
+    )
+    target_file: dict[str, Any] | None = described(
+        "how that file was read: name, unit and up as asked for, metres_per_unit and up_axis as taken; else null"
+    )
     notes: list[str] = described("errors and warnings of the check without rendering, as check prints them")
 
 
@@ -65,32 +74,51 @@ def run_scene(options: argparse.Namespace) -> Answer:
     if options.output is None:
         if not options.show:
             raise NlosError("nothing to do: name a file to save with -o FILE.blend, or print the figures with --show")
-        return Answer(Built(path=None, figures=figures, voxels=voxels, notes=[]), shown)
+        shown_only = Built(path=None, figures=figures, voxels=voxels, target_size=None, target_file=None, notes=[])
+        return Answer(shown_only, shown)
     if options.output.suffix != ".blend":
         raise NlosError(f"{options.output}: a scene file must end in .blend")
     from generator.blender import misgivings
-    from generator.blender.scene import blend_file, build
+    from generator.blender.finding import WARNING, Finding
+    from generator.blender.scene import blend_file, build, mesh_file
     from generator.blender.scene.description import read_scene
 
+    found = mesh_file.read(scene.target) if scene.target.kind == "mesh" else None
     blender_scene = blend_file.new_file()
-    build.build(blender_scene, scene)
+    build.build(blender_scene, scene, found)
     if deviation := unlike(scene, read_scene(blender_scene)):  # a sweep reads the scene from the file
         raise NlosError(f"{deviation}; take a figure that it can hold")
     blend_file.save_file(options.output)
-    notes = misgivings.look(blender_scene).lines
+    notes, told = misgivings.look(blender_scene).lines, []
+    if found is not None:
+        told = [f"target: {found.words}"]
+        notes += [Finding(WARNING, text).line for text in [found.warning(scene.grid)] if text]
     last = (
         f"{options.output}: {options.preset} with a {scene.target.kind}, voxels {voxels[0]} to {voxels[-1]}, "
         f"{scene.resolution[0]} x {scene.resolution[1]} pixels"
     )
-    return Answer(Built(path=options.output, figures=figures, voxels=voxels, notes=notes), [*shown, *notes, last])
+    values = Built(
+        path=options.output,
+        figures=figures,
+        voxels=voxels,
+        target_size=None if found is None else list(found.size),
+        target_file=None if found is None else mesh_file.described(found),
+        notes=notes,
+    )
+    return Answer(values, [*shown, *notes, *told, last])
 
 
 def _chosen(options: argparse.Namespace) -> Scene:
     """Return the scene that the options describe: what they name themselves wins over the file of ``--config``."""
     assigned = [assignment.partition("=")[0].strip() for assignment in options.set]
-    for flag, names in (("target", ("target.kind", "target.mesh")), ("ambient", ("ambient",))):
+    for flag, value, names in (
+        ("target", options.target, ("target.kind", "target.mesh")),
+        ("target-unit", options.unit, ("target.unit",)),
+        ("target-up", options.up, ("target.up",)),
+        ("ambient", options.ambient, ("ambient",)),
+    ):
         for name in names:
-            if getattr(options, flag) is not None and name in assigned:
+            if value is not None and name in assigned:
                 raise NlosError(f"--{flag} and --set {name}: say the same thing twice; leave one out")
     fields = to_dict(preset(options.preset, options.target or "sheet"))
     if options.config:
@@ -109,6 +137,10 @@ def _chosen(options: argparse.Namespace) -> Scene:
     before = copy.deepcopy(fields)
     for assignment in options.set:
         set_field(fields, assignment)
+    if isinstance(fields.get("target"), dict):
+        fields["target"].update(
+            {name: value for name in ("unit", "up") if (value := getattr(options, name)) is not None}
+        )
     if fields["reflection_order"] == "all":
         fields["reflection_order"] = ALL_ORDERS
     try:

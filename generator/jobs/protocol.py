@@ -129,6 +129,22 @@ class DrawExperiment(Request):
 
 
 @dataclass(frozen=True, kw_only=True)
+class ReadMesh(Request):
+    """Read the mesh of a target (`generator.blender.scene.mesh_file`); answers ``read`` and ``left_out``.
+
+    Attributes
+    ----------
+    target : mapping
+        Fields of `generator.model.scene.Target`.
+    file : Path
+        Where the arrays are written.
+    """
+
+    target: Mapping[str, Any]
+    file: Path
+
+
+@dataclass(frozen=True, kw_only=True)
 class Question:
     """What `DrawLook` is asked for a picture of.
 
@@ -187,6 +203,7 @@ REQUESTS = (
     TrialRender,
     RenderWall,
     DrawExperiment,
+    ReadMesh,
     PlanBulk,
     RenderBulk,
 )

@@ -124,7 +124,16 @@ class Target:
         "perfectly reflecting sphere",
         0.9,
     )
-    mesh: str = described("file of a mesh target (.obj, .ply or .stl), else empty", "")
+    mesh: str = described("file of a mesh target (OBJ, PLY, STL, glTF, USD, FBX or .blend), else empty", "")
+    unit: Literal["auto", "m", "cm", "mm", "inch"] = described(
+        "what a length of 1 in a mesh file is; auto is what the file states, and metres for OBJ, PLY and STL, which "
+        "state nothing",
+        "auto",
+    )
+    up: Literal["auto", "X", "Y", "Z"] = described(
+        "axis of a mesh file that points up; auto is what the file states, else Y for OBJ, and Z for PLY and STL",
+        "auto",
+    )
     gloss: float = described(
         "share of what the target reflects that is glossy, 0 to 1: Blender's Glossy BSDF, Multiscatter GGX", 0.0
     )
@@ -144,7 +153,12 @@ class Target:
         return cls(kind="mesh", size=0.0, albedo=0.9, mesh=name)
 
 
-MESH_SUFFIXES = (".obj", ".ply", ".stl")
+MESH_SUFFIXES = (
+    *(".obj", ".ply", ".stl", ".gltf", ".glb", ".fbx"),
+    *(".usd", ".usda", ".usdc", ".usdz", ".blend"),
+)
+UNITS = {"m": 1.0, "cm": 0.01, "mm": 0.001, "inch": 0.0254}
+"""Metres in each unit of length that a mesh file may be in."""
 
 
 @documented
@@ -206,6 +220,12 @@ class Scene:
         for name in ("gloss", "roughness"):
             value = getattr(self.target, name)
             require(0.0 <= value <= 1.0, f"target.{name}: {value:g} must lie between 0 and 1")
+        for name, known in (("unit", ("auto", *UNITS)), ("up", ("auto", "X", "Y", "Z"))):
+            value = getattr(self.target, name)
+            require(value in known, f"target.{name}: {value!r} must be one of {', '.join(known)}")
+            require(
+                value == "auto" or self.target.kind == "mesh", f"target.{name}: means nothing to a {self.target.kind}"
+            )
         require(self.target.size >= 0, f"target.size: {self.target.size} must not be negative")
         require(self.target.size > 0 or self.target.kind == "mesh", "target.size: must be above 0")
         check_ranges(self)

@@ -72,7 +72,7 @@ _TABLES = {"sweep": dict, "scene": dict, "reference_radiance": float, "fingerpri
 _IN_SCENE = {"grid": (dict,), "target": (dict,), "ambient": (int, float), "reflection_order": (int,)}
 
 
-_OPTIONAL = dict.fromkeys(("software", "links", "start_check", "light_check"), dict) | dict.fromkeys(
+_OPTIONAL = dict.fromkeys(("software", "links", "start_check", "light_check", "target_file"), dict) | dict.fromkeys(
     ("engine_reasons", "extra_objects", "replaced", "forced"), list
 )
 

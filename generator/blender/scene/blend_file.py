@@ -27,6 +27,13 @@ def open_file(path: Path, known: Collection[Path] = ()) -> bpy.types.Scene:
         There is no such file, Blender cannot read it, it refers to files elsewhere (`references.refuse`), or its
         pictures depend on files that are missing (`references.require`).
     """
+    scene = load_file(path, known)
+    references.require(scene, path)
+    return scene
+
+
+def load_file(path: Path, known: Collection[Path] = ()) -> bpy.types.Scene:
+    """Do the same, although files that its pictures depend on may be missing."""
     if not path.is_file():
         raise NlosError(f"{path}: no such scene file")
     references.refuse(path, known)
@@ -35,7 +42,6 @@ def open_file(path: Path, known: Collection[Path] = ()) -> bpy.types.Scene:
             bpy.ops.wm.open_mainfile(filepath=literal(path), load_ui=False, use_scripts=False)
     except RuntimeError:
         raise NlosError(f"{path}: is not a scene Blender {bpy.app.version_string} can open") from None
-    references.require(bpy.context.scene, path)
     return bpy.context.scene
 
 
@@ -69,4 +75,10 @@ def save_file(path: Path) -> None:
 def new_file() -> bpy.types.Scene:
     """Start an empty file and return its scene."""
     bpy.ops.wm.read_factory_settings(use_empty=True)
+    return bpy.context.scene
+
+
+def clear() -> bpy.types.Scene:
+    """Start an empty file without loading preferences and add-ons anew, and return its scene."""
+    bpy.ops.wm.read_homefile(use_empty=True, use_factory_startup=True)
     return bpy.context.scene

@@ -18,8 +18,9 @@ import bmesh  # exists only once bpy is imported
 import mathutils
 import numpy as np
 
-from generator.blender.scene.blend_file import literal, new_file
-from generator.blender.scene.quiet import quiet
+from generator.blender.scene import mesh_file
+from generator.blender.scene.blend_file import new_file
+from generator.blender.scene.mesh_file import MeshFile
 from generator.blender.scene.roles import (
     BUILT,
     COLLECTION,
@@ -27,12 +28,12 @@ from generator.blender.scene.roles import (
     PRESET,
     ROLE,
     SURFACE,
+    TARGET_FILE,
     cycles_settings,
     limit_reflections,
     write_grid,
 )
 from generator.blender.scene.words import file_name
-from generator.files import meshes
 from generator.model.arrays import Range, Vector
 from generator.model.errors import NlosError
 from generator.model.scene import FACES, Partition, Scene, Spot, Target
@@ -63,12 +64,13 @@ def new_scene(wanted: Scene) -> bpy.types.Scene:
     >>> sorted(obj["nlos_role"] for obj in scene.objects if obj["nlos_role"] != "room")
     ['camera', 'partition', 'relay_wall', 'spot', 'target']
     """
+    found = mesh_file.read(wanted.target) if wanted.target.kind == "mesh" else None
     scene = new_file()
-    build(scene, wanted)
+    build(scene, wanted, found)
     return scene
 
 
-def build(scene: bpy.types.Scene, wanted: Scene) -> None:
+def build(scene: bpy.types.Scene, wanted: Scene, found: MeshFile | None = None) -> None:
     """Build a scene from its description, and remove what an earlier call built.
 
     Parameters
@@ -76,6 +78,8 @@ def build(scene: bpy.types.Scene, wanted: Scene) -> None:
     scene : bpy.types.Scene
         Objects without a role are left unchanged.
     wanted : Scene
+    found : MeshFile, optional
+        Mesh of the target, if it was read before; only OBJ, PLY and STL can be read beside an open scene.
 
     Raises
     ------
@@ -96,7 +100,7 @@ def build(scene: bpy.types.Scene, wanted: Scene) -> None:
     for obj in scene.objects:
         if ROLE in obj and obj.library is not None:
             raise NlosError(f"{file_name()}: {obj.name!r} is linked from another file, so it cannot be replaced")
-    target = build_target(wanted.target)
+    target = build_target(wanted.target, found)
     _clear(scene)
     collection = next((c for c in scene.collection.children if c.name == COLLECTION and c.library is None), None)
     if collection is None:
@@ -260,15 +264,15 @@ def _camera(wanted: Scene) -> bpy.types.Object:
     return obj
 
 
-def build_target(wanted: Target) -> bpy.types.Object:
-    """Build the hidden object from its description."""
+def build_target(wanted: Target, found: MeshFile | None = None) -> bpy.types.Object:
+    """Build the hidden object from its description, and from its mesh, if that was read before."""
     if wanted.kind == "sheet":
         h = wanted.size / 2.0
         target = _quad("Target", "y", 0.0, {"x": (-h, h), "z": (-h, h)}, wanted.albedo, inward=-1)
     elif wanted.kind == "sphere":
         target = _sphere(wanted)
     else:
-        target = _import_mesh(wanted)
+        target = _import_mesh(wanted, found)
     target[KIND] = wanted.kind
     _polish(target, wanted)
     return target
@@ -292,46 +296,15 @@ def _sphere(wanted: Target) -> bpy.types.Object:
     return bpy.data.objects.new("Target", mesh)
 
 
-def _import_mesh(wanted: Target) -> bpy.types.Object:
-    path = Path(wanted.mesh)
-    if not path.is_file():
-        raise NlosError(f"target.mesh: {path} is no such file")
-    importers = {".obj": bpy.ops.wm.obj_import, ".ply": bpy.ops.wm.ply_import, ".stl": bpy.ops.wm.stl_import}
-    before = set(bpy.data.objects)
-    try:
-        with meshes.importable(path) as importable_path, quiet():  # the importers print how long they took
-            importers[path.suffix.lower()](filepath=literal(importable_path.absolute()))
-    except (OSError, RuntimeError, KeyError):
-        raise NlosError(f"target.mesh: {path} is not a mesh file Blender can read (.obj, .ply, .stl)") from None
-    shape = bmesh.new()
-    for obj in [o for o in bpy.data.objects if o not in before]:
-        data = obj.data
-        if obj.type == "MESH":
-            data.transform(obj.matrix_basis)
-            shape.from_mesh(data)
-        bpy.data.objects.remove(obj, do_unlink=True)
-        if data is not None and data.users == 0:
-            bpy.data.batch_remove([data])
-    if not shape.faces:
-        shape.free()
-        raise NlosError(f"target.mesh: {path} holds no faces")
-    corners = np.array([v.co for v in shape.verts], dtype=np.float64)
-    low, high = corners.min(axis=0), corners.max(axis=0)
-    extent, area = max(high - low), sum(face.calc_area() for face in shape.faces)
-    if not (0.0 < extent < math.inf and 0.0 < area < math.inf):
-        shape.free()
-        raise NlosError(
-            f"target.mesh: {path} has no extent, or corners that are no places; its faces must have an area"
-        )
-    factor = wanted.size / extent if wanted.size else 1.0
-    bmesh.ops.translate(shape, vec=-(low + high) / 2.0, verts=shape.verts)
-    bmesh.ops.scale(shape, vec=[factor] * 3, verts=shape.verts)
-    mesh = bpy.data.meshes.new("Target")
-    shape.to_mesh(mesh)
-    shape.free()
-    mesh.materials.clear()
+def _import_mesh(wanted: Target, found: MeshFile | None = None) -> bpy.types.Object:
+    if found is None and Path(wanted.mesh).suffix.lower() not in (*mesh_file.PLAIN, ""):
+        raise NlosError(f"target.mesh: {wanted.mesh} can be read into a new scene only (`generator.new_scene`)")
+    found = found or mesh_file.read(wanted)
+    mesh = found.mesh("Target")
     mesh.materials.append(_material("Target", wanted.albedo))
-    return bpy.data.objects.new("Target", mesh)
+    target = bpy.data.objects.new("Target", mesh)
+    target[TARGET_FILE] = mesh_file.described(found)
+    return target
 
 
 def _world(scene: bpy.types.Scene, radiance: float) -> None:

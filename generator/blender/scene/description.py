@@ -21,6 +21,7 @@ from generator.blender.scene.roles import (
     players,
     read_grid,
     reflection_order,
+    target_file,
 )
 from generator.blender.scene.words import file_name, range_of, short, vector
 from generator.model.arrays import Array
@@ -58,7 +59,7 @@ def _read(scene: bpy.types.Scene, size: tuple[int, int]) -> Scene:
             f"{file_name()}: the target {target.name!r} is mirrored by a negative scale; apply the scale first"
         )
     room, screens = players(scene, "room"), players(scene, "partition")
-    kind = target.get(KIND, "mesh")
+    kind, stated = target.get(KIND, "mesh"), target_file(scene)
     return Scene(
         preset=str(scene.get(PRESET, "custom")),
         wall=Wall(x=range_of(low, high, 0), z=range_of(low, high, 2), albedo=albedo(wall)),
@@ -70,6 +71,7 @@ def _read(scene: bpy.types.Scene, size: tuple[int, int]) -> Scene:
         target=Target(
             kind=kind if kind in ("sheet", "sphere") else "mesh",
             size=short(max(np.ptp(hull(scene, seen), axis=0))),
+            **{name: stated[name] for name in ("unit", "up") if kind == "mesh" and name in stated},
             **reflection(target),
         ),
         ambient=ambient(scene),

@@ -75,11 +75,28 @@ def project_colours(scene: Path) -> list[Path]:
     return []
 
 
+def is_open(scene: Path) -> bool:
+    """Return whether a ``.blend`` is the file that is open."""
+    return bool(bpy.data.filepath) and real(Path(bpy.data.filepath)) == real(scene)
+
+
 def _look(scene: Path) -> tuple[list[Path], list[str]]:
     """Return the files that a scene refers to, and further reasons against opening it."""
     path = real(scene)
-    if bpy.data.filepath and real(Path(bpy.data.filepath)) == path:  # open already: by its user, or checked before
+    if is_open(scene):  # by its user, or checked before
         return _looked_at(bpy.data, path)
+    found = _linked(scene, path)
+    if found is None:
+        raise NlosError(f"{scene}: is not a scene Blender {bpy.app.version_string} can open")
+    return found
+
+
+def _linked(scene: Path, path: Path) -> tuple[list[Path], list[str]] | None:
+    """Do the same for a file that is not open; None if Blender cannot read it.
+
+    No error leaves this function, for it would keep the temporary data in its traceback, and Blender 5.0 crashed when
+    another file was opened meanwhile.
+    """
     with bpy.data.temp_data() as inside, quiet():
         try:
             with inside.libraries.load(str(scene), link=True) as (available, linked):
@@ -87,7 +104,7 @@ def _look(scene: Path) -> tuple[list[Path], list[str]]:
                     if isinstance(names := getattr(available, kind), list):
                         setattr(linked, kind, list(names))
         except OSError:
-            raise NlosError(f"{scene}: is not a scene Blender {bpy.app.version_string} can open") from None
+            return None
         return _looked_at(inside, path)
 
 

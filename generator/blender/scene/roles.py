@@ -33,6 +33,10 @@ KIND = "nlos_target_kind"
 SURFACE = "nlos_surface"
 
 
+TARGET_FILE = "nlos_target_file"
+"""How the target's file was read: fields of `mesh_file.Read`."""
+
+
 GRID_LO, GRID_HI, GRID_SHAPE = "nlos_grid_lo", "nlos_grid_hi", "nlos_grid_shape"
 
 
@@ -186,3 +190,9 @@ def read_grid(scene: bpy.types.Scene) -> VoxelGrid:
     }
     grid: VoxelGrid = from_dict(VoxelGrid, data, "grid.")
     return grid
+
+
+def target_file(scene: bpy.types.Scene) -> dict[str, Any]:
+    """Return how the target's file was read (`mesh_file.Read`); empty if it is of no file, or of old times."""
+    kept = find(scene, "target").get(TARGET_FILE)
+    return dict(kept.to_dict()) if hasattr(kept, "to_dict") else {}
