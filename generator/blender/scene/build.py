@@ -20,6 +20,7 @@ import numpy as np
 
 from generator.blender.scene import mesh_file
 from generator.blender.scene.blend_file import new_file
+from generator.blender.scene.importers import PLAIN
 from generator.blender.scene.mesh_file import MeshFile
 from generator.blender.scene.roles import (
     BUILT,
@@ -297,7 +298,7 @@ def _sphere(wanted: Target) -> bpy.types.Object:
 
 
 def _import_mesh(wanted: Target, found: MeshFile | None = None) -> bpy.types.Object:
-    if found is None and Path(wanted.mesh).suffix.lower() not in (*mesh_file.PLAIN, ""):
+    if found is None and Path(wanted.mesh).suffix.lower() not in (*PLAIN, ""):
         raise NlosError(f"target.mesh: {wanted.mesh} can be read into a new scene only (`generator.new_scene`)")
     found = found or mesh_file.read(wanted)
     mesh = found.mesh("Target")
