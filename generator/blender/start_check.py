@@ -364,6 +364,6 @@ def _complaint(source: Path, check: _Check, bad: Figure, width: float) -> str:
     advice = "take --engine path, which agrees" if engine != "path" and check.path_agrees() else "mend the scene"
     return (
         f"{source}: the engine {engine!r} does not render what Cycles makes of this file: at the first pose, in "
-        f"voxel {label}, the {where} is {radiance(bad.plain)} by plain Cycles and {radiance(bad.engine)} by {engine!r} "
-        f"({noise}{_wide(width)}); nothing is kept; {advice}, or render it all the same with --no-probe"
+        f"voxel {label}, the {where} is {radiance(bad.plain)} by plain Cycles and {radiance(bad.engine)} by "
+        f"{engine!r} ({noise}{_wide(width)}); nothing is kept; {advice}, or render it all the same with --no-probe"
     )
