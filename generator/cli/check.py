@@ -28,8 +28,7 @@ def add_parsers(commands: Commands) -> None:
         description="Look for lines of sight that must not be, voxels that see no light and all else that makes a "
         "sweep worthless, and measure signal, noise, time and disk by a few quick renders. Exit code 1 if "
         "an error is found.",
-        epilog="examples:\n  nlos-generate check room.blend --engine patch --samples 192\n"
-        "  nlos-generate check mine.blend --mend -o mended.blend",
+        epilog="example:\n  nlos-generate check room.blend --engine patch --samples 192",
     )
     parser.add_argument("scene", type=Path, help="the .blend file")
     parser.add_argument(
