@@ -13,7 +13,7 @@ atlas     atlas files, likewise, and an answer from what could be read
 bulk      simulated sets: ``bulk.toml``, a part, ``set.h5`` and ``world.npz``, likewise
 model     model files: the schema and the arrays inside, and an answer from what could be read
 status    state files that runs write
-mesh      PLY, OBJ and STL through Blender
+mesh      files of targets, of every kind, through Blender
 ========  ==================================================================================
 """
 
@@ -231,14 +231,13 @@ def read_status(data: bytes) -> None:
 
 def read_mesh(data: bytes) -> None:
     """Import a mesh as the hidden object."""
-    from generator.blender.scene import build
+    from generator.blender.scene import mesh_file
 
     kind = hostile.pick(atheris.FuzzedDataProvider(data), MESH_SUFFIXES)
     file = _FILE.with_suffix(kind)
     file.write_bytes(data[1:])
     with contextlib.suppress(NlosError):
-        obj = build._import_mesh(Target(kind="mesh", size=0.0, albedo=0.5, mesh=str(file)))
-        build.bpy.data.batch_remove([obj, obj.data])
+        mesh_file.read(Target(kind="mesh", size=0.0, albedo=0.5, mesh=str(file)))
 
 
 TARGETS = {

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from typing import Any
 
 import bpy
@@ -194,9 +194,62 @@ def places(scene: bpy.types.Scene, sweep: Sweep) -> list[Finding]:
 
 def check_scene(scene: bpy.types.Scene, chosen: Mapping[str, Any]) -> list[Finding]:
     """Return all findings about a scene before a sweep with the settings that the user chose."""
+    results = _unrendered(scene, chosen)
+    if hopeless(results):
+        return results
+    sweep, _ = settled(scene, read_scene(scene), chosen)
+    return [*results, *check_signal.probe(scene, sweep).findings()]
+
+
+def _unrendered(scene: bpy.types.Scene, chosen: Mapping[str, Any]) -> list[Finding]:
+    """Return those findings that need no rendering."""
     results = findings(scene, engine=chosen.get("engine", AUTO))
     if hopeless(results):
         return results
     sweep, _ = settled(scene, read_scene(scene), chosen)
-    results += places(scene, sweep)
-    return results if hopeless(results) else [*results, *check_signal.probe(scene, sweep).findings()]
+    return results + places(scene, sweep)
+
+
+def mend_all(
+    scene: bpy.types.Scene, chosen: Mapping[str, Any], wanted: Collection[str] = ()
+) -> tuple[list[str], dict[str, str]]:
+    """Apply fixes that findings propose, and those that further findings propose then.
+
+    Parameters
+    ----------
+    scene : bpy.types.Scene
+    chosen : mapping
+        Fields of `Sweep` that the user chose.
+    wanted : collection of str
+        Keys of `FIXES`. If empty, all fixes of errors and warnings; a note may be about what was meant.
+
+    Returns
+    -------
+    mended : list of str
+        Fixes that were applied, in that order.
+    refused : dict
+        Why the others could not be applied, by fix.
+
+    Raises
+    ------
+    NlosError
+        One of those that are wanted is none.
+    """
+    for fix in set(wanted) - set(FIXES):
+        raise NlosError(f"fix {fix!r}: there is none; choose from {', '.join(FIXES)}")
+    mended: list[str] = []
+    refused: dict[str, str] = {}
+    while True:
+        offered = {
+            finding.fix
+            for finding in _unrendered(scene, chosen)
+            if (finding.fix in wanted if wanted else finding.level in (ERROR, WARNING))
+        }
+        left = [fix for fix in FIXES if fix in offered and fix not in mended and fix not in refused]
+        if not left:
+            return mended, refused
+        try:
+            mend(scene, left[0])
+            mended.append(left[0])
+        except NlosError as error:
+            refused[left[0]] = str(error)

@@ -45,7 +45,9 @@ class Probe:
     bytes : float
         Size of its pictures on disk.
     error : float
-        Half the 95 % interval of the share, if it could not be separated from the noise; else 0.
+        Half the 95 % interval of the share; 0 if it is known without noise.
+    hidden : bool
+        Whether the signal could not be separated from the noise.
     missed : int
         Number of samples taken, if the object changed none of them; else 0.
     exact : bool
@@ -60,6 +62,7 @@ class Probe:
     seconds: float
     bytes: float
     error: float = 0.0
+    hidden: bool = False
     missed: int = 0
     exact: bool = False
     other: bool = False
@@ -79,16 +82,20 @@ class Probe:
             # Rule of three: a share met in none of n tries is, with 95 % confidence, at most 3 / n.
             text = f"What the object adds to the picture is not known: {missed}, nor do more than "
             return Finding(WARNING, f"{text}{_rounded_up(3.0 / self.missed)} of all (95 %); take more")
-        if self.error:
-            low, high = self.share - self.error, self.share + self.error
-            text = f"The object adds {_share(low)} to {_share(high)} to the picture (95 %)"
-            return Finding(WARNING, f"{text}, which the noise of {self.engine!r} hides; more samples would tell")
         adds = f"The object adds {_share(self.share)} to the picture"
+        if self.error:
+            adds = f"The object adds {_uncertain(self.share, self.error)} to the picture (95 %)"
+        if self.hidden:
+            return Finding(WARNING, f"{adds}, which the noise of {self.engine!r} hides; more samples would tell")
         if self.missed:
             return Finding(WARNING, f"{adds}, but {missed}; take many more{more}")
         if not ENGINES[self.engine].noisy:
             return Finding(GOOD, f"{adds}; its difference is computed to {_share(1.0 / self.signal_to_noise)}")
-        stands = f"its difference stands {self.signal_to_noise:.3g} times above the noise of {self.engine!r}"
+        stands = f"its difference is {self.signal_to_noise:.3g} times the noise of {self.engine!r}"
+        if self.signal_to_noise < 1.0:
+            stands += ", below it"
+        elif math.isnan(self.signal_to_noise):
+            stands = f"its difference could not be compared with the noise of {self.engine!r}"
         if self.signal_to_noise >= 3.0:
             return Finding(GOOD, f"{adds}; {stands}")
         return Finding(WARNING, f"{adds}; {stands}; more samples{more} would mend that")
@@ -131,15 +138,13 @@ def probe(scene: bpy.types.Scene, sweep: Sweep) -> Probe:
             signal, noise, significant = common_signal(np.array(differences))
             if exact or significant or (other and seed >= _PROBES) or time.perf_counter() - start > _PATIENCE:
                 break
-    (share, half), error, missed = added(differences, radiance / len(differences)), 0.0, 0
+    (share, error), missed = added(differences, radiance / len(differences)), 0
     if not exact:
         noise *= samples / sweep.samples
         seconds *= sweep.samples / samples * (1.0 if sweep.paired else 0.5)
         missed = 0 if np.any(differences) else samples * picture[..., 0].size * len(differences)
     if not exact and not significant and other:
         share, signal = _exactly(scene, sweep.resolution)
-    elif not exact and not significant:
-        error = half
     known_exactly = exact or (other and not significant)
     if exact:
         ratio = 1.0 / sweep.accuracy if signal else 0.0
@@ -153,7 +158,8 @@ def probe(scene: bpy.types.Scene, sweep: Sweep) -> Probe:
         signal_to_noise=ratio,
         seconds=seconds * pictures,
         bytes=_BYTES_PER_VALUE * 3.0 * sweep.resolution[0] * sweep.resolution[1] * pictures,
-        error=error,
+        error=0.0 if known_exactly else error,
+        hidden=not known_exactly and not significant,
         missed=missed,
         exact=known_exactly,
         other=other,
@@ -201,6 +207,12 @@ def _rounded_up(share: float) -> str:
     """Return a bound with two significant digits, not below it."""
     step = 10.0 ** (math.floor(math.log10(share)) - 1)
     return f"{math.ceil(share / step - 1e-9) * step:.2g}"
+
+
+def _uncertain(share: float, error: float) -> str:
+    """Return a share and half its interval in per cent, both to the second digit of the latter."""
+    digits = min(12, max(0, 1 - math.floor(math.log10(100.0 * error))))
+    return f"{100.0 * share:.{digits}f} % ± {100.0 * error:.{digits}f} %"
 
 
 def _share(share: float) -> str:

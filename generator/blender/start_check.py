@@ -30,6 +30,7 @@ from generator.model import poses
 from generator.model.arrays import Array
 from generator.model.errors import NlosError
 from generator.model.poses import PoseRecord
+from generator.model.quantities import radiance
 from generator.model.settings import BACKGROUND_FACTOR, Sweep
 from generator.sets.dataset import Dataset
 
@@ -331,7 +332,7 @@ def _numbers(figure: Figure) -> list[float]:
 
 def _spread(figure: Figure) -> str:
     """Return the uncertainty of a figure as text."""
-    return f"± {1.96 * figure.error:.2g}"
+    return f"± {radiance(1.96 * figure.error, 2)}"
 
 
 def _wide(width: float) -> str:
@@ -348,7 +349,7 @@ def _words(check: _Check, figures: Sequence[Figure], width: float, seconds: floa
         if 1.96 * figure.precision > _VAGUE:
             parts.append(f"{figure.what} too noisy to compare in this time")
         else:
-            parts.append(f"{figure.what} {figure.plain:.3g} and {figure.engine:.3g} {_spread(figure)} W/m^2/sr")
+            parts.append(f"{figure.what} {radiance(figure.plain)} and {radiance(figure.engine)} {_spread(figure)}")
     comparable = any("too noisy" not in part for part in parts)
     verdict = "agree within the noise: " if comparable else "were compared: "
     return f"{start}{verdict}{'; '.join(parts)}{_wide(width)}"
@@ -363,6 +364,6 @@ def _complaint(source: Path, check: _Check, bad: Figure, width: float) -> str:
     advice = "take --engine path, which agrees" if engine != "path" and check.path_agrees() else "mend the scene"
     return (
         f"{source}: the engine {engine!r} does not render what Cycles makes of this file: at the first pose, in "
-        f"voxel {label}, the {where} is {bad.plain:.3g} W/m^2/sr by plain Cycles and {bad.engine:.3g} by {engine!r} "
-        f"({noise}{_wide(width)}); nothing is kept; {advice}, or render it all the same with --no-probe"
+        f"voxel {label}, the {where} is {radiance(bad.plain)} by plain Cycles and {radiance(bad.engine)} by "
+        f"{engine!r} ({noise}{_wide(width)}); nothing is kept; {advice}, or render it all the same with --no-probe"
     )

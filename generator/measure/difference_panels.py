@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 
 from generator.measure import figures
 from generator.model.arrays import Array
+from generator.model.quantities import radiance
 
 _QUANTILE = 0.995
 _DROWNED = "#eceff1"
@@ -88,7 +89,7 @@ def _draw_block(part: Any, block: Block) -> None:
             if lost or not peak:
                 panel.set_facecolor(_DROWNED)
                 rms = np.sqrt((picture**2).mean())
-                words = f"below noise\nrms {rms:.1g}\nnoise {error:.1g}\nW/m²/sr" if lost else "no change"
+                words = f"below noise\nrms {radiance(rms, 1)}\nnoise {radiance(error, 1)}" if lost else "no change"
                 panel.text(0.5, 0.5, words, ha="center", va="center", transform=panel.transAxes, fontsize=7)
                 continue
             limits = {"vmin": -peak, "vmax": peak, "cmap": figures.SIGNED}

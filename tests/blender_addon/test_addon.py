@@ -1033,7 +1033,12 @@ def test_assets_are_written_beside_and_listed_once(package: Path, tmp_path: Path
 
 
 def test_mesh_target_from_a_file(package: Path, tmp_path: Path) -> None:
+    import mesh_files  # needs bpy
+
     (tmp_path / "wedge.obj").write_text("v 0 0 0\nv 2 0 0\nv 0 1 0\nv 0 0 1\nf 1 2 3\nf 1 2 4\nf 1 3 4\nf 2 3 4\n")
+    mesh_files.stl(tmp_path / "shape.stl", 0.001, "Y")
+    mesh_files.gltf(tmp_path / "shape.gltf", 1.0, "Y")
+    (tmp_path / "bad.fbx").write_text("nonsense")
     blender(
         package,
         tmp_path,
@@ -1042,6 +1047,26 @@ def test_mesh_target_from_a_file(package: Path, tmp_path: Path) -> None:
         bpy.ops.nlos.build_scene()
         found = description.read_scene(scene).target
         assert found.kind == "mesh" and abs(found.size - 0.5) < 1e-6
+        settings.target_mesh, settings.target_size = "shape.stl", 0.0
+        settings.target_unit, settings.target_up = "mm", "Y"
+        assert bpy.ops.nlos.build_scene() == {"FINISHED"}
+        found = description.read_scene(scene).target
+        assert (found.unit, found.up, round(found.size, 6)) == ("mm", "Y", 0.5)
+        words = module("view.target_file").words
+        assert "shape.stl: 0.3 x 0.2 x 0.5 m" in words(settings)[0][0], words(settings)
+        settings.target_mesh, settings.target_unit, settings.target_up = "shape.gltf", "auto", "auto"
+        before = {kind: len(getattr(bpy.data, kind)) for kind in ("objects", "materials", "images", "scenes")}
+        assert bpy.ops.nlos.build_scene() == {"FINISHED"}
+        assert {kind: len(getattr(bpy.data, kind)) for kind in before} == before
+        assert roles.target_file(scene)["metres_per_unit"] == 1.0
+        settings.target_mesh = "gone.gltf"
+        assert "no such file" in refused(bpy.ops.nlos.build_scene)
+        settings.target_mesh = "bad.fbx"
+        assert "bad.fbx" in refused(bpy.ops.nlos.build_scene)
+        assert roles.target_file(scene)["name"] == "shape.gltf"
+        settings.target_mesh, settings.target_size = "shape.stl", 0.25
+        bpy.ops.nlos.read_scene()
+        assert (settings.target_unit, settings.target_up) == ("auto", "auto")
         """,
     )
 

@@ -148,9 +148,8 @@ def _usd(path: Path, wanted: Target) -> Found:
     raw = _raw(path, main=True) if usd.has_main_prim(path) else []
     if _count(raw) != _count(parts):
         raw = _raw(path, main=False)
-    metres, axis = _compared(raw, parts)
-    is_stated = "apply_unit_conversion_scale" in _options(bpy.ops.wm.usd_import)
-    if not is_stated and wanted.unit == "auto" and not wanted.size:
+    metres, axis = _compared(raw, parts, path)
+    if "apply_unit_conversion_scale" not in _options(bpy.ops.wm.usd_import) and wanted.unit == "auto":
         raise NlosError(
             f"target.mesh: Blender {bpy.app.version_string} does not read the unit that {path} states; say it by "
             f"target.unit (--target-unit: {', '.join(UNITS)})"
@@ -178,17 +177,24 @@ def _count(parts: Sequence[Part]) -> int:
     return sum(len(part.vertices) for part in parts)
 
 
-def _compared(raw: Sequence[Part], parts: Sequence[Part]) -> tuple[float, str]:
+def _compared(raw: Sequence[Part], parts: Sequence[Part], path: Path) -> tuple[float, str]:
     """Return metres per unit and the axis that points up, from a file's own numbers and from what was made of them.
 
     Blender's importer honours what a USD states, but does not tell it.
     """
-    if not _count(parts) or _count(raw) != _count(parts):
+    if not _count(parts):
         return 1.0, "Z"
-    own, made = (np.concatenate([part.vertices for part in some]) for some in (raw, parts))
-    scale = float(np.linalg.norm(made) / (np.linalg.norm(own) or 1.0))
-    misfits = {axis: float(np.abs(scale * own @ turn.T - made).max()) for axis, turn in TURNS.items()}
-    return float(f"{scale:.6g}"), min(sorted(misfits, reverse=True), key=lambda axis: misfits[axis])
+    own, made = (np.concatenate([np.zeros((0, 3)), *(part.vertices for part in some)]) for some in (raw, parts))
+    if own.shape == made.shape:
+        scale = float(np.linalg.norm(made) / (np.linalg.norm(own) or 1.0))
+        misfits = {axis: float(np.abs(scale * own @ TURNS[axis].T - made).max()) for axis in "ZYX"}
+        axis = min(misfits, key=lambda axis: misfits[axis])
+        if not misfits[axis] > _MISFIT * np.abs(made).max():
+            return float(f"{scale:.6g}"), axis
+    raise NlosError(f"target.mesh: it cannot be told which unit and axes {path} states; save it in another format")
+
+
+_MISFIT = 1e-4
 
 
 def _blend(path: Path, wanted: Target) -> Found:

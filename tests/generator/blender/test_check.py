@@ -601,6 +601,37 @@ def test_an_object_that_the_noise_hides_changes_what_surfel_says(scale, engine, 
     assert "or the engine 'surfel'" in signal.text
 
 
+@pytest.mark.parametrize(
+    ("how", "level", "words"),
+    [
+        (
+            {"share": 8e-4, "error": 1e-3, "hidden": True},
+            WARNING,
+            "adds 0.08 % ± 0.10 % to the picture (95 %), which",
+        ),
+        ({"share": -2e-4, "error": 1.26e-3, "hidden": True}, WARNING, "adds -0.02 % ± 0.13 % to the picture"),
+        (
+            {"share": 0.12, "error": 2.4e-2, "signal_to_noise": 5.0},
+            GOOD,
+            "adds 12.0 % ± 2.4 % to the picture (95 %); ",
+        ),
+        ({"share": 0.12, "signal_to_noise": 5.0}, GOOD, "adds 12.00% to the picture; its difference is 5 times the"),
+        (
+            {"share": 1e-3, "signal_to_noise": 1.5},
+            WARNING,
+            "; its difference is 1.5 times the noise of 'patch'; more",
+        ),
+        ({"share": 1e-3, "signal_to_noise": 0.0612}, WARNING, "is 0.0612 times the noise of 'patch', below it; more"),
+        ({"share": 1e-3, "signal_to_noise": math.nan}, WARNING, "could not be compared with the noise of 'patch'"),
+    ],
+)
+def test_a_signal_is_told_with_its_error_and_on_its_side_of_the_noise(how, level, words):
+    probe = check_signal.Probe(engine="patch", seconds=1.0, bytes=1.0, **{"signal_to_noise": 0.5, **how})
+    [signal, _] = probe.findings()
+    assert signal.level == level
+    assert words in signal.text
+
+
 @pytest.mark.slow
 def test_where_surfel_cannot_be_asked_a_range_is_told():
     scene = small(0.1)

@@ -207,7 +207,7 @@ def test_another_picture_than_plain_cycles_makes_stops_the_sweep(
     assert f"the engine {engine!r} does not render what Cycles makes of this file" in words
     if engine != "path":  # whose pixels may already differ in what is named first
         assert f"the {what}" in words
-    assert "W/m^2/sr by plain Cycles and" in words
+    assert "W/m²/sr by plain Cycles and" in words
     assert "--no-probe" in words
     assert "--engine path" not in words, "which is wrong too"
     assert not (tmp_path / "a").exists(), "nothing is left, nor the folders that were made for it"
@@ -219,10 +219,10 @@ def test_only_a_number_has_a_unit():
     vague = agreement.Figure("change by the target", "", "", 1.0, 1.0, 10.0, 1.0)
     words = start_check._words(check, [known, vague], 0.0, 1.0)
     assert words.endswith(
-        "agree within the noise: background 1 and 1 ± 0.02 W/m^2/sr; "
+        "agree within the noise: background 1 W/m²/sr and 1 W/m²/sr ± 20 mW/m²/sr; "
         "change by the target too noisy to compare in this time"
     )
-    assert "W/m^2/sr" not in start_check._words(check, [vague], 0.0, 1.0)
+    assert "W/m²/sr" not in start_check._words(check, [vague], 0.0, 1.0)
 
 
 @pytest.mark.parametrize("engine", ["path", "patch", "surfel"])

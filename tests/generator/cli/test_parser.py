@@ -77,7 +77,7 @@ def test_the_commands_on_the_pages_are_right():
         ("nlos-generate sweep r.blend -o s --accuracy banana", "--accuracy 'banana': must be between 0 and 1, or"),
         ("nlos-generate experiment x", "number 'x': must be a whole number"),
         ("nlos-generate scene rom --show", "preset 'rom': there is none; did you mean room?"),
-        ("nlos-generate scene room --show --target spere", ".stl); did you mean sphere?"),
+        ("nlos-generate scene room --show --target spere", ".blend); did you mean sphere?"),
         ("nlos-generate scene room --show --set sopt.power=5", "sopt: no such field; did you mean spot?"),
         ("nlos-generate scene room --show --set spot.powr=5", "spot.powr: no such field; did you mean power?"),
         ("nlos-generate plan r.blend --mots 5s", "--mots: there is no such option; did you mean --time-limit?"),
