@@ -194,6 +194,7 @@ def test_operator_builds_what_the_api_builds(package: Path, tmp_path: Path) -> N
         assert {o["nlos_role"] for o in scene.objects} == {*roles.SINGLE_ROLES, "room", "partition"}
         assert scene.render.engine == "CYCLES" and scene.cycles.diffuse_bounces == scene.cycles.max_bounces == 4
         assert not [m for m in sys.modules if m.partition(".")[0] in ("generator", "blender_addon")]
+        assert not [m for m in sys.modules if "classify" in m.split(".")]
         """,
     )
 

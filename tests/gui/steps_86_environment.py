@@ -38,7 +38,7 @@ def cancelled():
     yield from tab("NLOS")
     invoke(bpy.ops.nlos.make_environment)
     yield 0.5
-    yield from screenshot("55-asks")
+    yield from screenshot("86-asks")
     yield from xdotool("key", "Return")
     yield from until(lambda: making().job is not None, "it begins once that is confirmed")
     gaps, last = [], time.monotonic()
@@ -47,7 +47,7 @@ def cancelled():
         gaps.append(time.monotonic() - last)
         last = time.monotonic()
     check(max(gaps) < 1.0, f"the window stays free: longest wait {max(gaps):.2f} s")
-    yield from panel_picture("NLOS_PT_answer", "55-makes")
+    yield from panel_picture("NLOS_PT_answer", "86-makes")
     check("package" in making().job.words, making().job.words)
     check(call(bpy.ops.nlos.cancel_environment) == {"FINISHED"}, "it can be cancelled")
     yield from until(lambda: making().job is None, "it ends")
@@ -68,7 +68,7 @@ def made_and_removed():
     with bpy.context.temp_override(window=window, area=window.screen.areas[0]):
         bpy.ops.preferences.addon_expand(module=MODULE)
     yield 1.0
-    yield from screenshot("55-preferences")
+    yield from screenshot("86-preferences")
     with bpy.context.temp_override(window=window):
         bpy.ops.wm.window_close()
     yield 0.5

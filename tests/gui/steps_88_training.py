@@ -39,7 +39,7 @@ def cancelled():
         gaps.append(time.monotonic() - last)
         last = time.monotonic()
     check(max(gaps) < 1.0, f"the window stays free: longest wait {max(gaps):.2f} s")
-    yield from panel_picture("NLOS_PT_train", "57-trains")
+    yield from panel_picture("NLOS_PT_train", "88-trains")
     check(call(bpy.ops.nlos.train_cancel) == {"FINISHED"}, "it can be cancelled")
     yield from until(lambda: not job().running, "it ends")
     check(job().words == "Cancelled" and not settings.model, f"nothing is chosen: {job().words}")
@@ -51,7 +51,7 @@ def trained():
     check("right voxel in 79.1 %" in job().words, job().words)
     settings = bpy.context.scene.nlos
     check(settings.model == str(WORK / "taught.skops"), f"the model is chosen: {settings.model}")
-    yield from panel_picture("NLOS_PT_train", "57-trained")
+    yield from panel_picture("NLOS_PT_train", "88-trained")
     call(bpy.ops.ed.undo)
     yield 0.3
     check(not bpy.context.scene.nlos.model, f"undo takes the choice back: {bpy.context.scene.nlos.model}")
