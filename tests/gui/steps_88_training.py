@@ -56,6 +56,9 @@ def trained():
     yield 0.3
     check(not bpy.context.scene.nlos.model, f"undo takes the choice back: {bpy.context.scene.nlos.model}")
     bpy.context.preferences.addons[MODULE].preferences.python = ""
+    result = call(bpy.ops.wm.open_mainfile, filepath=str(WORK / "room.blend"))  # as later steps expect it
+    check(result == {"FINISHED"}, f"the room is opened again: {result}")
+    yield 1.0
 
 
 STEPS = [cancelled, trained]
