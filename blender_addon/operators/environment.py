@@ -158,7 +158,6 @@ class NLOS_OT_make_environment(_Idle, bpy.types.Operator):
             self.report({"ERROR"}, str(error))
             return {"CANCELLED"}
         state.environment_words = ""
-        _unname(folder)
         begun = Job(folder)
         job = None if bpy.app.background else begun  # there it is over
         state.redraw("VIEW_3D", "PREFERENCES")

@@ -19,6 +19,7 @@ import subprocess
 import sys
 import tempfile
 import zipfile
+from collections.abc import Iterable
 from pathlib import Path
 
 from ..session.making import REQUIREMENTS
@@ -76,23 +77,36 @@ def assemble(folder: Path) -> None:
     shutil.copy(_ADDON / "blender_manifest.toml", folder)
     shutil.copy(_licence(), folder)
     shutil.copy(_ADDON / REQUIREMENTS, folder)
-    needed = set(_RUN_BY_NAME)
-    for source in sorted((_ROOT / "classify").rglob("*")):
-        place = source.relative_to(_ROOT)
-        if source.suffix in (".py", ".html"):
-            (folder / place).parent.mkdir(parents=True, exist_ok=True)
-            shutil.copy(source, folder / place)
-        if source.suffix == ".py":
-            needed |= _needed(source)
-    for source in sorted(_ADDON.rglob("*.py")):
-        if source.parent != _HERE:
-            needed |= _copy(source, folder, source.relative_to(_ADDON))
-    copied: set[Path] = set()
-    while needed - copied:
-        module = min(needed - copied)
-        needed |= _copy(_ROOT / module, folder, module)
-        copied.add(module)
+    for source in _addon():
+        _copy(source, folder, source.relative_to(_ADDON))
+    beside = [path for path in sorted((_ROOT / "classify").rglob("*")) if path.suffix in (".py", ".html")]
+    for source in beside:
+        place = folder / source.relative_to(_ROOT)
+        place.parent.mkdir(parents=True, exist_ok=True)
+        shutil.copy(source, place)
+    for module in in_blender() | _reached(path for path in beside if path.suffix == ".py"):
+        _copy(_ROOT / module, folder, module)
     (folder / sbom.NAME).write_text(sbom.extension(folder), encoding="utf-8")
+
+
+def in_blender() -> set[Path]:
+    """Return the files of `generator` that the add-on needs, relative to the project; `classify` needs more."""
+    return _reached([*_addon(), *(_ROOT / module for module in _RUN_BY_NAME)]) | _RUN_BY_NAME
+
+
+def _addon() -> list[Path]:
+    return [source for source in sorted(_ADDON.rglob("*.py")) if source.parent != _HERE]
+
+
+def _reached(sources: Iterable[Path]) -> set[Path]:
+    """Return the files of `generator` that modules import, themselves or by others, relative to the project."""
+    left = {module for source in sources for module in _needed(source)}
+    found: set[Path] = set()
+    while left:
+        module = left.pop()
+        found.add(module)
+        left |= _needed(_ROOT / module) - found
+    return found
 
 
 def _licence() -> Path:
@@ -119,14 +133,8 @@ def _settle(loose: Path, package: Path) -> None:
             new.writestr(entry, old.read(name))
 
 
-def _copy(source: Path, folder: Path, place: Path) -> set[Path]:
-    """Copy a module to its place in a folder, with its imports of `generator` made relative.
-
-    Returns
-    -------
-    set of Path
-        Files of `generator` that it imports, and those of the packages that contain them, relative to the project.
-    """
+def _copy(source: Path, folder: Path, place: Path) -> None:
+    """Copy a module to its place in a folder, with its imports of `generator` made relative."""
     text = source.read_text(encoding="utf-8")
     if place.parts[0] == "generator":  # relative within it, so that it is a package by itself as well
         relative = _IMPORT.sub(lambda m: f"{m[1]}from {'.' * (len(place.parts) - 1)}{m[2][1:]} import ", text)
@@ -140,11 +148,13 @@ def _copy(source: Path, folder: Path, place: Path) -> set[Path]:
             raise BuildError(f"{source}: line {ast.unparse(node)!r} must read 'from generator... import ...'")
     (folder / place).parent.mkdir(parents=True, exist_ok=True)
     (folder / place).write_text(relative, encoding="utf-8")
-    return _needed(source)
 
 
 def _needed(source: Path) -> set[Path]:
-    """Return the files of `generator` that a module imports when it is run, relative to the project."""
+    """Return the files of `generator` that a module imports when it is run, and of the packages that contain them.
+
+    Relative to the project.
+    """
     tree = ast.parse(source.read_text(encoding="utf-8"))
     type_checking = [
         node for node in ast.walk(tree) if isinstance(node, ast.If) and ast.unparse(node.test) == "TYPE_CHECKING"

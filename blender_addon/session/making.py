@@ -51,7 +51,7 @@ def make(
     stop: threading.Event,
     python: str = "",
 ) -> Path:
-    """Make an environment, in place of one that is there; none is left if that fails or is stopped.
+    """Make an environment, in place of one that is there, which stays if that fails or is stopped.
 
     Parameters
     ----------
@@ -89,12 +89,13 @@ def make(
         elif kind == "Installing":
             tell(f"Unpacking {packages} packages, which takes a minute or two", 0.8)
 
-    remove(folder)
+    new = folder.with_name(f"{folder.name}.new")  # an older one stays if this fails
+    remove(new)
     try:
         tell("Preparing", 0.0)
         _check(folder, python, stop)
-        _run([python, "-I", "-m", "venv", str(folder)], stop)
-        made, temporary = str(interpreter(folder)), folder / "temporary"
+        _run([python, "-I", "-m", "venv", str(new)], stop)
+        made, temporary = str(interpreter(new)), new / "temporary"
         temporary.mkdir()
         options = ["--disable-pip-version-check", "--no-input", "--no-cache-dir", "--only-binary", ":all:"]
         install = [made, "-I", "-m", "pip", "install", *options, "--progress-bar", "off", "--retries", "2"]
@@ -104,13 +105,15 @@ def make(
         place = _run([made, "-I", "-c", "import sysconfig; print(sysconfig.get_path('purelib'))"], stop)[-1]
         Path(place, _LINK).write_text(f"{ADDON}\n", encoding="utf-8")
         _run([made, "-I", "-c", "import classify.classifiers.models, classify.cli.main"], stop)
-        shutil.copy(ADDON / REQUIREMENTS, folder)
-        return Path(made)
-    except OSError as error:
+        shutil.copy(ADDON / REQUIREMENTS, new)
         remove(folder)
+        new.rename(folder)  # its Python finds its packages from wherever it stands
+        return interpreter(folder)
+    except OSError as error:
+        remove(new)
         raise NlosError(f"{folder}: no environment can be made there ({error.strerror or error})") from None
     except BaseException:
-        remove(folder)
+        remove(new)
         raise
 
 
@@ -180,7 +183,7 @@ def _run(
             follow(line)
             lines.append(line.rstrip())
     if stop.is_set():
-        raise NlosError("Cancelled; nothing is left of it")
+        raise NlosError("Cancelled; what was made so far is removed")
     if process.returncode:
         raise NlosError(reason(lines) or f"{command[0]} ended with exit code {process.returncode}")
     return lines

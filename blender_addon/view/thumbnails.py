@@ -74,7 +74,7 @@ class _Shelf:
     wanted: dict[str, PoseRecord] = field(default_factory=dict)
     ready: OrderedDict[str, str] = field(default_factory=OrderedDict)  # by file: what is wrong, or nothing
     looked_at: float = -_EVERY
-    task: background.Task | None = None
+    is_busy: bool = False
     previews: Any = None
     differs: tuple[Any, list[str]] = (None, [])
 
@@ -125,7 +125,7 @@ def others_than(scene: Scene | None) -> list[str]:
 def forget() -> None:
     """Read everything again when it is asked for next."""
     background.drop("browser")
-    _shelf.task, _shelf.opened, _shelf.path, _shelf.words, _shelf.looked_at = None, None, None, "", -_EVERY
+    _shelf.is_busy, _shelf.opened, _shelf.path, _shelf.words, _shelf.looked_at = False, None, None, "", -_EVERY
     _shelf.ready.clear()
     if _shelf.previews is not None:
         _shelf.previews.clear()
@@ -141,7 +141,7 @@ def _lacking() -> list[PoseRecord]:
 
 def _serve() -> float | None:
     """Start to read what was asked for; return the seconds until another try, None for none."""
-    if _shelf.task is not None and not _shelf.task.done:
+    if _shelf.is_busy:
         return 0.1
     if _is_old():
         _look()
@@ -166,6 +166,7 @@ def _look() -> None:
     before = _shelf.opened
 
     def then(task: background.Task) -> None:
+        _shelf.is_busy = False
         if task.error or task.result is not before:
             _shelf.ready.clear()
             _shelf.opened, _shelf.words = (None, task.error) if task.error else (task.result, "")
@@ -174,8 +175,8 @@ def _look() -> None:
         if _lacking():
             state.once(_serve, 0.05)
 
-    _shelf.task = background.Task(lambda task: _open(path, before), then, topic="browser")
-    _shelf.task.settle()
+    _shelf.is_busy = True
+    background.Task(lambda task: _open(path, before), then, topic="browser").settle()
 
 
 def _read(found: Opened, records: list[PoseRecord]) -> None:
@@ -193,8 +194,12 @@ def _read(found: Opened, records: list[PoseRecord]) -> None:
             _keep(*results.popleft())
         state.redraw("VIEW_3D")
 
-    _shelf.task = background.Task(work, show, show, topic="browser")
-    _shelf.task.settle()
+    def then(task: background.Task) -> None:
+        _shelf.is_busy = False
+        show(task)
+
+    _shelf.is_busy = True
+    background.Task(work, then, show, topic="browser").settle()
 
 
 def _open(path: Path, before: Opened | None) -> Opened:
@@ -256,7 +261,9 @@ def _keep(file: str, pixels: Picture | None, fault: str) -> None:
     _shelf.ready[file] = fault
     _shelf.ready.move_to_end(file)
     if pixels is not None:
-        preview = _shelf.previews.get(file) or _shelf.previews.new(file)
+        if file in _shelf.previews:
+            del _shelf.previews[file]
+        preview = _shelf.previews.new(file)
         rgba = np.ones((*pixels.shape[:2], 4), dtype=np.float32)
         rgba[..., :3] = pixels[::-1]
         preview.image_size = pixels.shape[1::-1]

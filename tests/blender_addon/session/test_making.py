@@ -62,6 +62,10 @@ def test_it_is_made_told_and_renewed(tmp_path: Path) -> None:
     assert shares[-1] < 1.0
     (folder / making.REQUIREMENTS).write_text("numpy==1.0\n")
     assert not making.is_current(folder)
+    with pytest.raises(NlosError, match="no space"):
+        made(folder, python(tmp_path, "echo ERROR: no space; exit 1"))
+    assert making.is_whole(folder), "the older one stays"
+    assert [path.name for path in folder.parent.iterdir()] == ["environment"]
     made(folder, python(tmp_path, pip))
     assert making.is_current(folder)
     making.remove(folder)
@@ -110,4 +114,4 @@ def test_it_can_be_cancelled(tmp_path: Path) -> None:
     with pytest.raises(NlosError, match="Cancelled"):
         making.make(tmp_path / "environment", lambda *told: None, stop, python(tmp_path, "exec sleep 60"))
     assert time.monotonic() - began < 10.0
-    assert not (tmp_path / "environment").exists()
+    assert [path.name for path in tmp_path.iterdir()] == ["python"]

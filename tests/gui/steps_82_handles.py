@@ -1,4 +1,4 @@
-"""The faces of the voxel grid are dragged by their arrows: one undo step each; the panel follows, Esc undoes it."""
+"""Faces of the voxel grid are dragged by their arrows: one undo step a drag, the panel follows, Esc takes it back."""
 
 from __future__ import annotations
 
@@ -45,7 +45,7 @@ def drag(axis, side, pixels, key=""):
         yield from xdotool("key", key)
         yield 0.2
     else:
-        yield from screenshot(f"25-drag-{'xyz'[axis]}{side}")
+        yield from screenshot(f"82-drag-{'xyz'[axis]}{side}")
     yield from xdotool("mouseup", 1)
     yield 0.3
 
@@ -55,14 +55,14 @@ def dragged():
     settings.preset = "room"
     call(bpy.ops.nlos.build_scene)
     bpy.context.window_manager.nlos.overlay = True
-    with view3d() as (area, _region):
+    with view3d() as (area, _):
         area.spaces.active.show_region_ui = False
         view = area.spaces.active.region_3d
         view.view_location, view.view_distance = (1.0, 1.0, 1.0), 6.0
         view.view_rotation = Vector((-0.6, 1.0, -0.7)).to_track_quat("-Z", "Y")
     redraw()
     yield 1.0
-    yield from screenshot("25-handles")
+    yield from screenshot("82-handles")
     for axis, side in ((0, 1), (0, 0), (2, 1), (1, 1)):
         before = grid()
         yield from drag(axis, side, 60)
@@ -92,7 +92,7 @@ def stopped():
     check(grid() == before, "and that is undone")
     bpy.context.window_manager.nlos.overlay = False
     redraw()
-    yield from screenshot("25-off")
+    yield from screenshot("82-off")
     yield from tab("NLOS")
 
 
