@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import bpy
+import mathutils
 from helpers import WORK, call, check, module, press, redraw, roles, screenshot, scroll, tab, until, view3d
 
 
@@ -85,6 +86,42 @@ def own_objects():
     yield 0.3
 
 
+def room_of_one_mesh():
+    """Floor, ceiling and walls joined to one object, which is then the relay wall, and moved away."""
+    state, players = module("session.state"), module("generator.blender.scene.roles")
+    call(bpy.ops.wm.save_as_mainfile, filepath=str(WORK / "whole20.blend"))
+    scene = bpy.context.scene
+    for obj in scene.objects:
+        obj.select_set(obj.get("nlos_role") in ("relay_wall", "room"))
+    bpy.context.view_layer.objects.active = players.find(scene, "relay_wall")
+    call(bpy.ops.object.join)
+    yield 0.3
+    check(not players.players(scene, "room"), "the room is one object")
+    lamp = players.find(scene, "spot")
+    empty = bpy.data.objects.new("Aim", None)
+    empty.location = (0.3, 0.0, 1.3)
+    scene.collection.objects.link(empty)
+    track = lamp.constraints.new("TRACK_TO")
+    track.target, track.track_axis, track.up_axis = empty, "TRACK_NEGATIVE_Z", "UP_Y"
+    turn = mathutils.Matrix.Translation((1.0, 2.0, 0.0)) @ mathutils.Matrix.Rotation(1.0, 4, "Z")
+    for obj in [o for o in scene.objects if o.parent is None]:
+        obj.matrix_basis = turn @ obj.matrix_basis
+    bpy.context.view_layer.update()
+    call(bpy.ops.nlos.check)
+    found = [f.fix for f in state.findings if f.fix]
+    check(found == ["align"], f"its lit face is to be aligned: {[f.text for f in state.findings]}")
+    result = call(bpy.ops.nlos.fix, fix="align")
+    check(result == {"FINISHED"}, f"it is aligned: {result}")
+    levels = module("generator.blender.check")
+    texts = [f.text for f in state.findings]
+    check(not levels.hopeless([f for f in state.findings if "voxel" not in f.text.lower()]), f"and sound: {texts}")
+    redraw()
+    yield from screenshot("20-joined")
+    call(bpy.ops.wm.open_mainfile, filepath=str(WORK / "whole20.blend"))
+    yield 1.0
+    yield from tab("NLOS")
+
+
 def states_without_a_scene():
     """Nothing there, nothing right: a sentence, never a traceback."""
     call(bpy.ops.wm.save_as_mainfile, filepath=str(WORK / "room20.blend"))
@@ -113,4 +150,11 @@ def states_without_a_scene():
     yield from tab("NLOS")
 
 
-STEPS = [fresh, check_a_sound_scene, check_names_selects_and_mends, own_objects, states_without_a_scene]
+STEPS = [
+    fresh,
+    check_a_sound_scene,
+    check_names_selects_and_mends,
+    own_objects,
+    room_of_one_mesh,
+    states_without_a_scene,
+]

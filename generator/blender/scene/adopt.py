@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import math
 from collections.abc import Iterable, Sequence
 from typing import Any
@@ -273,11 +274,14 @@ def _elsewhere(before: list[tuple[str, Array, Array]], after: list[tuple[str, Ar
     """Return the name of what a transform (4, 4) of the world has not taken along; empty if there is nothing."""
     size = float(np.abs(np.concatenate([points for _, points, _ in after])).max())
     turn = change[:3, :3] / np.linalg.norm(change[:3, 0])
-    for (name, points, ways), (_, new_points, new_ways) in zip(before, after, strict=True):
+    for (name, points, ways), (new_name, new_points, new_ways) in itertools.zip_longest(
+        before, after, fillvalue=("", np.zeros((0, 3)), np.zeros((0, 3)))
+    ):
         moved = points @ change[:3, :3].T + change[:3, 3]
         if not (
-            np.allclose(new_points, moved, rtol=0.0, atol=_STRAY * size)
+            (name, points.shape) == (new_name, new_points.shape)
+            and np.allclose(new_points, moved, rtol=0.0, atol=_STRAY * size)
             and np.allclose(new_ways, ways @ turn.T, rtol=0.0, atol=_STRAY)
         ):
-            return name
+            return name or new_name
     return ""

@@ -5,6 +5,8 @@ from __future__ import annotations
 import bpy
 import numpy as np
 import pytest
+import walls
+from mathutils import Matrix
 
 from generator.blender import check
 from generator.blender.engines import renderers, survey
@@ -150,3 +152,27 @@ def test_a_lamp_among_the_instances_is_named():
         return instancing(linked(scene, "Statue"), library_of("Library", shown, bulb))
 
     assert "the light 'Bulb' moves when the target does" in survey.survey(built(with_lamp)).never
+
+
+def test_a_scene_in_centimetres_with_a_rig_and_a_room_of_one_mesh_is_adopted():
+    def surfel(scene):
+        with renderers.opened(scene, "surfel", resolution=(8, 8)) as renderer:
+            return np.array([renderer.render(target=False), renderer.render()])
+
+    scene = built(on_faces)
+    walls.joined(scene)
+    wanted = surfel(scene)
+    rig, lens = linked(scene, "Rig"), roles.find(scene, "camera").data
+    for role in ("spot", "camera"):
+        roles.find(scene, role).parent = rig
+    turn = Matrix.Translation((300.0, 100.0, 20.0)) @ Matrix.Rotation(1.1, 4, "Z") @ Matrix.Scale(100.0, 4)
+    for obj in [o for o in scene.objects if o.parent is None]:
+        obj.matrix_basis = turn @ obj.matrix_basis
+    lens.clip_start, lens.clip_end, lens.dof.focus_distance = 100.0 * lens.clip_start, 100.0 * lens.clip_end, 300.0
+    scene.unit_settings.system, scene.unit_settings.scale_length = "METRIC", 0.01
+    bpy.context.view_layer.update()
+    assert [f.fix for f in check.findings(scene) if f.level == ERROR] == ["metres", "align"]
+    for fix in ("metres", "align"):
+        check.mend(scene, fix)
+    assert lens.dof.focus_distance == pytest.approx(3.0)
+    np.testing.assert_allclose(surfel(scene), wanted, rtol=1e-4)

@@ -86,8 +86,9 @@ def test_engines_agree_on_a_room_of_one_mesh(sheet):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("changes", [{"ambient": 1e-3}, {"reflection_order": 4}], ids=["sky", "fourth reflection"])
-@pytest.mark.parametrize("name", ["slab", "room of one mesh"])
+@pytest.mark.parametrize(
+    ("name", "changes"), [("slab", {"ambient": 1e-3}), ("room of one mesh", {"reflection_order": 4})]
+)
 def test_light_that_is_followed_on_is_that_of_the_sheet(name, changes):
     wanted = surfel(built(**changes), accuracy=1e-2)
     np.testing.assert_allclose(surfel(built(SHAPES[name], **changes), accuracy=1e-2), wanted, rtol=1e-3)
@@ -137,6 +138,21 @@ def test_what_disturbs_the_lit_patch_is_left_to_path(name):
     assert any(words in reason for reason in found.reasons("patch")), found.reasons("patch")
     assert any(words in reason for reason in found.reasons("surfel"))
     assert renderers.choose(scene, found)[0] == "path"
+
+
+def test_light_of_other_faces_is_light_of_the_room():
+    def edit(scene):
+        wall = walls.joined(scene)
+        ceiling = wall.data.materials[2].copy()
+        tree = ceiling.node_tree
+        shader, output = tree.nodes.new("ShaderNodeEmission"), tree.nodes["Material Output"]
+        tree.links.new(shader.outputs[0], output.inputs["Surface"])
+        wall.data.materials[2] = ceiling
+
+    found = survey.survey(built(edit))
+    assert not found.reasons("surfel")
+    assert [(light.name, light.role) for light in found.lights if not light.is_spot] == [("Relay wall", "room")]
+    assert len(found.world.emitters.triangles) == 4  # two, on both sides
 
 
 def test_what_is_wrong_with_other_faces_is_said_of_them():

@@ -7,6 +7,7 @@ import tomllib
 import bpy
 import numpy as np
 import pytest
+import walls
 
 from generator.blender.engines import simplify, survey
 from generator.blender.measure import paired, planning
@@ -354,3 +355,12 @@ def test_from_the_shell(tmp_path, command):
     twice = command("generator", "sweep", scene_file, "-o", tmp_path / "x", "--plan", folder, "--engine", "patch")
     assert twice.returncode == 2
     assert "engine: follows from --plan" in twice.stderr
+
+
+def test_what_else_a_relay_wall_is_cannot_be_left_out(tmp_path):
+    scene = built("sheet")
+    walls.joined(scene)
+    path = tmp_path / "joined.blend"
+    blend_file.save_file(path)
+    assert survey.room_names(scene) == ["Partition", "Relay wall"]
+    assert planning._room(path, []) == ["Partition"]
