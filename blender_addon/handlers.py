@@ -34,13 +34,25 @@ def _after(*_: Any) -> None:
     session.live_answer = session.look = session.overlay = False
 
 
+@persistent  # type: ignore[untyped-decorator]
+def _undoing(*_: Any) -> None:
+    """End a check that is being done stepwise: undo takes the scene away that it looks at."""
+    if background.is_stepping("check"):
+        background.drop("check")
+        state.checking = False
+
+
 def register() -> None:
     """Add the handlers."""
+    for handlers in (bpy.app.handlers.undo_pre, bpy.app.handlers.redo_pre):
+        handlers.append(_undoing)
     bpy.app.handlers.load_pre.append(_before)
     bpy.app.handlers.load_post.append(_after)
 
 
 def unregister() -> None:
     """Remove the handlers."""
+    for handlers in (bpy.app.handlers.undo_pre, bpy.app.handlers.redo_pre):
+        handlers.remove(_undoing)
     bpy.app.handlers.load_post.remove(_after)
     bpy.app.handlers.load_pre.remove(_before)

@@ -2,6 +2,7 @@
 
 # mypy: disable-error-code="misc"
 
+from collections.abc import Callable
 from typing import Any, cast
 
 import bpy
@@ -192,25 +193,36 @@ class NLOS_OT_check(_Task, bpy.types.Operator):
     bl_label = "Check Scene"
 
     def work(self, scene: Any) -> tuple[str, str]:
-        """Run the checks without rendering, start those that render; return the kind and the text of the report."""
-        _forget_checks()
-        state.findings[:] = check.findings(scene, engine=scene.nlos.engine)
-        differs.note("check")
-        errors = [f for f in state.findings if f.level == ERROR]
-        if errors:
+        """Start the checks without rendering, then those that render; return the kind and the text of the report."""
+        _check(scene, _measure)
+        if errors := [f for f in state.findings if f.level == ERROR]:
             return "WARNING", errors[0].text
-        state.checking = True
-        request = CheckScene(
-            scene=background.snapshot("check.blend"), chosen=sweep_of(scene.nlos), trust_links=True
-        )  # Blender has already followed the links of the open file
-        background.ask(request, _checked, "check").settle()
-        return "INFO", "Nothing stands in the way of a sweep; signal and noise are being measured"
+        return "INFO", "The scene is being checked"
 
 
-def _forget_checks() -> None:
-    """Discard a running check: its results would describe an earlier scene."""
-    background.drop("check")
-    state.checking = False
+def _check(scene: Any, then: Callable[[], None]) -> None:
+    """Look for what needs no rendering, step by step; then call a function, unless there is an error."""
+    background.drop("check")  # its results would describe an earlier scene
+    state.findings.clear()
+    state.checking = True
+    differs.note("check")
+
+    def done(found: list[list[Finding]]) -> None:
+        state.checking = False
+        state.findings[:] = check.ordered(found)
+        if not check.hopeless(state.findings):
+            then()
+
+    background.stepwise(check.parts(scene, engine=scene.nlos.engine), done, "check")
+
+
+def _measure() -> None:
+    """Have signal and noise measured by another Blender."""
+    state.checking = True
+    request = CheckScene(
+        scene=background.snapshot("check.blend"), chosen=sweep_of(bpy.context.scene.nlos), trust_links=True
+    )  # Blender has already followed the links of the open file
+    background.ask(request, _checked, "check").settle()
 
 
 def _checked(task: background.Task) -> None:
@@ -232,10 +244,9 @@ class NLOS_OT_fix(_Task, bpy.types.Operator):
 
     def work(self, scene: Any) -> tuple[str, str]:
         """Apply the fix, and repeat the checks without rendering."""
-        _forget_checks()
+        background.drop("check")
         check.mend(scene, self.fix, self.choice)
-        state.findings[:] = check.findings(scene, engine=scene.nlos.engine)
-        differs.note("check")
+        _check(scene, lambda: None)
         return "INFO", f"{FIXES[self.fix]}: {self.choice or 'done'}"
 
 

@@ -8,7 +8,7 @@ import sys
 import tempfile
 import threading
 import traceback
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -25,6 +25,7 @@ from . import state
 
 CHILD = Path(__file__).with_name("child.py")
 """The script that runs a worker of the extension in another process."""
+_BETWEEN = 0.001
 _EVERY = 0.2
 """Seconds between two polls of the threads."""
 
@@ -109,9 +110,51 @@ _tasks: list[Task] = []
 
 def drop(topic: str | None = None) -> None:
     """Stop and discard the task on a topic, or all that have a topic if None: the result is no longer needed."""
+    for name in [name for name in _stepping if topic in (None, name)]:
+        del _stepping[name]
     for task in [t for t in _tasks if t.topic and topic in (None, t.topic)]:
         task.stop.set()
         _tasks.remove(task)
+
+
+_stepping: dict[str, object] = {}
+
+
+def stepwise(steps: Iterator[Any], then: Callable[[list[Any]], None], topic: str) -> None:
+    """Do work that uses bpy one step after another, and let Blender's window go on between them.
+
+    Parameters
+    ----------
+    steps : iterator
+        Each step is short. Undo, opening a file and newer work on the topic end it: they invalidate Blender's data.
+    then : callable
+        Called with what the steps gave, in a list.
+    topic : str
+    """
+    if bpy.app.background:
+        then(list(steps))
+        return
+    token = _stepping[topic] = object()
+    found: list[Any] = []
+
+    def step() -> float | None:
+        if _stepping.get(topic) is not token:
+            return None
+        try:
+            found.append(next(steps))
+        except StopIteration:
+            del _stepping[topic]
+            then(found)
+            state.redraw()
+            return None
+        return _BETWEEN
+
+    bpy.app.timers.register(step, persistent=True)
+
+
+def is_stepping(topic: str) -> bool:
+    """Return whether work on a topic is being done stepwise."""
+    return topic in _stepping
 
 
 def _poll() -> float | None:

@@ -289,7 +289,7 @@ class NLOS_PT_check(_Tab, bpy.types.Panel):
                 if finding.fix:
                     row.operator("nlos.fix", text=FIXES[finding.fix], icon="TOOL_SETTINGS").fix = finding.fix
         if state.checking:
-            layout.label(text="Measuring signal and noise ...", icon="SORTTIME")
+            layout.label(text="Looking, then measuring signal and noise ...", icon="SORTTIME")
 
 
 class NLOS_PT_rendering(_Tab, bpy.types.Panel):

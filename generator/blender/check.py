@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+import itertools
 import re
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
 from typing import Any
 
 import bpy
@@ -63,19 +64,32 @@ def findings(scene: bpy.types.Scene, *, engine: str = "patch") -> list[Finding]:
     engine : {"path", "patch", "surfel", "auto"}
         Engine that will render the scene.
     """
+    return ordered(parts(scene, engine=engine))
+
+
+def parts(scene: bpy.types.Scene, *, engine: str = "patch") -> Iterator[list[Finding]]:
+    """Yield the same findings part by part, so that a window need not wait for all of them at once."""
     results = _roles(scene)
-    if not results:
-        try:
-            results = _frame(scene)
-            readable = not hopeless(results)
-            results += _settings(scene)
-            if readable:
-                described = read_scene(scene)
-                results += [*check_sight.findings(scene, described), *_engine(scene, engine)]
-        except NlosError as error:
-            results.append(_told(scene, error))
+    yield results
+    if results:
+        return
+    try:
+        results = _frame(scene)
+        yield results
+        yield _settings(scene)
+        if not hopeless(results):
+            described = read_scene(scene)
+            yield []
+            yield check_sight.findings(scene, described)
+            yield _engine(scene, engine)
+    except NlosError as error:
+        yield [_told(scene, error)]
+
+
+def ordered(found: Iterable[Sequence[Finding]]) -> list[Finding]:
+    """Return findings of several parts in one list, errors first."""
     levels = [ERROR, WARNING, NOTE, GOOD]
-    return sorted(results, key=lambda f: levels.index(f.level))
+    return sorted(itertools.chain.from_iterable(found), key=lambda f: levels.index(f.level))
 
 
 def hopeless(found: Sequence[Finding]) -> bool:

@@ -189,6 +189,13 @@ def press(operator: str, across: float = 0.0) -> Wait:
 
 
 @_waits
+def looked() -> Wait:
+    """Wait until the check has found all that it finds without rendering, which it does step by step."""
+    is_stepping = module("session.background").is_stepping
+    return (yield from until(lambda: not is_stepping("check"), "the check has looked"))
+
+
+@_waits
 def scroll(notches: int) -> Wait:
     """Turn the mouse wheel over the sidebar, down if positive; about 40 pixels a notch."""
     sidebar = _sidebar()

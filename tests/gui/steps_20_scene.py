@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import bpy
 import mathutils
-from helpers import WORK, call, check, module, press, redraw, roles, screenshot, scroll, tab, until, view3d
+from helpers import WORK, call, check, looked, module, press, redraw, roles, screenshot, scroll, tab, until, view3d
 
 
 def fresh():
@@ -27,6 +27,7 @@ def check_a_sound_scene():
     state, levels = module("session.state"), module("generator.blender.check")
     bpy.context.scene.nlos.samples, bpy.context.scene.nlos.resolution = 16, (32, 32)
     result = call(bpy.ops.nlos.check)
+    yield from looked()
     check(result == {"FINISHED"}, f"the check runs: {result}")
     check(state.checking, "signal and noise are measured beside")
     yield from until(lambda: not state.checking, "they are measured", 120.0)
@@ -48,6 +49,7 @@ def check_names_selects_and_mends():
     with view3d():
         bpy.ops.ed.undo_push(message="spoilt")
     call(bpy.ops.nlos.check)
+    yield from looked()
     found = {f.fix: f for f in state.findings if f.fix}
     check({"reflections", "show"} <= set(found), f"both faults are found: {[f.text for f in state.findings]}")
     redraw()
@@ -57,6 +59,7 @@ def check_names_selects_and_mends():
     check(active and active.name == found["show"].object, f"its button selects it: {active}")
     for fix in ("reflections", "show"):
         result = call(bpy.ops.nlos.fix, fix=fix)
+        yield from looked()
         check(result == {"FINISHED"}, f"{fix} is mended: {result}")
     check(not [f for f in state.findings if f.fix in found], "and found no more")
     call(bpy.ops.ed.undo)
@@ -108,9 +111,11 @@ def room_of_one_mesh():
         obj.matrix_basis = turn @ obj.matrix_basis
     bpy.context.view_layer.update()
     call(bpy.ops.nlos.check)
+    yield from looked()
     found = [f.fix for f in state.findings if f.fix]
     check(found == ["align"], f"its lit face is to be aligned: {[f.text for f in state.findings]}")
     result = call(bpy.ops.nlos.fix, fix="align")
+    yield from looked()
     check(result == {"FINISHED"}, f"it is aligned: {result}")
     levels = module("generator.blender.check")
     texts = [f.text for f in state.findings]
@@ -132,6 +137,7 @@ def states_without_a_scene():
         words = call(getattr(bpy.ops.nlos, operator))
         check("no object is the" in str(words), f"{operator} of an empty scene: {words}")
     call(bpy.ops.nlos.check)
+    yield from looked()
     check(
         "No object is the relay wall" in module("session.state").findings[0].text, "the check names what is missing"
     )

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import bpy
-from helpers import call, check, module, press, redraw, roles, screenshot, scroll, tab, until
+from helpers import call, check, looked, module, press, redraw, roles, screenshot, scroll, tab, until
 
 
 def _copy():
@@ -27,6 +27,7 @@ def check_offers_to_keep_one_of_two_targets():
     names = _copy()
     check(len(names) == 2, f"a copy of the target is a target too: {roles()}")
     result = call(bpy.ops.nlos.check)
+    yield from looked()
     check(result == {"FINISHED"}, f"the check runs: {result}")
     check([f.choices for f in state.findings] == [tuple(names)], f"it names both: {state.findings}")
     redraw()
@@ -49,6 +50,7 @@ def the_look_offers_it_too():
     check("2 objects are the target" in live.words(), live.words())
     [found] = live.played_twice()
     result = call(bpy.ops.nlos.fix, fix=found.fix, choice=found.choices[0])
+    yield from looked()
     check(result == {"FINISHED"}, f"one is kept: {result}")
     yield from until(lambda: live.pictures() and not live.waits(), "a picture comes", 60.0)
     check(not live.played_twice(), "and there is no such button any more")

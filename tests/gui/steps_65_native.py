@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import bpy
-from helpers import call, check, invoke, module, roles, screenshot, tab, xdotool
+from helpers import call, check, invoke, looked, module, roles, screenshot, tab, xdotool
 
 
 def presets():
@@ -26,6 +26,7 @@ def names():
     target.name = "Käse 🧀\nmit Löchern"
     state = module("session.state")
     call(bpy.ops.nlos.check)
+    yield from looked()
     check(not module("generator.blender.check").hopeless(state.findings), f"{[f.text for f in state.findings]}")
     check(roles()["target"] == [target.name], "an object may have any name")
     module("generator.blender.scene.roles").find(bpy.context.scene, "target").name = "Target"

@@ -6,7 +6,7 @@ import time
 from pathlib import Path
 
 import bpy
-from helpers import call, check, module, point, redraw, roles, screenshot, until, xdotool
+from helpers import call, check, looked, module, point, redraw, roles, screenshot, until, xdotool
 
 
 def write_the_library():
@@ -83,8 +83,10 @@ def a_scene_of_assets():
     check(set(roles()) == {"relay_wall", "spot", "camera", "partition", "target"}, f"each has its part: {roles()}")
     state = module("session.state")
     call(bpy.ops.nlos.check)
+    yield from looked()
     for fix in ("voxels", "reflections"):
         result = call(bpy.ops.nlos.fix, fix=fix)
+        yield from looked()
         check(result == {"FINISHED"}, f"{fix} is mended: {result}")
     texts = [f.text for f in state.findings if f.level == "error"]
     check(not texts, f"the check accepts it: {texts}")

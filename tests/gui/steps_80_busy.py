@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import bpy
-from helpers import WORK, call, check, invoke, module, redraw, screenshot, until, view3d, xdotool
+from helpers import WORK, call, check, invoke, looked, module, redraw, screenshot, until, view3d, xdotool
 
 
 def _image(name):
@@ -43,6 +43,7 @@ def f12():
     yield from until(lambda: module("view.live").pictures() > drawn, "then the look goes on")
     scene.cycles.samples = before
     call(bpy.ops.nlos.check)
+    yield from looked()
     result = next(i for i in bpy.data.images if i.type == "RENDER_RESULT")
     path = WORK / "kept.png"
     try:
