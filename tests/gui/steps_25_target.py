@@ -89,8 +89,8 @@ def told():
 
 def built():
     """Build has what was read; from another file it waits, while the window does not."""
-    before = counts()
     check(call(bpy.ops.nlos.build_scene) == {"FINISHED"}, "it builds")
+    before = counts()
     check(size() == (0.3, 0.2, 0.5), f"a block of that size: {size()}")
     settings = bpy.context.scene.nlos
     settings.target_mesh, settings.target_unit = str(WORK / "block.gltf"), "auto"
