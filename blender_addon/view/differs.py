@@ -20,6 +20,7 @@ from generator.transport.world_file import world_hash
 
 from ..draft import differing
 from ..session import state
+from . import live
 
 _AFTER = 0.2
 """Seconds from the last of several quick changes until the scene is read."""
@@ -32,6 +33,8 @@ _read_at = -1
 _found: tuple[list[str], list[str]] = [], []
 _described: Scene | None = None
 _now = ""
+_hashed: tuple[tuple[Any, ...], str] = (), ""
+"""The last hash, and what it is of: reading a scene takes its time."""
 
 
 def found() -> tuple[list[str], list[str]]:
@@ -83,12 +86,18 @@ def _fingerprint(scene: Any, described: Scene | None = None) -> str:
 
 
 def _hash(scene: Any) -> str:
-    try:
-        with state.reading():
+    """Return a text that changes with the scene's light; empty where there is none to tell."""
+    global _hashed
+    with state.reading():
+        key = (scene.name, _changes, live.around(scene))  # after reading has told of what was changed before it
+        if _hashed[0] == key:
+            return _hashed[1]
+        try:
             world, _ = survey.world(scene, resolution=(_PIXELS, _PIXELS))
-    except NlosError:
-        return ""
-    return "" if world is None else world_hash(world)
+        except NlosError:
+            world = None
+    _hashed = key, "" if world is None else world_hash(world)
+    return _hashed[1]
 
 
 def _read() -> float | None:

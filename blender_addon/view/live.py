@@ -233,7 +233,7 @@ def _noted(scene: Any, depsgraph: Any) -> None:
     state.once(_ask)
 
 
-def _around(scene: Any) -> tuple[Any, ...]:
+def around(scene: Any) -> tuple[Any, ...]:
     """Return what affects a picture but causes no update of an object; it is cheap to compare."""
     layers: list[Any] = [layer.layer_collection for layer in scene.view_layers]
     shown = []
@@ -262,9 +262,9 @@ def _ask() -> float | None:
         with state.reading():
             rest = time.monotonic() - _look.last_change
             place, turn, scale = _pose(scene)
-            around = (*_around(scene), *(f"{s:.5g}" for s in scale))  # rotation changes its last digits
-            if _look.scene != scene.name or _look.around != around:
-                _look.world_changed, _look.around = True, around
+            beside = (*around(scene), *(f"{s:.5g}" for s in scale))  # rotation changes its last digits
+            if _look.scene != scene.name or _look.around != beside:
+                _look.world_changed, _look.around = True, beside
             if _look.world is None and _look.pose != (place, turn):
                 _look.world_changed = True
             if _look.world_changed:

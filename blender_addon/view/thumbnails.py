@@ -5,6 +5,7 @@ A panel asks while it is drawn, where no file may be read; a timer starts the th
 
 from __future__ import annotations
 
+import contextlib
 import time
 from collections import OrderedDict, deque
 from collections.abc import Sequence
@@ -17,7 +18,7 @@ import bpy.utils.previews
 import numpy as np
 
 from generator.files.pictures import Picture
-from generator.files.toml import to_dict
+from generator.files.toml import from_dict, to_dict
 from generator.model.errors import NlosError
 from generator.model.poses import PoseRecord
 from generator.model.scene import Scene
@@ -116,7 +117,10 @@ def others_than(scene: Scene | None) -> list[str]:
         return []
     key = (scene, id(_shelf.opened))
     if _shelf.differs[0] != key:
-        theirs, ours = _shelf.opened.dataset.meta["scene"], as_read({"scene": to_dict(scene)})["scene"]
+        theirs = _shelf.opened.dataset.meta["scene"]
+        with contextlib.suppress(NlosError):  # a set may leave out entries, for what is so by default
+            theirs = to_dict(from_dict(Scene, theirs, "scene."))
+        theirs, ours = (as_read({"scene": entries})["scene"] for entries in (theirs, to_dict(scene)))
         names = [n for n in (*ours, *theirs) if n not in _IDLE and ours.get(n) != theirs.get(n)]
         _shelf.differs = key, list(dict.fromkeys(names))
     return _shelf.differs[1]
