@@ -36,9 +36,10 @@ def _after(*_: Any) -> None:
 
 @persistent  # type: ignore[untyped-decorator]
 def _undoing(*_: Any) -> None:
-    """End a check that is being done stepwise: undo takes the scene away that it looks at."""
-    if background.is_stepping("check"):
-        background.drop("check")
+    """End what is being done stepwise: undo takes the scene away that it looks at."""
+    if background.is_stepping():
+        for topic in ("check", "start"):
+            background.drop(topic)
         state.checking = False
 
 

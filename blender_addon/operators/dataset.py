@@ -6,17 +6,20 @@ from __future__ import annotations
 
 import os
 from dataclasses import replace
-from typing import Any, cast
+from pathlib import Path
+from typing import Any
 
 import bpy
-from bpy.props import BoolProperty
+from bpy.props import BoolProperty, StringProperty
 
-from generator.blender import misgivings
+from generator.blender import check, misgivings
 from generator.blender.engines import devices
+from generator.blender.finding import Finding
 from generator.jobs import sweep
 from generator.jobs.local import Outcome
 from generator.jobs.remaining import Remaining
 from generator.jobs.request import SweepRequest
+from generator.model.engines import AUTO
 from generator.model.errors import NlosError
 from generator.model.quantities import clock
 from generator.sets.dataset import Dataset
@@ -163,25 +166,28 @@ class NLOS_OT_sweep_start(Running, bpy.types.Operator):
         name="In Spite of Errors", description="Begin though Check finds errors", options={"SKIP_SAVE"}
     )
 
-    is_checked = False
+    is_checked: BoolProperty(options={"SKIP_SAVE", "HIDDEN"})  # type: ignore[valid-type]
+    error: StringProperty(options={"SKIP_SAVE", "HIDDEN"})  # type: ignore[valid-type]
 
     def invoke(self: Any, context: Any, event: Any) -> set[str]:
-        """Ask for confirmation if the checks that need no rendering find an error."""
-        doubts = misgivings.look(context.scene)
-        if not doubts.errors:
-            self.is_checked = True
-            return cast("set[str]", self.execute(context))
-        self.force = True  # takes effect only if the user confirms
-        answer: set[str] = context.window_manager.invoke_confirm(
-            self, event, title="Render in spite of this?", message=doubts.first, confirm_text="Render"
-        )
-        return answer
+        """Check what needs no rendering first, step by step; ask for confirmation if that finds an error."""
+        if self.error:
+            self.force = True  # takes effect only if the user confirms
+            answer: set[str] = context.window_manager.invoke_confirm(
+                self, event, title="Render in spite of this?", message=self.error, confirm_text="Render"
+            )
+            return answer
+        try:
+            _new_folder(context.scene)
+        except NlosError as error:
+            self.report({"ERROR"}, str(error))
+            return {"CANCELLED"}
+        background.stepwise(check.parts(context.scene, engine=AUTO), _begin, "start")
+        return {"FINISHED"}
 
     def begin(self, scene: Any) -> Job:
         """Begin a new data set."""
-        path = folder(scene)
-        if Dataset.exists(path):
-            raise NlosError(f"{path} holds a data set already: resume it, or name another folder")
+        path = _new_folder(scene)
         if not (self.force or self.is_checked):
             misgivings.refuse(misgivings.look(scene))
         source = background.snapshot("dataset.blend")
@@ -199,6 +205,28 @@ class NLOS_OT_sweep_start(Running, bpy.types.Operator):
                 trust_links=True,  # Blender has already followed the links of the open file
             )
         )
+
+
+def _new_folder(scene: Any) -> Path:
+    path = folder(scene)
+    if Dataset.exists(path):
+        raise NlosError(f"{path} holds a data set already: resume it, or name another folder")
+    return path
+
+
+def _begin(found: list[list[Finding]]) -> None:
+    """Go on with a data set whose scene was checked."""
+    doubts = misgivings.of(check.ordered(found))
+    manager: Any = bpy.context.window_manager
+    with bpy.context.temp_override(window=manager.windows[0]):
+        try:
+            if doubts.errors:
+                bpy.ops.nlos.sweep_start("INVOKE_DEFAULT", error=doubts.first)
+            else:
+                bpy.ops.nlos.sweep_start("EXEC_DEFAULT", is_checked=True)
+        except RuntimeError as error:  # a button would have shown what an operator reports
+            words = str(error).strip()
+            manager.popup_menu(lambda menu, _: menu.layout.label(text=words), title="Render Data Set", icon="ERROR")
 
 
 class NLOS_OT_sweep_resume(Running, bpy.types.Operator):

@@ -152,9 +152,9 @@ def stepwise(steps: Iterator[Any], then: Callable[[list[Any]], None], topic: str
     bpy.app.timers.register(step, persistent=True)
 
 
-def is_stepping(topic: str) -> bool:
-    """Return whether work on a topic is being done stepwise."""
-    return topic in _stepping
+def is_stepping() -> bool:
+    """Return whether any work is being done stepwise."""
+    return bool(_stepping)
 
 
 def _poll() -> float | None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 
 import bpy
@@ -39,7 +40,11 @@ class Misgivings:
 
 def look(scene: bpy.types.Scene) -> Misgivings:
     """Return errors and warnings for any engine: one that cannot render the scene raises by itself."""
-    findings = check.findings(scene, engine=AUTO)
+    return of(check.findings(scene, engine=AUTO))
+
+
+def of(findings: Sequence[Finding]) -> Misgivings:
+    """Return the errors and warnings among findings."""
     return Misgivings(*([f.text for f in findings if f.level == level] for level in (ERROR, WARNING)))
 
 

@@ -192,7 +192,7 @@ def press(operator: str, across: float = 0.0) -> Wait:
 def looked() -> Wait:
     """Wait until the check has found all that it finds without rendering, which it does step by step."""
     is_stepping = module("session.background").is_stepping
-    return (yield from until(lambda: not is_stepping("check"), "the check has looked"))
+    return (yield from until(lambda: not is_stepping(), "the check has looked"))
 
 
 @_waits

@@ -7,7 +7,7 @@ import time
 
 import bpy
 import numpy as np
-from helpers import MODULE, WORK, call, check, module, say, until, view3d
+from helpers import MODULE, WORK, call, check, invoke, looked, module, say, until, view3d
 from watch import Watch
 
 PLACES = ((1.55, 1.15, 1.3), (1.2, 1.6, 1.0), (1.9, 1.5, 1.3), (0.93, 1.99, 0.79))
@@ -84,13 +84,14 @@ def build():
 
 def checked():
     check(call(bpy.ops.nlos.check) == {"FINISHED"}, "it is checked")
-    yield 0.5
+    yield from looked()
 
 
 def data_set():
     bpy.context.scene.nlos.dataset = str(WORK / "stalls")
-    check(call(bpy.ops.nlos.sweep_start) == {"FINISHED"}, "a data set is rendered")
-    yield 0.5
+    check(invoke(bpy.ops.nlos.sweep_start) == {"FINISHED"}, "a data set is asked for")
+    yield from looked()
+    check(module("operators.dataset").job.running, "and rendered")
 
 
 def answered():

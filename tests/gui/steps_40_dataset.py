@@ -6,7 +6,7 @@ import time
 from pathlib import Path
 
 import bpy
-from helpers import WORK, call, check, memory, module, press, redraw, screenshot, tab, until, view3d
+from helpers import WORK, call, check, looked, memory, module, press, redraw, screenshot, tab, until, view3d
 
 POSES = 150
 
@@ -23,6 +23,7 @@ def start_cancel():
         bpy.ops.ed.undo_push(message="settings")  # as their fields do
     call(bpy.ops.wm.save_as_mainfile, filepath=str(WORK / "room40.blend"))
     yield from press("nlos.sweep_start")
+    yield from looked()
     check(job() is not None and job().running, "its button starts it")
     gaps, last = [], time.monotonic()
     end = last + 120.0
