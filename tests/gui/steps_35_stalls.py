@@ -44,7 +44,7 @@ def minutes():
     session, settings = bpy.context.window_manager.nlos, bpy.context.scene.nlos
     session.overlay = True
     settings.engine, settings.samples, settings.poses, settings.workers = "surfel", 16, 20, 1
-    others = {40.0: build, 80.0: checked, 110.0: data_set, 200.0: answered, 250.0: build}
+    others = {40.0: build, 80.0: checked, 110.0: data_set, 170.0: trained, 210.0: answered, 250.0: build}
     rng, begun = np.random.default_rng(0), time.monotonic()
     with Watch(MODULE.rpartition(".")[2]) as watch:
         while (since := time.monotonic() - begun) < MINUTES * 60.0:
@@ -94,13 +94,31 @@ def data_set():
     check(module("operators.dataset").job.running, "and rendered")
 
 
+def is_named():
+    return module("session.environment").named()
+
+
+def trained():
+    """A model is trained on the set, if a Python is named that can."""
+    if is_named():
+        yield from until(lambda: not module("operators.dataset").job.running, "the set is finished", 120.0)
+        bpy.context.scene.nlos.dataset = str(WORK / "stalls")
+        check(call(bpy.ops.nlos.train) == {"FINISHED"}, "a model is trained")
+    yield 0.5
+
+
 def answered():
-    """A picture is rendered, and the model asked, if there is one."""
+    """A picture is rendered, and the model asked; without one, the extension says what it needs."""
     state = module("session.state")
     check(call(bpy.ops.nlos.render_wall) == {"FINISHED"}, "the wall is rendered")
     yield from until(lambda: state.shown is not None, "the picture comes", 60.0)
     answer = call(bpy.ops.nlos.answer)
-    say(f"asked: {answer}")
+    if is_named():
+        check(answer == {"FINISHED"}, f"the model is asked: {answer}")
+        yield from until(lambda: state.answer, "it answers", 60.0)
+        say(state.answer_words)
+    else:
+        check("Answers need a Python" in str(answer), f"what is needed is said: {answer}")
     yield 0.5
 
 
