@@ -43,7 +43,7 @@ def minutes():
     """Five minutes of work: moves, undo, the lamp, a new build, a check, a data set, an answer."""
     session, settings = bpy.context.window_manager.nlos, bpy.context.scene.nlos
     session.overlay = True
-    settings.engine, settings.samples, settings.poses, settings.workers = "surfel", 16, 20, 1
+    settings.engine, settings.poses, settings.workers, settings.resolution = "surfel", 12, 1, (32, 32)
     others = {40.0: build, 80.0: checked, 110.0: data_set, 170.0: trained, 210.0: answered, 250.0: build}
     rng, begun = np.random.default_rng(0), time.monotonic()
     with Watch(MODULE.rpartition(".")[2]) as watch:
@@ -112,6 +112,9 @@ def answered():
     state = module("session.state")
     check(call(bpy.ops.nlos.render_wall) == {"FINISHED"}, "the wall is rendered")
     yield from until(lambda: state.shown is not None, "the picture comes", 60.0)
+    if is_named():
+        yield from until(lambda: not module("operators.train").job.running, "the model is trained", 120.0)
+        say(module("operators.train").job.words)
     answer = call(bpy.ops.nlos.answer)
     if is_named():
         check(answer == {"FINISHED"}, f"the model is asked: {answer}")
