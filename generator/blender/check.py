@@ -235,7 +235,8 @@ def mend_all(
     chosen : mapping
         Fields of `Sweep` that the user chose.
     wanted : collection of str
-        Keys of `FIXES`. If empty, all fixes of errors and warnings; a note may be about what was meant.
+        Keys of `FIXES`; the one that has a choice with it, as in ``keep=NAME``. If empty, all fixes of errors and
+        warnings; a note may be about what was meant.
 
     Returns
     -------
@@ -249,7 +250,9 @@ def mend_all(
     NlosError
         One of those that are wanted is none.
     """
-    for fix in set(wanted) - set(FIXES):
+    names = [fix.partition("=")[0] for fix in wanted]
+    kept = [choice for name, _, choice in (fix.partition("=") for fix in wanted) if name == "keep" and choice]
+    for fix in set(names) - set(FIXES):
         raise NlosError(f"fix {fix!r}: there is none; choose from {', '.join(FIXES)}")
     mended: list[str] = []
     refused: dict[str, str] = {}
@@ -257,13 +260,14 @@ def mend_all(
         offered = {
             finding.fix
             for finding in _unrendered(scene, chosen)
-            if (finding.fix in wanted if wanted else finding.level in (ERROR, WARNING))
+            if (finding.fix in names if wanted else finding.level in (ERROR, WARNING))
         }
         left = [fix for fix in FIXES if fix in offered and fix not in mended and fix not in refused]
         if not left:
             return mended, refused
         try:
-            mend(scene, left[0])
+            for choice in kept if left[0] == "keep" and kept else [""]:
+                mend(scene, left[0], choice)
             mended.append(left[0])
         except NlosError as error:
             refused[left[0]] = str(error)

@@ -36,7 +36,7 @@ def add_parsers(commands: Commands) -> None:
         nargs="*",
         metavar="FIX",
         help="mend the scene, then check it, and save it by -o: all that can be mended of errors and warnings, or "
-        "these of metres, align, reflections, voxels, show, whatever they are offered for",
+        "these of metres, align, reflections, voxels, show, keep=OBJECT, whatever they are offered for",
     )
     parser.add_argument(
         "-o",
@@ -70,7 +70,7 @@ class Checked:
     errors: int = described("number of findings that are errors, which stop a sweep")
     mended: list[str] = described("fixes that --mend has applied, in that order")
     refused: dict[str, str] = described("why other fixes could not be applied, by fix")
-    saved: Path | None = described("the .blend file of the mended scene; null without --mend")
+    saved: Path | None = described("the .blend file of the mended scene; null if nothing was mended")
 
 
 def run_check(options: argparse.Namespace) -> Answer:
@@ -90,7 +90,8 @@ def run_check(options: argparse.Namespace) -> Answer:
     refused: dict[str, str] = {}
     if options.mend is not None:
         mended, refused = check.mend_all(scene, chosen, options.mend)
-        blend_file.save_file(options.output)
+        if mended:
+            blend_file.save_file(options.output)
     findings = check.check_scene(scene, chosen)
     optional = {name for traits in ENGINES.values() for name in traits.settings} & set(chosen)
     if optional and not check.hopeless(findings):
@@ -104,13 +105,18 @@ def run_check(options: argparse.Namespace) -> Answer:
         errors=sum(f.level == ERROR for f in findings),
         mended=mended,
         refused=refused,
-        saved=options.output,
+        saved=options.output if mended else None,
     )
     lines = [finding.line for finding in findings]
     if options.mend is not None:
         told = [f"mended: {fix} ({FIXES[fix]})" for fix in mended]
-        told += [f"not mended: {fix}: {why}" for fix, why in refused.items()]
-        idle = [fix for fix in options.mend if fix not in mended and fix not in refused]
+        told += [
+            f"not mended: {fix}: {why}{' as keep=OBJECT' if fix == 'keep' else ''}" for fix, why in refused.items()
+        ]
+        idle = [fix for fix in options.mend if fix.partition("=")[0] not in (*mended, *refused)]
         told += [f"not mended: {fix}: nothing calls for it" for fix in idle]
-        lines = [*told, *lines, f"{options.output}: {len(mended)} mended"]
+        last = (
+            f"{options.output}: {len(mended)} mended" if mended else f"{options.output}: not written, for nothing was"
+        )
+        lines = [*told, *lines, f"{last}{'' if mended else ' mended'}"]
     return Answer(values, lines, code=1 if check.hopeless(findings) else 0)

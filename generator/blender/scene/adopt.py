@@ -94,10 +94,10 @@ def keep(scene: bpy.types.Scene, name: str) -> None:
     role = obj.get(roles.ROLE) if obj is not None else None
     if obj is None or role not in roles.SINGLE_ROLES:
         choices = [o.name_full for objects in roles.twice(scene).values() for o in objects]
-        raise NlosError(
-            f"object {name!r}: keeps no role; "
-            + (f"choose from {', '.join(map(repr, choices))}" if choices else "none is played twice")
-        )
+        if not choices:
+            raise NlosError(f"object {name!r}: keeps no role, for none is played twice")
+        listed = ", ".join(map(repr, choices))
+        raise NlosError(f"object {name!r}: keeps no role; choose from {listed}" if name else f"name one of {listed}")
     _release(other for other in roles.players(scene, role) if other != obj)
     if role == "camera":
         scene.camera = obj

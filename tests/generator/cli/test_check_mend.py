@@ -60,11 +60,12 @@ def test_only_what_is_named_is_mended(command, spoilt):
 def test_what_cannot_be_mended_is_told(command, spoilt, tmp_path):
     scene = blend_file.open_file(spoilt)
     wall = roles.find(scene, "relay_wall")
-    wall.constraints.new("LIMIT_LOCATION")
+    limit = wall.constraints.new("LIMIT_LOCATION")
+    limit.use_min_y, limit.min_y = True, 0.5
     blend_file.save_file(spoilt)
     result = command("generator", "check", spoilt, "--mend", "-o", tmp_path / "mended.blend", *QUICK)
     assert result.returncode == 1
-    assert "not mended: align: 'Relay wall' is held by constraints" in result.stdout
+    assert "not mended: align: 'Relay wall'" in result.stdout, result.stdout
     assert "mended: show (Show)" in result.stdout
 
 
@@ -92,3 +93,20 @@ def test_bad_requests_are_refused_and_save_nothing(command, scene_file, tmp_path
     assert result.returncode == 2
     assert words in result.stderr
     assert not list(tmp_path.iterdir())
+
+
+def test_which_of_two_keeps_a_role_is_named(command, tmp_path):
+    """Nothing is written while that is not said."""
+    scene = build.new_scene(preset("room"))
+    copy = roles.find(scene, "target").copy()
+    scene.collection.objects.link(copy)
+    blend_file.save_file(tmp_path / "two.blend")
+    where = ("check", tmp_path / "two.blend", *QUICK, "-o", tmp_path / "one.blend", "--mend")
+    result = command("generator", *where)
+    assert result.returncode == 1
+    assert f"not mended: keep: name one of {copy.name!r}, 'Target' as keep=OBJECT" in result.stdout
+    assert result.stdout.endswith("one.blend: not written, for nothing was mended\n")
+    assert not (tmp_path / "one.blend").exists()
+    result = command("generator", *where, "keep=Target")
+    assert "mended: keep (Keep This One)" in result.stdout, result.stdout
+    assert roles.find(blend_file.open_file(tmp_path / "one.blend"), "target").name == "Target"
