@@ -116,7 +116,8 @@ def test_every_target_and_all_clutter_take_part(library, target):
     assert not surveyed.never
     assert surveyed.world is not None, surveyed.reasons("surfel")
     assert read_scene(scene).target.albedo == 0.8
-    largest = np.ptp(geometry.placed_vertices(obj), axis=0).max()
+    [shape] = geometry.snapshot(scene).of([obj])
+    largest = np.ptp(shape.placed, axis=0).max()
     sizes = {"sphere": 0.4, "cube": 0.4, "cylinder": 0.6, "figure": 1.7}
     assert largest == pytest.approx(sizes.get(target, 0.5), rel=2e-3)
 
