@@ -13,6 +13,7 @@ from bpy.props import StringProperty
 from generator.model.errors import NlosError
 
 from ..session import background, environment, making, state
+from ..view import live
 
 _SIZE = f"{making.DOWNLOAD_MB} MB to download, {making.DISK_MB} MB on disk"
 
@@ -105,6 +106,8 @@ def _test(interpreter: str) -> None:
         version = str(task.result).strip()
         success = f"It works: Python {version} can read trained models, train them, and draw the live look"
         state.environment_words = f"It cannot read trained models: {task.error}" if task.error else success
+        if not task.error:
+            live.restart()
 
     command = [interpreter, "-c", environment.TEST]
     background.Task(lambda task: environment.run(command, task.stop), then, topic="environment").settle()

@@ -367,6 +367,8 @@ class NLOS_OT_open_image_editor(bpy.types.Operator):
     bl_idname = "nlos.open_image_editor"
     bl_label = "Open Image Editor"
 
+    image: StringProperty(options={"SKIP_SAVE", "HIDDEN"})  # type: ignore[valid-type]
+
     @classmethod
     def poll(cls: Any, context: Any) -> bool:
         """Return whether an Image Editor is open, or the area is a 3D view that does not fill the window."""
@@ -376,7 +378,8 @@ class NLOS_OT_open_image_editor(bpy.types.Operator):
 
     def execute(self: Any, context: Any) -> set[str]:
         """Show the image; split the area if need be."""
-        image = images.look_image() if context.window_manager.nlos.look else bpy.data.images.get(images.PREVIEW)
+        looks = context.window_manager.nlos.look and not self.image
+        image = None if looks else bpy.data.images.get(self.image or images.PREVIEW)
         image = image or images.look_image()
         if images.show(image):
             return {"FINISHED"}
@@ -428,6 +431,9 @@ class NLOS_OT_new_room(bpy.types.Operator):
             self.report({"ERROR"}, str(error))
             return {"CANCELLED"}
         differs.mark(scene)
+        target = roles.find(scene, "target")
+        target.select_set(True)
+        bpy.context.view_layer.objects.active = target
         state.remember("New Room")
         if not bpy.app.background:
             bpy.context.window_manager.nlos.overlay = True

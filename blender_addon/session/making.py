@@ -193,6 +193,8 @@ def reason(lines: Sequence[str]) -> str:
     """Return why pip, or another Python, failed, from the lines that it printed; empty if they do not say."""
     said = [line.strip() for line in lines if line.strip()]
     for line in said:
+        if "certificate verify failed" in line.lower():
+            return "The certificate of the packages' server is not trusted here; ask who looks after this machine"
         if found := _OFFLINE.search(line):
             return f"The packages' server cannot be reached ({found[1].strip()})"
     errors = [line.removeprefix("ERROR:").strip() for line in said if line.startswith("ERROR:")]

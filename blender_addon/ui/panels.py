@@ -2,6 +2,7 @@
 
 # mypy: disable-error-code="misc"
 
+import math
 from typing import Any
 
 import bpy
@@ -14,7 +15,7 @@ from generator.model.engines import AUTO, traits_of
 from ..operators import dataset
 from ..operators import environment as environments
 from ..session import environment, state
-from ..view import differs, live, target_file, views
+from ..view import differs, images, live, target_file, views
 from . import choices, menus
 
 _ICONS = {GOOD: "CHECKMARK", NOTE: "INFO", WARNING: "ERROR", ERROR: "CANCEL"}
@@ -112,11 +113,12 @@ class NLOS_PT_scene(_Tab, bpy.types.Panel):
         row.operator("nlos.read_scene", text="Read", icon="IMPORT")
         row.operator("nlos.apply", text="Apply", icon="EXPORT")
         to_apply, to_build = differs.found()
+        if not (to_apply or to_build):  # says so, lest all below move when there is something
+            _sentence(context, layout, "The scene has these figures", "CHECKMARK")
         for operator, names in (("Apply", to_apply), ("Build Scene", to_build)):
             if names:
-                _sentence(
-                    context, layout, f"Not in the scene before {operator}: {_listed(settings, names)}", "GREASEPENCIL"
-                )
+                words = f"Other in the scene, until {operator} writes them: {_listed(settings, names)}"
+                _sentence(context, layout, words, "GREASEPENCIL")
         row = layout.row(align=True)
         row.use_property_split = False
         session = context.window_manager.nlos
@@ -309,6 +311,9 @@ class NLOS_PT_rendering(_Tab, bpy.types.Panel):
             row.prop(settings, "denoise")
         if state.rendering:
             _sentence(context, _result(layout, "picture"), state.rendering)
+            if state.shown is not None:
+                show = layout.operator("nlos.open_image_editor", text="Show the Picture", icon="IMAGE_DATA")
+                show.image = images.PREVIEW
         else:
             _sentence(
                 context,
@@ -357,7 +362,9 @@ class NLOS_PT_dataset(_OfScene, bpy.types.Panel):
         column = layout.column()
         _split(column)
         column.prop(settings, "dataset")
-        column.prop(settings, "poses")
+        column.prop(settings, "poses", text="Poses a Voxel")
+        voxels = math.prod(context.scene[roles.GRID_SHAPE])
+        column.label(text=f"{voxels * settings.poses} pictures in {voxels} voxels")
         column.prop(settings, "inside")
         column.prop(settings, "workers")
         if job is not None and job.running:
@@ -406,8 +413,8 @@ class NLOS_PT_answer(_OfScene, bpy.types.Panel):
                 "INFO",
             )
             environments.draw(layout)
-            if state.environment_words:
-                _sentence(context, layout, state.environment_words)
+        if state.environment_words:
+            _sentence(context, layout, state.environment_words)
 
 
 _MOST_LIKELY = 5

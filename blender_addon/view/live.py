@@ -195,6 +195,13 @@ def switch(on: bool) -> None:
         _look = _Look()
 
 
+def restart() -> None:
+    """Have another process draw, since a Python is named that may be quicker."""
+    if _noted in bpy.app.handlers.depsgraph_update_post:
+        switch(False)
+        switch(True)
+
+
 def _handlers() -> list[tuple[Any, Any]]:
     events = bpy.app.handlers
     return [(events.depsgraph_update_post, _noted), (events.undo_post, _restored), (events.redo_post, _restored)]

@@ -17,7 +17,7 @@ from generator.blender.scene import geometry, outlines, roles
 from generator.model.errors import NlosError
 
 from ..session import state
-from . import caption
+from . import caption, differs
 
 _COLOURS = {
     "voxels": (0.35, 0.75, 1.0, 0.75),
@@ -27,7 +27,9 @@ _COLOURS = {
     "poses": (1.0, 0.35, 0.6, 0.9),
 }
 _SIZE = 15.0
-_PROBABLE = (1.0, 0.3, 0.1)
+_PROBABLE, _STALE = (1.0, 0.3, 0.1), (0.5, 0.5, 0.5)
+_TOLD = 0.05
+"""Probability from which on a voxel's is written: the figures of many would cover one another."""
 _MOST_LETTERS = 200
 """Most labels of voxels that are drawn; more would hide the scene."""
 _SETTLED = 0.15
@@ -161,10 +163,11 @@ def _draw_lines() -> None:
         _lines = _measure(context.scene, context.window_manager.nlos)
     gpu.state.blend_set("ALPHA")
     gpu.state.depth_test_set("LESS_EQUAL")
+    colour = _STALE if differs.is_stale("answer") else _PROBABLE
     fill_shader = gpu.shader.from_builtin("UNIFORM_COLOR")
     for probability, triangles in _lines["boxes"]:
         fill_shader.bind()
-        fill_shader.uniform_float("color", (*_PROBABLE, 0.4 * probability))
+        fill_shader.uniform_float("color", (*colour, 0.4 * probability))
         batch_for_shader(fill_shader, "TRIS", {"pos": triangles.astype(np.float32)}).draw(fill_shader)
     shader = gpu.shader.from_builtin("POLYLINE_UNIFORM_COLOR")
     region = context.region
@@ -194,8 +197,8 @@ def _draw_letters() -> None:
         if place is None:
             continue
         text = label
-        if state.answer:
-            text = f"{label} {state.answer.get(label, 0.0):.0%}"
+        if (probability := state.answer.get(label, 0.0)) >= _TOLD:
+            text = f"{label} {probability:.0%}"
         blf.size(0, _SIZE * scale)
         width, height = blf.dimensions(0, text)
         caption.write(text, place.x - width / 2.0, place.y - height / 2.0, scale, _SIZE)

@@ -28,9 +28,10 @@ def folder() -> Path | None:
 
     It is the first writable one of: the folder that ``NUMBA_CACHE_DIR`` names, one next to the sources, the user's
     cache, a private temporary folder. numba renews its cache when a function's own file changes, but not when the
-    file of a function that it calls does. Therefore each state of the sources has a cache folder of its own.
+    file of a function that it calls does. Therefore each state of the sources has a cache folder of its own, and so
+    has each name under which the package is imported, as in an extension: what is kept names its modules.
     """
-    digest = hashlib.sha256()
+    digest = hashlib.sha256(__name__.encode())
     for source in sources():
         digest.update(source.read_bytes())
     for parent in _parents():

@@ -143,4 +143,4 @@ def _uncompiled(found: survey.Survey) -> list[str]:
 
     if COMPILED:
         return []
-    return ["surfel takes minutes for a room's own light where numba is missing"]
+    return ["surfel takes minutes for a room's own light where numba is missing, as in Blender's own Python"]
