@@ -1,5 +1,6 @@
 """Conversion between the settings of the panels (the draft) and descriptions of scenes and sweeps."""
 
+import contextlib
 import math
 from dataclasses import replace
 from pathlib import Path
@@ -197,6 +198,15 @@ def grid_of(settings: Any) -> VoxelGrid:
 def half_angle(settings: Any) -> float:
     """Return the half angle of the lamp's cone, degrees."""
     return short(math.degrees(settings.light_half_angle))
+
+
+def follow(scene: Any) -> None:
+    """Set what of the draft describes the scene to what it is after a change, unless the scene cannot be read."""
+    settings = scene.nlos
+    resolution = tuple(settings.resolution)
+    with contextlib.suppress(NlosError):
+        fill(settings, read_scene(scene))
+        settings.resolution = resolution  # of data sets, which the file's render need not have
 
 
 def fill(settings: Any, scene: Scene, *, target: bool = True) -> None:

@@ -19,7 +19,7 @@ from generator.model.errors import NlosError
 from generator.model.quantities import radiance
 from generator.model.scene import Scene
 
-from ..draft import device_of, fill, grid_of, spec_of, sweep_of
+from ..draft import device_of, fill, follow, grid_of, spec_of, sweep_of
 from ..session import background, state
 from ..view import differs, images, live, target_file, views
 
@@ -181,8 +181,12 @@ class NLOS_OT_adopt(_Task, bpy.types.Operator):
         message = f"{', '.join(o.name for o in objects)}: {_ROLE_WORDS[role][0].lower()}"
         complete = all(roles.players(scene, single) for single in roles.SINGLE_ROLES)
         if complete and roles.GRID_SHAPE not in scene:
-            grid = adopt.fit_grid(scene)
-            message += f". Voxels {grid.labels[0]} to {grid.labels[-1]} were laid around the target"
+            if adopt.is_aligned(scene):
+                grid = adopt.fit_grid(scene)
+                message += f". Voxels {grid.labels[0]} to {grid.labels[-1]} were laid around the target"
+                follow(scene)
+            else:
+                message += ". Check Scene aligns the scene to the wall now, and lays voxels around the target"
         return "INFO", message
 
 
@@ -246,6 +250,7 @@ class NLOS_OT_fix(_Task, bpy.types.Operator):
         """Apply the fix, and repeat the checks without rendering."""
         background.drop("check")
         check.mend(scene, self.fix, self.choice)
+        follow(scene)
         _check(scene, lambda: None)
         return "INFO", f"{FIXES[self.fix]}: {self.choice or 'done'}"
 

@@ -28,7 +28,7 @@ from generator.model.errors import NlosError
 from generator.model.scene import Scene
 from generator.transport.world_file import save_world
 
-from ..session import background, state
+from ..session import background, environment, state
 from ..session.resident import Resident, launches, pixels
 from . import images, wall
 
@@ -42,6 +42,7 @@ _OFTEN, _SOON = 0.01, 0.02
 """Seconds between two looks for an answer; and after which one that is not there yet is waited for elsewhere: Blender
 draws its window next, which takes longer than most answers."""
 
+_MOST_REASONS = 5
 _TIMES, _MOST_STALLS = 400, 100_000
 
 
@@ -397,7 +398,15 @@ def _read(scene: Any) -> None:
     surveyed = survey.survey(scene, resolution=size)
     world = surveyed.world
     if world is None:
-        raise NlosError(f"No live picture: {surveyed.reasons('surfel')[0]}{_instead(scene, surveyed)}")
+        reasons = surveyed.reasons("surfel")
+        more = f"; and {len(reasons) - _MOST_REASONS} more" if len(reasons) > _MOST_REASONS else ""
+        listed = "; ".join(reasons[:_MOST_REASONS])
+        raise NlosError(f"No live picture: {listed}{more}{_instead(scene, surveyed)}")
+    if renderers.lacking(surveyed) and not environment.named():
+        raise NlosError(
+            "No live picture: a furnished room needs packages that Blender's own Python lacks; Make Environment, in "
+            "the panel Answer, makes one that has them"
+        )
     _look.first, _look.watched, _look.reference = _look.asked + 1, world.watched, described.reference_radiance
     _look.described = described
     path = background.folder() / f"look-{_look.first}.npz"

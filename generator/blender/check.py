@@ -20,6 +20,7 @@ from generator.model import poses
 from generator.model.engines import AUTO, ENGINES
 from generator.model.errors import NlosError
 from generator.model.quantities import order_words
+from generator.model.scene import Scene
 from generator.model.settings import Sweep
 
 
@@ -43,6 +44,8 @@ def mend(scene: bpy.types.Scene, fix: str, choice: str = "") -> None:
         adopt.to_metres(scene)
     elif fix == "align":
         adopt.align(scene)
+        if roles.GRID_SHAPE not in scene and not _roles(scene):  # none were laid while the wall was elsewhere
+            adopt.fit_grid(scene)
     elif fix == "reflections":
         roles.limit_reflections(scene, MAX_ORDER)
     elif fix == "voxels":
@@ -79,8 +82,10 @@ def parts(scene: bpy.types.Scene, *, engine: str = "patch") -> Iterator[list[Fin
         yield _settings(scene)
         if not hopeless(results):
             described = read_scene(scene)
-            yield []
-            yield check_sight.findings(scene, described)
+            misplaced = _voxels(scene, described)
+            yield misplaced
+            if not hopeless(misplaced):
+                yield check_sight.findings(scene, described)
             yield _engine(scene, engine)
     except NlosError as error:
         yield [_told(scene, error)]
@@ -170,6 +175,19 @@ def _settings(scene: bpy.types.Scene) -> list[Finding]:
         parts += [f"some of Blender's defaults: {', '.join(defaults)}"] if defaults else []
         results.append(Finding(NOTE, f"A sweep replaces {'; and '.join(parts)}"))
     return results
+
+
+def _voxels(scene: bpy.types.Scene, described: Scene) -> list[Finding]:
+    """Return findings about voxels that lie where nothing can be, or that the target stands outside of."""
+    target, grid = roles.find(scene, "target"), described.grid
+    if grid.lo[1] + grid.hi[1] <= 0.0:
+        text = f"The voxels lie behind the relay wall (y from {grid.lo[1]:g} to {grid.hi[1]:g} m; the wall is y = 0)"
+        return [Finding(ERROR, text, target.name, "voxels")]
+    place = geometry.snapshot(scene).matrices["target"][:3, 3]
+    if ((place < grid.lo) | (place > grid.hi)).any():
+        text = f"The target {target.name!r} stands outside the voxels, into which a sweep puts it"
+        return [Finding(NOTE, text, target.name, "voxels")]
+    return []
 
 
 def _engine(scene: bpy.types.Scene, engine: str) -> list[Finding]:

@@ -123,7 +123,8 @@ def probe(scene: bpy.types.Scene, sweep: Sweep) -> Probe:
     pictures = sweep.poses * voxels
     samples = min(_PROBE_SAMPLES, sweep.samples)
     exact = not sweep.noisy
-    other = exact or not survey.survey(scene).reasons("surfel")
+    surveyed = survey.survey(scene)
+    other = exact or not (surveyed.reasons("surfel") or renderers.lacking(surveyed))
     with renderers.opened(scene, sweep.engine, **renderers.settings(sweep)) as renderer:
         renderer.render(samples=samples, seed=0)  # warm-up: one-off work is not part of a picture's time
         if not exact:

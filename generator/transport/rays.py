@@ -254,8 +254,8 @@ def _embree_scene(origin: Floats, first: Floats, second: Floats, triangle: Flags
         from embreex.rtcore_scene import EmbreeScene
     except ImportError:
         raise NlosError(
-            f"the scene has {len(origin)} surfaces, and ray tests on more than {FEW} need Embree; install it with: "
-            "pip install embreex (or use --engine patch)"
+            f"the scene has {len(origin)} surfaces, and ray tests on more than {FEW} need Embree, which this Python "
+            "lacks (pip install embreex); the engine 'patch' does without"
         ) from None
     corners = np.stack([origin, origin + first, origin + second], axis=1)
     parallelogram = ~triangle

@@ -7,6 +7,7 @@ All give the same scene-linear radiance in the same units; they differ in what t
 from __future__ import annotations
 
 import contextlib
+import importlib.util
 import tempfile
 from collections.abc import Iterator, Sequence
 from pathlib import Path
@@ -129,18 +130,30 @@ def _by_cost(found: survey.Survey) -> Iterator[tuple[str, list[str]]]:
     """Yield the engines that can honour a scene, the cheapest first, each with what the one before cannot honour."""
     cheaper: list[str] = []
     for engine in reversed(ENGINES):
-        reasons = found.reasons(engine) or (_uncompiled(found) if engine == "surfel" else [])
+        reasons = found.reasons(engine) or (_unfit(found) if engine == "surfel" else [])
         if not reasons:
             yield engine, cheaper
         cheaper = reasons
 
 
-def _uncompiled(found: survey.Survey) -> list[str]:
-    """Why `surfel` is not the cheapest engine although it can render a scene: Blender's own Python lacks numba."""
+def lacking(found: survey.Survey) -> list[str]:
+    """Return why `surfel` cannot run here although it can render a scene: what its rays need is not installed."""
+    from generator.transport.rays import FEW  # here, as in `opened`
+
+    triangles = 0 if found.world is None else sum(len(mesh.triangles) for mesh in found.world.room)
+    if triangles <= 2 * FEW or importlib.util.find_spec("embreex") is not None:  # two may be one surface
+        return []
+    return [f"surfel needs Embree for the {triangles} triangles around the target, and this Python has no embreex"]
+
+
+def _unfit(found: survey.Survey) -> list[str]:
+    """Why `surfel` is not the cheapest engine although it can render a scene: Blender's own Python lacks packages."""
     if found.world is None or not found.world.room:
         return []
     from generator.transport.compiled import COMPILED  # here, as in `opened`
 
+    if missing := lacking(found):
+        return missing
     if COMPILED:
         return []
     return ["surfel takes minutes for a room's own light where numba is missing, as in Blender's own Python"]

@@ -70,6 +70,10 @@ def _values(collection: Any, name: str, width: int, kind: type) -> Any:
     return values.reshape(-1, width)
 
 
+_SLIVERS = 1e-6
+"""Share of a mesh's area that its smallest faces may have together to be of no account."""
+
+
 def is_smooth(mesh: Any) -> bool:
     """Whether any corner's normal differs from its face's: shading that is set smooth may still be flat."""
     return bool((_leans(mesh) > SMOOTH).any())
@@ -86,7 +90,10 @@ def _leans(mesh: Any) -> Array:
     sine = np.linalg.norm(np.cross(shading, faces), axis=1)
     lean = np.where((shading * faces).sum(axis=1) < 0, math.pi / 2.0, np.arcsin(np.minimum(sine, 1.0)))
     np.maximum.at(leans, np.repeat(np.arange(len(loops)), loops), lean)
-    leans[_values(mesh.polygons, "area", 1, np.float32)[:, 0] <= 0.0] = 0.0
+    # Bevels and the like leave slivers, whose normals are of rounding alone: what little they are does not count.
+    areas = _values(mesh.polygons, "area", 1, np.float32)[:, 0].astype(np.float64)
+    order = np.argsort(areas)
+    leans[order[np.cumsum(areas[order]) <= _SLIVERS * areas.sum()]] = 0.0
     return leans
 
 

@@ -97,7 +97,7 @@ def keep(scene: bpy.types.Scene, name: str) -> None:
         if not choices:
             raise NlosError(f"object {name!r}: keeps no role, for none is played twice")
         listed = ", ".join(map(repr, choices))
-        raise NlosError(f"object {name!r}: keeps no role; choose from {listed}" if name else f"name one of {listed}")
+        raise NlosError(f"object {name!r}: keeps no role; choose from {listed}" if name else f"choose from {listed}")
     _release(other for other in roles.players(scene, role) if other != obj)
     if role == "camera":
         scene.camera = obj
@@ -141,6 +141,14 @@ def to_metres(scene: bpy.types.Scene) -> None:
                 setattr(data, name, getattr(data, name) * factor)
         if hasattr(data, "dof"):
             data.dof.focus_distance *= factor
+
+
+def is_aligned(scene: bpy.types.Scene) -> bool:
+    """Whether the relay plane is the plane y = 0; False too where there is none, or where units are no metres."""
+    try:
+        return in_metres(scene) and relay.find(scene, geometry.snapshot(scene)).in_frame
+    except NlosError:
+        return False
 
 
 def align(scene: bpy.types.Scene) -> None:

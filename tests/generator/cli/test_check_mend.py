@@ -104,7 +104,7 @@ def test_which_of_two_keeps_a_role_is_named(command, tmp_path):
     where = ("check", tmp_path / "two.blend", *QUICK, "-o", tmp_path / "one.blend", "--mend")
     result = command("generator", *where)
     assert result.returncode == 1
-    assert f"not mended: keep: name one of {copy.name!r}, 'Target' as keep=OBJECT" in result.stdout
+    assert f"not mended: keep: choose from {copy.name!r}, 'Target' as keep=OBJECT" in result.stdout
     assert result.stdout.endswith("one.blend: not written, for nothing was mended\n")
     assert not (tmp_path / "one.blend").exists()
     result = command("generator", *where, "keep=Target")

@@ -16,7 +16,7 @@ import radiometry
 from bpy_extras.object_utils import world_to_camera_view
 from mathutils import Matrix, Vector
 
-from generator.blender.engines import renderers, survey
+from generator.blender.engines import renderers, shapes, survey
 from generator.blender.scene import blend_file, build, geometry, posing, roles
 from generator.blender.scene.words import numbers
 from generator.model.arrays import rotation_matrix
@@ -723,3 +723,15 @@ def test_cycles_own_material_is_not_diffuse():
                 levels.append(renderer.render(samples=16, seed=0, target=False).mean())
         ratios.append(levels[1] / levels[0])
     assert abs(ratios[0] - ratios[1]) > 0.02
+
+
+@pytest.mark.parametrize(("height", "smooth"), [(1e-8, False), (1e-3, True)])
+def test_slivers_do_not_make_a_surface_smooth(height, smooth):
+    """Bevels leave some whose normals are of rounding alone."""
+    mesh = bpy.data.meshes.new("Board")
+    corners = [(0, 0, 0), (1, 0, 0), (1, 1, 0), (0, 1, 0), (0.5, 0, height)]
+    mesh.from_pydata(corners, [], [(0, 1, 2, 3), (1, 0, 4)])
+    mesh.polygons.foreach_set("use_smooth", [False, True])
+    mesh.normals_split_custom_set([(0, 0, 1)] * 7)
+    mesh.update()
+    assert shapes.is_smooth(mesh) == smooth
