@@ -5,7 +5,7 @@ from typing import Any
 import bpy
 from bpy.app.handlers import persistent
 
-from .operators import timeline
+from .operators import dataset, timeline
 from .session import background, state
 from .view import images, live, live_answer, overlay, target_file, thumbnails
 
@@ -29,6 +29,7 @@ def _after(*_: Any) -> None:
     state.forget()
     target_file.forget()
     timeline.forget()
+    dataset.forget()
     session = bpy.context.window_manager.nlos
     # Blender may have taken the switches over from the file that was open.
     session.live_answer = session.look = session.overlay = False

@@ -115,6 +115,15 @@ class Job:
 
 
 job: Job | None = None
+
+
+def forget() -> None:
+    """Forget a data set that is done: another file was opened. One that is being rendered goes on."""
+    global job
+    if job is not None and not job.running:
+        job = None
+
+
 _written: set[str] = set()
 """Workspaces with our text in the status bar."""
 

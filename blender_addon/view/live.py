@@ -338,7 +338,7 @@ def _show(patience: float = 0.0) -> float | None:
     if is_shadowed and _look.shadowed < number:
         _look.shadowed, _look.with_shadows = number, [*_look.with_shadows[-_TIMES:], since]
     follows = "" if is_whole else ", a finer one follows" if is_shadowed else ", shadows follow"
-    _look.words = f"{1e3 * since:.0f} ms{follows}"
+    _look.words = f"Drawn in {1e3 * since:.0f} ms{follows}"
     state.redraw("IMAGE_EDITOR", "VIEW_3D")
     _note_stall(start)
     return _OFTEN if waits() else None
