@@ -225,7 +225,7 @@ def folder() -> Path:
 def snapshot(name: str) -> Path:
     """Save the current scene to a temporary file, for another Blender to open; return its path."""
     path = folder() / name
-    blend_file.save_file(path)
+    blend_file.save_snapshot(path)
     return path
 
 

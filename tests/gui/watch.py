@@ -5,7 +5,7 @@ from __future__ import annotations
 import sys
 import threading
 import time
-from types import CodeType
+from types import CodeType, FrameType
 from typing import Any
 
 import numpy as np
@@ -29,7 +29,8 @@ class Watch:
 
     def __init__(self, part: str) -> None:
         self.steps: list[tuple[float, str]] = []
-        self._part, self._depth, self._since, self._name = part, 0, 0.0, ""
+        self._part, self._since, self._name = part, 0.0, ""
+        self._frame: FrameType | None = None  # of the call from outside that is going on
         self._main = threading.main_thread().ident
 
     def __enter__(self) -> Watch:
@@ -49,26 +50,26 @@ class Watch:
     def _begin(self, code: CodeType, *_: Any) -> Any:
         if self._part not in code.co_filename:
             return sys.monitoring.DISABLE
-        if threading.get_ident() == self._main:
-            if not self._depth:
-                self._since, self._name = (
-                    time.perf_counter(),
-                    f"{code.co_filename.rpartition('/')[2]} {code.co_qualname}",
-                )
-            self._depth += 1
+        if self._frame is None and threading.get_ident() == self._main:
+            self._frame = sys._getframe(1)
+            self._name = f"{code.co_filename.rpartition('/')[2]} {code.co_qualname}"
+            self._since = time.perf_counter()
         return None
 
     def _end(self, code: CodeType, *_: Any) -> Any:
         if self._part not in code.co_filename:
             return sys.monitoring.DISABLE
-        if threading.get_ident() == self._main and self._depth:
-            self._depth -= 1
-            if not self._depth:
-                self.steps.append((time.perf_counter() - self._since, self._name))
+        if sys._getframe(1) is self._frame:
+            self._end_of_frame()
         return None
 
     def _raised(self, code: CodeType, *_: Any) -> None:
-        self._end(code)  # this event cannot be disabled for a function
+        if sys._getframe(1) is self._frame:
+            self._end_of_frame()  # this event cannot be disabled for a function
+
+    def _end_of_frame(self) -> None:
+        self._frame = None
+        self.steps.append((time.perf_counter() - self._since, self._name))
 
     def told(self) -> list[str]:
         """Return what was found, in lines: all steps, then the slowest of each kind."""

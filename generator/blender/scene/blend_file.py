@@ -63,13 +63,30 @@ def save_file(path: Path) -> None:
     """Save a compressed copy of the open file under a temporary name and rename it; textures stay where they are."""
     from generator.files.writing import atomic
 
-    with atomic(path) as temporary, quiet():
+    with atomic(path) as temporary:
+        _save(temporary, path, compress=True)
+
+
+def save_snapshot(path: Path) -> None:
+    """Save a copy of the open file for another process to read soon: quickly, neither compressed nor flushed."""
+    files = bpy.context.preferences.filepaths
+    before, is_dirty = files.file_preview_type, bpy.context.preferences.is_dirty
+    files.file_preview_type = "NONE"  # drawing a preview would hold the window
+    try:
+        _save(path, path, compress=False)
+    finally:
+        files.file_preview_type = before
+        bpy.context.preferences.is_dirty = is_dirty
+
+
+def _save(path: Path, named: Path, *, compress: bool) -> None:
+    with quiet():
         try:
             bpy.ops.wm.save_as_mainfile(
-                filepath=literal(temporary), copy=True, compress=True, check_existing=False, relative_remap=True
+                filepath=literal(path), copy=True, compress=compress, check_existing=False, relative_remap=True
             )
         except RuntimeError as error:
-            raise NlosError(f"{path}: cannot be written ({' '.join(str(error).split())})") from None
+            raise NlosError(f"{named}: cannot be written ({' '.join(str(error).split())})") from None
 
 
 def new_file() -> bpy.types.Scene:
