@@ -38,9 +38,7 @@ def _after(*_: Any) -> None:
 @persistent  # type: ignore[untyped-decorator]
 def _undoing(*_: Any) -> None:
     """End what is being done stepwise: undo takes the scene away that it looks at."""
-    if background.is_stepping():
-        for topic in ("check", "start"):
-            background.drop(topic)
+    if "check" in background.drop_steps():
         state.checking = False
 
 

@@ -6,7 +6,6 @@ from __future__ import annotations
 
 import json
 import re
-import subprocess
 import threading
 from pathlib import Path
 from typing import Any
@@ -82,7 +81,7 @@ class NLOS_OT_timeline_follow(bpy.types.Operator):
             self.report({"ERROR"}, str(error))
             return {"CANCELLED"}
         step = str(settings.timeline_step)
-        command = [python, "-E", "-m", "classify.cli", "track", str(atlas), str(folder), "--process-noise", step]
+        command = [python, "-m", "classify.cli", "track", str(atlas), str(folder), "--process-noise", step]
         words[:] = ["The atlas is tried ..."]
         _following = background.Task(
             lambda task: _tracked([*command, "--json"], folder, task.stop), _show, _tell, topic=_TOPIC
@@ -131,32 +130,13 @@ def _tracked(command: list[str], folder: Path, stop: threading.Event) -> tuple[p
         raise NlosError(f"{folder} holds no frames of a timeline: render the timeline into another folder")
     first, last, step = settings["timeline"]
     numbers = range(first, last + 1, step)
-    try:
-        process = subprocess.Popen(
-            command,
-            stdin=subprocess.DEVNULL,
-            stdout=subprocess.PIPE,
-            stderr=subprocess.PIPE,
-            encoding="utf-8",
-            errors="replace",
-            cwd=str(Path(command[0]).parent),
-        )
-    except OSError as error:
-        raise NlosError(f"{command[0]} cannot be run ({error.strerror or error})") from None
-    threading.Thread(target=_kill_when, args=(stop, process), daemon=True).start()
-    assert process.stdout is not None
-    assert process.stderr is not None
-    last_line = ""
-    for line in process.stderr:
-        last_line = line.strip() or last_line
+
+    def told(line: str) -> None:  # called in another thread
+        global _now
         if match := _FRAME.match(line):
             _now = f"Frame {int(match[1]) + 1} of {len(numbers)}"
-    output = process.stdout.read()
-    code = process.wait()
-    cancelled = stop.is_set()
-    stop.set()  # ends the thread that would kill it
-    if cancelled or code:
-        raise NlosError("Cancelled" if cancelled else last_line.removeprefix("error: ") or f"exit code {code}")
+
+    output = environment.run(command, stop, told, environment.A_DAY)
     return _read(output, numbers)
 
 
@@ -175,12 +155,6 @@ def _read(output: str, numbers: range) -> tuple[path.Path, list[str]]:
         return found, [summary, *(str(line) for line in said["words"])]
     except (ValueError, LookupError, TypeError):
         raise NlosError(f"the Python in the preferences printed no track but {output.strip()[:80]!r}") from None
-
-
-def _kill_when(stop: threading.Event, process: subprocess.Popen[str]) -> None:
-    stop.wait()
-    if process.poll() is None:
-        process.kill()
 
 
 def _tell(task: background.Task) -> None:

@@ -19,7 +19,6 @@ from ..draft import folder_named
 from ..session import background, environment, state
 
 _PROGRESS = re.compile(r"(\d+) of (\d+) \w+")
-_DAY = 86400.0
 
 
 class Job:
@@ -52,7 +51,7 @@ class Job:
             for words, arguments in steps:
                 self.words, self.share = words, 0.0
                 command = [interpreter, "-m", "classify.cli", *arguments, "--json"]
-                found |= json.loads(environment.run(command, task.stop, self._told(words), _DAY))
+                found |= json.loads(environment.run(command, task.stop, self._told(words), environment.A_DAY))
             return _result(found, time.monotonic() - begun)
 
         self._task = background.Task(work, self._ended, lambda task: state.redraw("VIEW_3D"))

@@ -110,8 +110,7 @@ _tasks: list[Task] = []
 
 def drop(topic: str | None = None) -> None:
     """Stop and discard the task on a topic, or all that have a topic if None: the result is no longer needed."""
-    for name in [name for name in _stepping if topic in (None, name)]:
-        del _stepping[name]
+    drop_steps(topic)
     for task in [t for t in _tasks if t.topic and topic in (None, t.topic)]:
         task.stop.set()
         _tasks.remove(task)
@@ -150,6 +149,14 @@ def stepwise(steps: Iterator[Any], then: Callable[[list[Any]], None], topic: str
         return _BETWEEN
 
     bpy.app.timers.register(step, persistent=True)
+
+
+def drop_steps(topic: str | None = None) -> list[str]:
+    """Give up what is done stepwise on a topic, or all of it if None; return the topics."""
+    dropped = [name for name in _stepping if topic in (None, name)]
+    for name in dropped:
+        del _stepping[name]
+    return dropped
 
 
 def is_stepping() -> bool:

@@ -23,6 +23,8 @@ TEST = "import classify.classifiers.models, sys; print('.'.join(map(str, sys.ver
 """Prints the version of a Python that can read and train models."""
 _PATIENCE = 120.0
 """Seconds within which a Python process must start, import its modules and answer."""
+A_DAY = 86400.0
+"""Seconds for what is long, and has its own button to end it."""
 
 _is_made: bool | None = None
 
