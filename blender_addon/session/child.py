@@ -13,10 +13,15 @@ import sys
 import types
 from pathlib import Path
 
+_AFTER_THE_WINDOW = 10
+"""Added to the process's niceness: where cores are few, Blender's window goes first."""
+
 
 def main() -> int:
     """Make a package of the folder, run the worker, return its exit code."""
     arguments = sys.argv[sys.argv.index("--") + 1 :]
+    if hasattr(os, "nice"):
+        os.nice(_AFTER_THE_WINDOW)
     package = types.ModuleType("nlos_lab_child")
     package.__path__ = [str(Path(__file__).resolve().parents[1])]
     sys.modules[package.__name__] = package

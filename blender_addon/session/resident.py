@@ -152,8 +152,10 @@ def pixels(fields: dict[str, Any]) -> Picture:
 
 
 _ANSWERING = """
-import sys
+import os, sys
 del sys.path[0]  # the current folder
+if hasattr(os, "nice"):
+    os.nice(10)  # where cores are few, Blender's window goes first
 try:
     from {module} import main
 except ImportError as error:

@@ -38,9 +38,9 @@ ACCURACY = 1e-2
 _REST = 0.4
 """Seconds after the last change until the slower steps are done."""
 
-_OFTEN, _SOON = 0.01, 0.02
-"""Seconds between two looks for an answer; and after which one that is not there yet is waited for elsewhere: Blender
-draws its window next, which takes longer than most answers."""
+_OFTEN, _SOON, _LONGEST = 0.01, 0.02, 0.03
+"""Seconds between two looks for an answer; after which one that is not there yet is waited for elsewhere: Blender
+draws its window next, which takes longer than most answers; and that a step may take with such a wait."""
 
 _MOST_REASONS = 5
 _TIMES, _MOST_STALLS = 400, 100_000
@@ -280,6 +280,7 @@ def _ask() -> float | None:
                     return _REST
                 _look.pose = place, turn  # a scene that cannot be read is not tried again until the pose changes
                 _read(scene)
+                return 0.0 if _look.world is not None else None  # the window goes on between reading and asking
             if _look.world is None or (place, turn) == _look.pose:
                 return None
             _look.pose, _look.asked = (place, turn), _look.asked + 1
@@ -294,8 +295,9 @@ def _ask() -> float | None:
                     shadows=scene.nlos.look_shadows,
                 )
             )
-            is_new_world = _look.first == _look.asked  # reading it took its time, and so will its first picture
-            if _show(0.0 if is_new_world else _SOON) is not None:
+            is_new_world = _look.first == _look.asked  # its first picture takes its time
+            left = start + _LONGEST - time.perf_counter()
+            if _show(0.0 if is_new_world else max(0.0, min(_SOON, left))) is not None:
                 state.once(_show, _OFTEN)
             return None
     except NlosError as error:

@@ -32,11 +32,15 @@ _TOLD = 0.05
 """Probability from which on a voxel's is written: the figures of many would cover one another."""
 _MOST_LETTERS = 200
 """Most labels of voxels that are drawn; more would hide the scene."""
+_PASSES = (("NONE", 0.35), ("LESS_EQUAL", 1.0))
+"""Depth test and strength: first faintly and through all surfaces, since a room's walls stand before the lines."""
 _SETTLED = 0.15
 """Seconds from a change until poses are planned, so that they are planned once for several quick changes."""
 
 _handles: list[Any] = []
 _lines: dict[str, Any] | None = None
+_passes = 0
+"""How many of the passes of `_PASSES` are drawn: at each drawing one more, since each compiles shaders first."""
 _poses: tuple[Any, Any] | None = None
 
 
@@ -156,7 +160,7 @@ def _plan() -> float | None:
 
 
 def _draw_lines() -> None:
-    global _lines
+    global _lines, _passes
     context = bpy.context
     if _lines is None:
         _lines = {"letters": [], "boxes": []}  # if measuring fails, that is reported once and not with every redraw
@@ -171,8 +175,7 @@ def _draw_lines() -> None:
         batch_for_shader(fill_shader, "TRIS", {"pos": triangles.astype(np.float32)}).draw(fill_shader)
     shader = gpu.shader.from_builtin("POLYLINE_UNIFORM_COLOR")
     region = context.region
-    # First faintly and through all surfaces, since a room's own walls stand in front of the lines.
-    for depth_test, strength in (("NONE", 0.35), ("LESS_EQUAL", 1.0)):
+    for depth_test, strength in _PASSES[:_passes]:
         gpu.state.depth_test_set(depth_test)
         for name, (red, green, blue, alpha) in _COLOURS.items():
             ends = _lines.get(name)
@@ -185,6 +188,13 @@ def _draw_lines() -> None:
             batch_for_shader(shader, "LINES", {"pos": ends.astype(np.float32)}).draw(shader)
     gpu.state.depth_test_set("NONE")
     gpu.state.blend_set("NONE")
+    if _passes < len(_PASSES):
+        _passes += 1
+        state.once(_redraw)
+
+
+def _redraw() -> None:
+    state.redraw("VIEW_3D")
 
 
 def _draw_letters() -> None:

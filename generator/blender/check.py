@@ -85,10 +85,12 @@ def parts(scene: bpy.types.Scene, *, engine: str = "patch") -> Iterator[list[Fin
             misplaced = _voxels(scene, described)
             yield misplaced
             if not hopeless(misplaced):
-                yield check_sight.findings(scene, described)
+                yield from check_sight.parts(scene, described)
             yield _engine(scene, engine)
     except NlosError as error:
         yield [_told(scene, error)]
+    except ReferenceError:  # between two parts an object was deleted
+        yield [Finding(ERROR, "The scene changed while it was checked; check it again")]
 
 
 def ordered(found: Iterable[Sequence[Finding]]) -> list[Finding]:

@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from typing import Any
 
 import bpy
 import numpy as np
+from numpy.typing import ArrayLike
 
 from generator.blender.engines.lit_patch import other_lights
 from generator.blender.engines.reading import lights
@@ -31,9 +32,9 @@ _RINGS = (0.0, 0.25, 0.5, 0.75, 1.0)
 _HALF = 0.5
 
 
-def findings(scene: bpy.types.Scene, described: Scene) -> list[Finding]:
-    """Return findings about lines of sight: lamp, camera and voxels, wall and voxels, other lights."""
-    return _Sight(scene, described).findings()
+def parts(scene: bpy.types.Scene, described: Scene) -> Iterator[list[Finding]]:
+    """Yield findings about lines of sight, kind by kind: lamp, camera and voxels, wall and voxels, other lights."""
+    yield from _Sight(scene, described).parts()
 
 
 class _Sight:
@@ -58,13 +59,18 @@ class _Sight:
         weights = np.stack([(1 - s) * (1 - t), s * (1 - t), s * t, (1 - s) * t], axis=-1).reshape(-1, 4)
         self._watched = weights @ self._corners
 
-    def findings(self) -> list[Finding]:
-        """Return all findings about lines of sight."""
+    def parts(self) -> Iterator[list[Finding]]:
+        """Yield all findings about lines of sight, kind by kind."""
         voxels = dict(zip(self._labels, zip(self._bounds, self._points, strict=True), strict=True))
         corner, unhidden = self._around_the_corner()
-        results = [*corner, *self._lit(), *self._open()]
-        results += _lights(self._scene, self._eyes, self._watched, voxels, self._grid)
-        if not any(f.level in (WARNING, ERROR) for f in results):
+        lamp = [*corner, *self._lit()]
+        yield lamp
+        patches = self._open()
+        yield patches
+        lights = _lights(self._scene, self._eyes, self._watched, voxels, self._grid)
+        yield lights
+        if not any(f.level in (WARNING, ERROR) for f in (*lamp, *patches, *lights)):
+            results = []
             hidden = [label for label in self._labels if label not in unhidden]
             beside = [label for label in self._labels if label in unhidden]
             for labels, how in (
@@ -74,7 +80,7 @@ class _Sight:
                 if labels:
                     subject = f"V{_voxels(labels, self._grid.labels)[1:]}"
                     results.append(Finding(GOOD, f"{subject}: {how}"))
-        return results
+            yield results
 
     def _around_the_corner(self) -> tuple[list[Finding], set[str]]:
         """Return findings about voxels that lamp or camera point at or are not hidden from, and the latter voxels."""
@@ -84,6 +90,7 @@ class _Sight:
         for obj, solid, verb in zip((self._lamp, self._camera), solids, ("shines", "looks"), strict=True):
             eyes = self._shown[obj]
             beam_points = eyes.passed(*solid.rays(_RINGS))
+            beam_points = beam_points[_inside(beam_points, self._grid.lo, self._grid.hi)]  # few
             direct = [
                 label
                 for label, (lo, hi) in zip(self._labels, self._bounds, strict=True)
@@ -205,8 +212,13 @@ def _one_light(
     return NOTE, "is in the scene too, hidden from the watched patch and from the voxels"
 
 
-def _any_inside(points: Array, lo: Array, hi: Array) -> bool:
-    return bool(((points > lo) & (points < hi)).all(axis=1).any())
+def _any_inside(points: Array, lo: ArrayLike, hi: ArrayLike) -> bool:
+    return bool(_inside(points, lo, hi).any())
+
+
+def _inside(points: Array, lo: ArrayLike, hi: ArrayLike) -> Array:
+    within: Array = ((points > lo) & (points < hi)).all(axis=1)
+    return within
 
 
 def _opposite(starts: Array, corners: Array, points: Array) -> Array:

@@ -716,3 +716,13 @@ def test_advice_names_an_engine_that_was_asked():
     world = built()
     world.world.node_tree.nodes["Background"].inputs["Strength"].default_value = 0.1
     assert not told(world, ERROR, engine="surfel"), "who asks for surfel gets ambient light, as in a sweep"
+
+
+def test_what_is_deleted_between_two_parts_ends_a_check():
+    scene = built()
+    parts = check.parts(scene)
+    found = [next(parts) for _ in range(5)]
+    bpy.data.objects.remove(roles.find(scene, "spot"))
+    found += parts
+    [told] = [f for f in check.ordered(found) if f.level == ERROR]
+    assert "no object is the spot" in told.text.lower()
