@@ -43,7 +43,8 @@ def minutes():
     """Five minutes of work: moves, undo, the lamp, a new build, a check, a data set, an answer."""
     session, settings = bpy.context.window_manager.nlos, bpy.context.scene.nlos
     session.overlay = True
-    settings.engine, settings.poses, settings.workers, settings.resolution = "surfel", 12, 1, (32, 32)
+    settings.engine, settings.poses, settings.workers, settings.resolution = "surfel", 8, 1, (32, 32)
+    settings.accuracy = 0.05
     others = {40.0: build, 80.0: checked, 110.0: data_set, 170.0: trained, 210.0: answered, 250.0: build}
     rng, begun = np.random.default_rng(0), time.monotonic()
     with Watch(MODULE.rpartition(".")[2]) as watch:
@@ -88,6 +89,8 @@ def checked():
 
 
 def data_set():
+    bpy.context.scene.nlos.grid_counts = (3, 3, 1)  # few enough for a set of two minutes
+    yield from build()
     bpy.context.scene.nlos.dataset = str(WORK / "stalls")
     check(invoke(bpy.ops.nlos.sweep_start) == {"FINISHED"}, "a data set is asked for")
     yield from looked()
@@ -103,7 +106,7 @@ def trained():
     if is_named():
         yield from until(lambda: not module("operators.dataset").job.running, "the set is finished", 120.0)
         bpy.context.scene.nlos.dataset = str(WORK / "stalls")
-        check(call(bpy.ops.nlos.train) == {"FINISHED"}, "a model is trained")
+        check((done := call(bpy.ops.nlos.train)) == {"FINISHED"}, f"a model is trained: {done}")
     yield 0.5
 
 
