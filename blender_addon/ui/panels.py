@@ -3,12 +3,13 @@
 # mypy: disable-error-code="misc"
 
 import math
+from collections.abc import Iterable
 from typing import Any
 
 import bpy
 from bl_ui.utils import PresetPanel
 
-from generator.blender.finding import ERROR, FIXES, GOOD, NOTE, WARNING
+from generator.blender.finding import ERROR, FIXES, GOOD, NOTE, WARNING, Finding
 from generator.blender.scene import roles
 from generator.model.engines import AUTO, traits_of
 
@@ -57,6 +58,23 @@ def _result(context: Any, layout: Any, topic: str) -> Any:
         column.active = False
         sentence(context, column, "Of the scene before its last edits", "TIME")
     return column
+
+
+def _findings(context: Any, layout: Any, findings: Iterable[Finding]) -> None:
+    """Draw findings, each with the buttons that select its object and mend it."""
+    for finding in findings:
+        box = layout.box()
+        sentence(context, box, finding.text, _ICONS[finding.level])
+        if finding.choices:
+            choices.draw(box, finding.fix, finding.choices)
+        elif finding.object or finding.fix:
+            row = box.row(align=True)
+            if finding.object:
+                row.operator(
+                    "nlos.select", text=finding.object, translate=False, icon="RESTRICT_SELECT_OFF"
+                ).name = finding.object
+            if finding.fix:
+                row.operator("nlos.fix", text=FIXES[finding.fix], icon="TOOL_SETTINGS").fix = finding.fix
 
 
 def _is_noisy(settings: Any) -> bool:
@@ -245,8 +263,8 @@ class NLOS_PT_look(_OfScene, bpy.types.Panel):
         column.prop(settings, "look_shadows")
         if session.look and live.words():
             sentence(context, layout, live.words(), "SORTTIME" if live.waits() else "NONE")
-        for finding in live.played_twice():
-            choices.draw(layout, finding.fix, finding.choices)
+        if session.look:
+            _findings(context, layout, live.reasons())
         layout.label(text="The paper's experiments")
         row = layout.row(align=True)
         for number, name in ((1, "Sphere"), (2, "Sheet"), (3, "Turned")):
@@ -265,19 +283,7 @@ class NLOS_PT_check(_Tab, bpy.types.Panel):
         layout = self.layout
         layout.operator("nlos.check", icon="VIEWZOOM")
         layout = _result(context, layout, "check") if state.findings else layout
-        for finding in state.findings:
-            box = layout.box()
-            sentence(context, box, finding.text, _ICONS[finding.level])
-            if finding.choices:
-                choices.draw(box, finding.fix, finding.choices)
-            elif finding.object or finding.fix:
-                row = box.row(align=True)
-                if finding.object:
-                    row.operator(
-                        "nlos.select", text=finding.object, translate=False, icon="RESTRICT_SELECT_OFF"
-                    ).name = finding.object
-                if finding.fix:
-                    row.operator("nlos.fix", text=FIXES[finding.fix], icon="TOOL_SETTINGS").fix = finding.fix
+        _findings(context, layout, state.findings)
         if state.checking:
             sentence(context, layout, "Looking, then measuring signal and noise ...", "SORTTIME")
 

@@ -17,9 +17,9 @@ from typing import Any
 import bpy
 from bpy.app.handlers import persistent
 
-from generator.blender import check
+from generator.blender import check, remedies
 from generator.blender.engines import renderers, survey
-from generator.blender.finding import Finding
+from generator.blender.finding import WARNING, Finding
 from generator.blender.scene import geometry, materials, roles
 from generator.blender.scene.description import read_scene
 from generator.jobs.protocol import Question
@@ -87,6 +87,8 @@ class _Look:
         that is whole, and of the last one with shadows.
     twice : list of Finding
         Roles that several objects play, so that there is no picture.
+    reasons : list of Finding
+        What else in the scene is in a picture's way.
     at : dict
         When questions were asked, by their number, `time.perf_counter`.
     """
@@ -103,6 +105,7 @@ class _Look:
     last_change: float = 0.0
     words: str = ""
     twice: list[Finding] = field(default_factory=list)
+    reasons: list[Finding] = field(default_factory=list)
     pose: tuple[tuple[float, ...], tuple[float, ...]] | None = None
     asked: int = 0
     first: int = 0
@@ -129,6 +132,11 @@ def words() -> str:
 def played_twice() -> list[Finding]:
     """Return the roles that several objects play, if that is why there is no picture."""
     return _look.twice if _noted in bpy.app.handlers.depsgraph_update_post else []
+
+
+def reasons() -> list[Finding]:
+    """Return what is in a picture's way, if that is why there is none."""
+    return [*played_twice(), *_look.reasons]
 
 
 def waits() -> bool:
@@ -387,7 +395,7 @@ def _instead(scene: Any, found: survey.Survey) -> str:
 
 def _read(scene: Any) -> None:
     """Read from the scene what a picture needs besides the pose, and write it for the process that draws."""
-    old, _look.world_changed, _look.world = _look.world, False, None
+    old, _look.world_changed, _look.world, _look.reasons = _look.world, False, None, []
     if old is not None:
         old.unlink(missing_ok=True)
     resolution = int(scene.nlos.look_resolution)
@@ -398,10 +406,11 @@ def _read(scene: Any) -> None:
     surveyed = survey.survey(scene, resolution=size)
     world = surveyed.world
     if world is None:
-        reasons = surveyed.reasons("surfel")
-        more = f"; and {len(reasons) - _MOST_REASONS} more" if len(reasons) > _MOST_REASONS else ""
-        listed = "; ".join(reasons[:_MOST_REASONS])
-        raise NlosError(f"No live picture: {listed}{more}{_instead(scene, surveyed)}")
+        found = [remedies.finding(scene, WARNING, why) for why in surveyed.reasons("surfel")]
+        _look.reasons = found[:_MOST_REASONS]
+        count = "1 thing is" if len(found) == 1 else f"{len(found)} things are"
+        shown = f", the first {_MOST_REASONS} of them here" if len(found) > _MOST_REASONS else ""
+        raise NlosError(f"No live picture: {count} in its way{shown}{_instead(scene, surveyed)}")
     if renderers.lacking(surveyed) and not environment.named():
         raise NlosError(
             "No live picture: a furnished room needs packages that Blender's own Python lacks; Make Environment, in "
