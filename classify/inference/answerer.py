@@ -228,13 +228,13 @@ class ByModel(Answerer):
         provenance = self._model.about.get("provenance")
         sweep = provenance.get("sweep") if isinstance(provenance, dict) else None
         engine = str(sweep.get("engine", "")) if isinstance(sweep, dict) else ""
-        if engine not in ENGINES or not ENGINES[engine].noisy:
+        if not isinstance(sweep, dict) or engine not in ENGINES or not ENGINES[engine].noisy:
             return ""
-        samples = f"{sweep['samples']} samples of " if sweep.get("samples") else ""
+        by = f"{sweep['samples']} samples of {engine!r}" if sweep.get("samples") else repr(engine)
         return (
-            f"it learnt of pictures with the noise of rendering, {samples}{engine!r}, which the look's do not have: "
-            "its probabilities are those of a rendered picture only if that noise is far below the object's light; "
-            "Render Wall and Where Is It? ask about such a picture"
+            f"it learnt from pictures with the noise of rendering, {by}, which the look's do not have: its "
+            "probabilities are those of a rendered picture only if that noise is far below the object's light; Render "
+            "Wall and Where Is It? ask about such a picture"
         )
 
 
