@@ -233,8 +233,8 @@ class ByModel(Answerer):
         by = f"{sweep['samples']} samples of {engine!r}" if sweep.get("samples") else repr(engine)
         return (
             f"it learnt from pictures with the noise of rendering, {by}, which the look's do not have: its "
-            "probabilities are those of a rendered picture only if that noise is far below the object's light; Render "
-            "Wall and Where Is It? ask about such a picture"
+            "probabilities are those of a rendered picture only if that noise is far below the object's light; "
+            "Render Wall and Where Is It? ask about such a picture"
         )
 
 
