@@ -241,6 +241,7 @@ class NLOS_PT_voxels(_Tab, bpy.types.Panel):
             _setting(layout.column(), settings, name)
         if roles.GRID_SHAPE in context.scene:
             row = layout.row(align=True)
+            row.use_property_split = False
             row.operator("nlos.fix", text=FIXES["voxels"], icon="TOOL_SETTINGS").fix = "voxels"
             row.prop(context.window_manager.nlos, "show_handles", toggle=True, icon="EMPTY_ARROWS")
 

@@ -10,7 +10,7 @@ import blf
 
 from ..session import wording
 
-_BESIDE, _ICON = 60.0, 22.0
+_BESIDE, _ICON = 74.0, 22.0
 """Width beside a text in a panel, for tabs, margins and a box, and of an icon: pixels at a scale of 1."""
 _LEAST = 60.0
 
