@@ -136,7 +136,8 @@ class _Sight:
                 partly_open.append(f"{label} {open_share:.0%}")
         if partly_open:
             text = "Of the ways from the lit patch by way of a voxel to the watched patch, few are open"
-            results.append(Finding(WARNING, f"{text}: {', '.join(partly_open)}"))
+            remedy = "move what stands between, or lay the voxels elsewhere"
+            results.append(Finding(WARNING, f"{text}: {', '.join(partly_open)}; {remedy}"))
         return results
 
 
