@@ -43,6 +43,7 @@ _OFTEN, _SOON = 0.01, 0.02
 draws its window next, which takes longer than most answers."""
 
 _MOST_REASONS = 5
+_NONE = "No live picture"
 _TIMES, _MOST_STALLS = 400, 100_000
 
 
@@ -136,7 +137,7 @@ def played_twice() -> list[Finding]:
 
 def reasons() -> list[Finding]:
     """Return what is in a picture's way, if that is why there is none."""
-    return [*played_twice(), *_look.reasons]
+    return played_twice() or (_look.reasons if _look.words.startswith(_NONE) else [])
 
 
 def waits() -> bool:
@@ -410,10 +411,10 @@ def _read(scene: Any) -> None:
         _look.reasons = found[:_MOST_REASONS]
         count = "1 thing is" if len(found) == 1 else f"{len(found)} things are"
         shown = f", the first {_MOST_REASONS} of them here" if len(found) > _MOST_REASONS else ""
-        raise NlosError(f"No live picture: {count} in its way{shown}{_instead(scene, surveyed)}")
+        raise NlosError(f"{_NONE}: {count} in its way{shown}{_instead(scene, surveyed)}")
     if renderers.lacking(surveyed) and not environment.named():
         raise NlosError(
-            "No live picture: a furnished room needs packages that Blender's own Python lacks; Make Environment, in "
+            f"{_NONE}: a furnished room needs packages that Blender's own Python lacks; Make Environment, in "
             "the panel Answer, makes one that has them"
         )
     _look.first, _look.watched, _look.reference = _look.asked + 1, world.watched, described.reference_radiance

@@ -85,7 +85,8 @@ def finding(scene: bpy.types.Scene, level: str, why: str, text: str = "{}") -> F
     name, (words, fix) = named(scene, why), remedy(why)
     if "material" in why and "no material" not in why and "material (" not in why:
         why += _of(scene, name)
-    return Finding(level, text.format(f"{why}: {words}" if words else why), name, fix)
+    sentence = text.format(f"{why}: {words}" if words else why)
+    return Finding(level, sentence[:1].upper() + sentence[1:], name, fix)
 
 
 def _of(scene: bpy.types.Scene, name: str) -> str:
