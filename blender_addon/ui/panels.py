@@ -266,6 +266,8 @@ class NLOS_PT_look(_OfScene, bpy.types.Panel):
             sentence(context, layout, live.words(), "SORTTIME" if live.waits() else "NONE")
         if session.look:
             _findings(context, layout, live.reasons())
+            if live.needs_environment():
+                environments.draw(context, layout)
         sentence(context, layout, "The paper's experiments")
         row = layout.row(align=True)
         for number, name in ((1, "Sphere"), (2, "Sheet"), (3, "Turned")):

@@ -90,6 +90,8 @@ class _Look:
         Roles that several objects play, so that there is no picture.
     reasons : list of Finding
         What else in the scene is in a picture's way.
+    lacking : bool
+        Whether what is in its way is that there is no environment.
     at : dict
         When questions were asked, by their number, `time.perf_counter`.
     """
@@ -107,6 +109,7 @@ class _Look:
     words: str = ""
     twice: list[Finding] = field(default_factory=list)
     reasons: list[Finding] = field(default_factory=list)
+    lacking: bool = False
     pose: tuple[tuple[float, ...], tuple[float, ...]] | None = None
     asked: int = 0
     first: int = 0
@@ -138,6 +141,11 @@ def played_twice() -> list[Finding]:
 def reasons() -> list[Finding]:
     """Return what is in a picture's way, if that is why there is none."""
     return played_twice() or (_look.reasons if _look.words.startswith(_NONE) else [])
+
+
+def needs_environment() -> bool:
+    """Return whether there is no picture for want of an environment."""
+    return _look.lacking and not environment.named()
 
 
 def waits() -> bool:
@@ -396,7 +404,8 @@ def _instead(scene: Any, found: survey.Survey) -> str:
 
 def _read(scene: Any) -> None:
     """Read from the scene what a picture needs besides the pose, and write it for the process that draws."""
-    old, _look.world_changed, _look.world, _look.reasons = _look.world, False, None, []
+    old, _look.world_changed, _look.world = _look.world, False, None
+    _look.reasons, _look.lacking = [], False
     if old is not None:
         old.unlink(missing_ok=True)
     resolution = int(scene.nlos.look_resolution)
@@ -412,7 +421,8 @@ def _read(scene: Any) -> None:
         count = "1 thing is" if len(found) == 1 else f"{len(found)} things are"
         shown = f", the first {_MOST_REASONS} of them here" if len(found) > _MOST_REASONS else ""
         raise NlosError(f"{_NONE}: {count} in its way{shown}{_instead(scene, surveyed)}")
-    if renderers.lacking(surveyed) and not environment.named():
+    _look.lacking = bool(renderers.lacking(surveyed))
+    if _look.lacking and not environment.named():
         raise NlosError(
             f"{_NONE}: a furnished room needs packages that Blender's own Python lacks; Make Environment, in "
             "the panel Answer, makes one that has them"
