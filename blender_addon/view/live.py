@@ -424,8 +424,8 @@ def _read(scene: Any) -> None:
     _look.lacking = bool(renderers.lacking(surveyed))
     if _look.lacking and not environment.named():
         raise NlosError(
-            f"{_NONE}: a furnished room needs packages that Blender's own Python lacks; Make Environment, in "
-            "the panel Answer, makes one that has them"
+            f"{_NONE}: a furnished room needs packages that Blender's own Python lacks; Make "
+            "Environment makes one that has them"
         )
     _look.first, _look.watched, _look.reference = _look.asked + 1, world.watched, described.reference_radiance
     _look.described = described

@@ -15,13 +15,13 @@ from generator.blender.scene.description import read_spot
 from generator.model.arrays import Array
 from generator.model.errors import NlosError
 
-_STEPS = 24
+_STEPS = 16
 """Steps in which a box reaches the wanted size; it ends at most one of them before what is in its way."""
 _APART = 0.25
 """Distance that is kept from what is in the way, in steps."""
 _QUADS = ((0, 1, 3, 2), (4, 6, 7, 5), (0, 4, 5, 1), (2, 3, 7, 6), (0, 2, 6, 4), (1, 5, 7, 3))
-_TICKS = np.linspace(0.0, 1.0, 4)
-_LATTICE = np.array(list(itertools.product(_TICKS, _TICKS, _TICKS)))
+_LATTICE = np.array(list(itertools.product(np.linspace(0.0, 1.0, 4), repeat=2)))
+"""Points of a face at which it is tested whether lamp and camera see them."""
 
 
 def free_box(
@@ -52,7 +52,12 @@ def free_box(
             move = np.zeros(3)
             move[axis] = min(step[axis] / 2.0, left)
             new_low, new_high = (low, high + move) if side else (low - move, high)
-            if left < 1e-9 or not space.is_free(new_low - apart * (move > 0.0), new_high + apart * (move > 0.0)):
+            margin = apart * (move > 0.0)
+            if (
+                left < 1e-9
+                or not space.is_free(new_low - margin, new_high + margin)
+                or space.is_seen(new_low, new_high, axis, side)
+            ):
                 grows.discard((axis, side))
             else:
                 low, high = new_low, new_high
@@ -81,10 +86,10 @@ class _Space:
         stops = [t for shape, t in zip(shapes, every, strict=True) if shape.opaque]
         self._all = _tree(np.concatenate([np.zeros((0, 3, 3)), *stops]).reshape(-1, 3))
         # Only from what does not see the object where it stands can all of the box be hidden.
-        self._eyes = [eye for eye in self._eyes if self._is_hidden(eye, around)]
+        self._eyes = [eye for eye in self._eyes if self._hides(eye, around[None])]
 
     def is_free(self, low: Array, high: Array) -> bool:
-        """Whether no surface, and no sight of lamp or camera, reaches into a box."""
+        """Whether no surface reaches into a box, nor the lamp's cone or the camera's view."""
         if low[1] <= 0.0 or ((self._points > low) & (self._points < high)).all(axis=1).any():
             return False
         corners = np.array(list(itertools.product(*zip(low, high, strict=True))))
@@ -94,13 +99,19 @@ class _Space:
         for sight in self._sights:
             if sight.holds(corners) or box.overlap(sight.sides):
                 return False
-        points = low + _LATTICE * (high - low)
-        return all(self._is_hidden(eye, point) for eye in self._eyes for point in points)
+        return True
 
-    def _is_hidden(self, eye: Array, point: Array) -> bool:
-        way = point - eye
-        length = float(np.linalg.norm(way))
-        return self._all.ray_cast(Vector(eye), Vector(way / length), length)[0] is not None
+    def is_seen(self, low: Array, high: Array, axis: int, side: int) -> bool:
+        """Whether lamp or camera, turned there, would see a point of a box's face."""
+        points = low + np.insert(_LATTICE, axis, float(side), axis=1) * (high - low)
+        return not all(self._hides(eye, points) for eye in self._eyes)
+
+    def _hides(self, eye: Array, points: Array) -> bool:
+        """Whether something stands between an eye and each of points (n, 3)."""
+        lengths = np.linalg.norm(points - eye, axis=1)
+        ways = ((points - eye) / lengths[:, None]).tolist()
+        cast, start = self._all.ray_cast, Vector(eye)
+        return all(cast(start, way, far)[0] is not None for way, far in zip(ways, lengths.tolist(), strict=True))
 
 
 def _tree(points: Array) -> BVHTree:
