@@ -96,10 +96,7 @@ class _Space:
         box = BVHTree.FromPolygons(corners.tolist(), _QUADS)
         if box.overlap(self._near):
             return False
-        for sight in self._sights:
-            if sight.holds(corners) or box.overlap(sight.sides):
-                return False
-        return True
+        return not any(sight.holds(corners) or box.overlap(sight.sides) for sight in self._sights)
 
     def is_seen(self, low: Array, high: Array, axis: int, side: int) -> bool:
         """Whether lamp or camera, turned there, would see a point of a box's face."""
