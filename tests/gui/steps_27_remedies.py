@@ -25,7 +25,7 @@ def reasons():
     texts = " ".join(finding.text for finding in live.reasons())
     check("set the lamp's Radius to 0" in texts and repr(material) in texts, texts)
     yield from panel_picture("NLOS_PT_look", "27-reasons")
-    yield from press("nlos.select(name='Spot'")
+    yield from press('nlos.select(name="Spot"')
     check(bpy.context.view_layer.objects.active.name == "Spot", "its button selects the lamp")
     _spoilt(bpy.context.scene, 0.0, 0.0)
     yield from until(lambda: live.pictures() and not live.reasons(), "mended, the look draws", 60.0)
