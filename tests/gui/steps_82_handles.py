@@ -53,12 +53,21 @@ def drag(axis, side, pixels, key=""):
 def selects_behind():
     """Without its button there are no arrows, and a click where one would be selects what is there."""
     before, (start, _) = grid(), arrow(2, 1)
-    for obj in bpy.context.selected_objects:
-        obj.select_set(False)
+    target = module("generator.blender.scene.roles").find(bpy.context.scene, "target")
+    place = target.location.copy()
+    target.location = [(a + b) / 2.0 for a, b in zip(before.lo, before.hi, strict=True)]
+    target.location.z = before.hi[2]
+    with view3d():
+        for obj in bpy.context.scene.objects:
+            obj.select_set(False)
+    redraw()
+    yield 0.5
     yield from click(*start)
-    yield 0.3
-    check(bool(bpy.context.selected_objects), "a click where an arrow was selects an object")
+    yield 0.5
+    with view3d():
+        check(target.select_get(), "a click where an arrow would be selects the object there")
     check(grid() == before, "and leaves the voxels alone")
+    target.location = place
 
 
 def dragged():
