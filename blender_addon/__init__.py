@@ -3,6 +3,7 @@
 `bpy` is imported only on registration, so that `packaging.build` runs without it.
 """
 
+import gc
 from typing import Any
 
 
@@ -49,9 +50,13 @@ def register() -> None:
     """Add the settings, operators and panels to Blender."""
     for module in _modules():
         module.register()
+    # What is loaded stays. Python would go through all of it again with each full collection, and the window waits.
+    gc.collect()
+    gc.freeze()
 
 
 def unregister() -> None:
     """Remove the settings, operators and panels from Blender."""
+    gc.unfreeze()
     for module in reversed(_modules()):
         module.unregister()

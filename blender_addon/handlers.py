@@ -32,7 +32,7 @@ def _after(*_: Any) -> None:
     dataset.forget()
     session = bpy.context.window_manager.nlos
     # Blender may have taken the switches over from the file that was open.
-    session.live_answer = session.look = session.overlay = False
+    session.live_answer = session.look = session.overlay = session.show_handles = False
 
 
 @persistent  # type: ignore[untyped-decorator]

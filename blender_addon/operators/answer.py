@@ -15,6 +15,7 @@ from generator.model.errors import NlosError
 
 from ..session import background, environment, state
 from ..view import overlay
+from . import base
 
 
 def _answered(said: str) -> tuple[dict[str, float], list[str]]:
@@ -29,26 +30,22 @@ def _answered(said: str) -> tuple[dict[str, float], list[str]]:
         raise NlosError(f"the Python in the preferences printed no answer but {said.strip()[:80]!r}") from None
 
 
-class NLOS_OT_answer(bpy.types.Operator):
+class NLOS_OT_answer(base.Told, bpy.types.Operator):
     """Ask the model in which voxel the object stands, by the picture that was rendered last"""
 
     bl_idname = "nlos.answer"
     bl_label = "Where Is It?"
 
-    def execute(self, context: Any) -> set[str]:
+    def act(self, context: Any) -> None:
         """Write the picture, ask the model in a background thread, and show its answer when it arrives."""
         settings = context.scene.nlos
-        try:
-            interpreter = environment.python()
-            model = environment.chosen(settings.model, environment.MODEL)
-            if state.shown is None:
-                raise NlosError("There is no picture yet: render the wall first")
-            files = [background.folder() / f"{name}.exr" for name in ("asked", "asked-background")]
-            for path, picture in zip(files, (state.shown.wall, state.shown.background), strict=True):
-                write_picture(path, picture, {"colour_space": sweep_worker.colour_space()})
-        except NlosError as error:
-            self.report({"ERROR"}, str(error))
-            return {"CANCELLED"}
+        interpreter = environment.python()
+        model = environment.chosen(settings.model, environment.MODEL)
+        if state.shown is None:
+            raise NlosError("There is no picture yet: render the wall first")
+        files = [background.folder() / f"{name}.exr" for name in ("asked", "asked-background")]
+        for path, picture in zip(files, (state.shown.wall, state.shown.background), strict=True):
+            write_picture(path, picture, {"colour_space": sweep_worker.colour_space()})
         arguments = ["-m", "classify.cli", "predict", str(model), str(files[0]), "--background", str(files[1])]
         state.answer_words = "Asking the model ..."
         state.of["answer"] = state.of.get("picture", "")
@@ -69,7 +66,6 @@ class NLOS_OT_answer(bpy.types.Operator):
         background.Task(
             lambda task: _answered(environment.run(command, task.stop, doubtful=True)), then, topic="answer"
         ).settle()
-        return {"FINISHED"}
 
 
 class NLOS_OT_forget_answer(bpy.types.Operator):

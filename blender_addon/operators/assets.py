@@ -14,6 +14,7 @@ from generator.jobs.protocol import WriteAssets
 from generator.model.errors import NlosError
 
 from ..session import background, state
+from . import base
 
 LIBRARY = "NLOS Lab"
 """Name of the library in the preferences."""
@@ -70,8 +71,7 @@ class NLOS_OT_add_assets(bpy.types.Operator):
             if task.error:
                 raise NlosError(task.error)
         except NlosError as error:
-            self.report({"ERROR"}, str(error))
-            return {"CANCELLED"}
+            return base.refused(self, error)
         self.report({"INFO"}, words)
         state.redraw("VIEW_3D")
         return {"FINISHED"}

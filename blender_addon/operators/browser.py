@@ -15,6 +15,7 @@ from generator.model.poses import PoseRecord
 
 from ..session import state
 from ..view import thumbnails
+from . import base
 
 VOXELS = 9
 """Voxels on a page."""
@@ -105,8 +106,7 @@ class NLOS_OT_browse_place(_Set, bpy.types.Operator):
         assert found is not None
         records = found.voxels.get(self.voxel, ())
         if self.position >= len(records):
-            self.report({"ERROR"}, f"The set has no picture {self.position + 1} of that voxel")
-            return {"CANCELLED"}
+            return base.refused(self, f"The set has no picture {self.position + 1} of that voxel")
         record = records[self.position]
         try:
             target = roles.find(context.scene, "target")
@@ -117,8 +117,7 @@ class NLOS_OT_browse_place(_Set, bpy.types.Operator):
                 target.rotation_mode, target.location, target.rotation_euler = before
                 raise
         except NlosError as error:
-            self.report({"ERROR"}, str(error))
-            return {"CANCELLED"}
+            return base.refused(self, error)
         return {"FINISHED"}
 
 

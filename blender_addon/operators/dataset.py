@@ -26,10 +26,11 @@ from generator.sets.dataset import Dataset
 from generator.sets.manifest import SCENE
 
 from ..draft import folder, sweep_of, wished
-from ..session import background, state
+from ..session import background, state, wording
+from . import base
 
 
-class Job:
+class Job(base.Job):
     """The running sweep, or the last one that ran.
 
     Attributes
@@ -38,8 +39,6 @@ class Job:
         Folder of the data set.
     done, total : int
         Pictures of this run, finished and in all.
-    words : str
-        How the sweep ended; empty while it runs.
     left : float, optional
         Estimated seconds until its end; None until they can be estimated.
     told : list of str
@@ -47,8 +46,9 @@ class Job:
     """
 
     def __init__(self, request: SweepRequest) -> None:
+        super().__init__("")
         self.path = request.path
-        self.done, self.total, self.words = 0, 0, ""
+        self.done, self.total = 0, 0
         self.told: list[str] = []
         self.left: float | None = None
         self._remaining = Remaining()
@@ -61,21 +61,11 @@ class Job:
 
         self._task = background.Task(work, self._ended, self._shown)
 
-    @property
-    def running(self) -> bool:
-        """Whether the sweep is still running."""
-        return not self.words
-
     def cancel(self) -> None:
         """Stop the sweep; finished pictures are kept."""
         self._cancelled = True
-        self._task.stop.set()
+        super().cancel()
         self._shown(self._task)
-
-    @property
-    def share(self) -> float:
-        """Share of the pictures that is finished, 0 to 1."""
-        return self.done / self.total if self.total else 0.0
 
     def status(self) -> str:
         """Return the progress, or how the sweep ended, in one line."""
@@ -93,13 +83,14 @@ class Job:
 
     def _told(self, done: int, total: int) -> None:  # called in the workers' threads
         self.left = self._remaining.told(done, total)
-        self.done, self.total = done, total
+        self.done, self.total, self.share = done, total, done / total if total else 0.0
 
     def _shown(self, _: background.Task) -> None:
         _status_bar(f"NLOS data set: {self.status()}")
         state.redraw("VIEW_3D")
 
     def _ended(self, task: background.Task) -> None:
+        self.running = False
         _status_bar(None)
         if task.error:
             self.words = task.error
@@ -144,25 +135,21 @@ def _status_bar(text: str | None) -> None:
                 workspace.status_text_set(text)
 
 
-class Running:
-    """An operator that renders a data set, of which there is one at a time."""
+class _OfRendering:
+    busy, idle = "A data set is being rendered", "No data set is being rendered"
 
     @classmethod
-    def poll(cls: Any, context: Any) -> bool:
-        """Return whether no other data set is being rendered."""
-        cls.poll_message_set("A data set is being rendered")
-        return job is None or not job.running
+    def job(cls) -> Job | None:
+        return job
 
-    def execute(self: Any, context: Any) -> set[str]:
-        """Start the job, or report why it cannot start."""
+
+class Running(_OfRendering, base.Alone, base.Told):
+    """An operator that renders a data set, of which there is one at a time."""
+
+    def act(self: Any, context: Any) -> None:
+        """Start the job."""
         global job
-        try:
-            job = self.begin(context.scene)
-        except NlosError as error:
-            self.report({"ERROR"}, str(error))
-            return {"CANCELLED"}
-        state.redraw("VIEW_3D")
-        return {"FINISHED"}
+        job = self.begin(context.scene)
 
 
 class NLOS_OT_sweep_start(Running, bpy.types.Operator):
@@ -183,14 +170,17 @@ class NLOS_OT_sweep_start(Running, bpy.types.Operator):
         if self.error:
             self.force = True  # takes effect only if the user confirms
             answer: set[str] = context.window_manager.invoke_confirm(
-                self, event, title="Render in spite of this?", message=self.error, confirm_text="Render"
+                self,
+                event,
+                title="Render in spite of this?",
+                message=wording.shown(self.error),
+                confirm_text="Render",
             )
             return answer
         try:
             _new_folder(context.scene)
         except NlosError as error:
-            self.report({"ERROR"}, str(error))
-            return {"CANCELLED"}
+            return base.refused(self, error)
         background.stepwise(check.parts(context.scene, engine=AUTO), _begin, "start")
         return {"FINISHED"}
 
@@ -252,43 +242,25 @@ class NLOS_OT_sweep_resume(Running, bpy.types.Operator):
         return Job(SweepRequest(scene=path / SCENE, path=path, workers=scene.nlos.workers, trust_links=True))
 
 
-class NLOS_OT_sweep_cancel(bpy.types.Operator):
+class NLOS_OT_sweep_cancel(_OfRendering, base.Cancels, bpy.types.Operator):
     """End the rendering of the data set. What is rendered stays, and Resume goes on from there"""
 
     bl_idname = "nlos.sweep_cancel"
-    bl_label = "Cancel"
-
-    @classmethod
-    def poll(cls: Any, context: Any) -> bool:
-        """Return whether a data set is being rendered."""
-        cls.poll_message_set("No data set is being rendered")
-        return job is not None and job.running
-
-    def execute(self: Any, context: Any) -> set[str]:
-        """Ask the workers to stop."""
-        assert job is not None
-        job.cancel()
-        self.report({"INFO"}, "The data set's rendering ends; what is rendered stays")
-        return {"FINISHED"}
+    said = "The data set's rendering ends; what is rendered stays"
 
 
-class NLOS_OT_open_folder(bpy.types.Operator):
+class NLOS_OT_open_folder(base.Told, bpy.types.Operator):
     """Show the data set's folder in the file browser"""
 
     bl_idname = "nlos.open_folder"
     bl_label = "Open Folder"
 
-    def execute(self: Any, context: Any) -> set[str]:
+    def act(self, context: Any) -> None:
         """Open the folder, if it exists."""
-        try:
-            path = folder(context.scene)
-            if not os.path.isdir(path):
-                raise NlosError(f"{path} is not there yet")
-        except NlosError as error:
-            self.report({"ERROR"}, str(error))
-            return {"CANCELLED"}
+        path = folder(context.scene)
+        if not os.path.isdir(path):
+            raise NlosError(f"{path} is not there yet")
         bpy.ops.wm.path_open(filepath=str(path))
-        return {"FINISHED"}
 
 
 _CLASSES = (NLOS_OT_sweep_start, NLOS_OT_sweep_resume, NLOS_OT_sweep_cancel, NLOS_OT_open_folder)

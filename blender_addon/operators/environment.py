@@ -4,6 +4,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any, cast
 
@@ -14,23 +16,17 @@ from generator.model.errors import NlosError
 
 from ..session import background, environment, making, state
 from ..view import live
+from ..view.sentences import sentence
+from . import base
 
 _SIZE = f"{making.DOWNLOAD_MB} MB to download, {making.DISK_MB} MB on disk"
 
 
-class Job:
-    """The making of an environment.
-
-    Attributes
-    ----------
-    words : str
-        What is being done.
-    share : float
-        How much is done, 0 to 1.
-    """
+class Job(base.Job):
+    """The making of an environment. If it is cancelled, what was made so far is removed."""
 
     def __init__(self, folder: Path) -> None:
-        self.words, self.share = "Preparing", 0.0
+        super().__init__("Preparing")
         self._task = background.Task(
             lambda task: making.make(folder, self._told, task.stop),
             self._ended,
@@ -38,16 +34,11 @@ class Job:
         )
         self._task.settle()
 
-    def cancel(self) -> None:
-        """End it; what was made so far is removed."""
-        self._task.stop.set()
-
     def _told(self, words: str, share: float) -> None:  # called in the thread
         self.words, self.share = words, share
 
     def _ended(self, task: background.Task) -> None:
-        global job
-        job = None
+        self.running = False
         environment.look()
         if task.error:
             state.environment_words = task.error
@@ -57,7 +48,14 @@ class Job:
 
 
 job: Job | None = None
-"""The making that goes on, if any."""
+
+
+class _OfMaking:
+    busy, idle = "An environment is being made", "No environment is being made"
+
+    @classmethod
+    def job(cls) -> Job | None:
+        return job
 
 
 class NlosPreferences(bpy.types.AddonPreferences):
@@ -80,15 +78,16 @@ class NlosPreferences(bpy.types.AddonPreferences):
         row = layout.row()
         row.alignment = "RIGHT"
         row.operator("nlos.test_environment", icon="CHECKMARK")
-        draw(layout)
-        if job is None and state.environment_words:
-            layout.label(text=state.environment_words, translate=False)
+        draw(context, layout)
+        if not (job and job.running) and state.environment_words:
+            sentence(context, layout, state.environment_words)
 
 
-def draw(layout: Any) -> None:
+def draw(context: Any, layout: Any) -> None:
     """Draw the buttons that make and remove the environment, or how far its making is."""
-    if job is not None:
-        layout.progress(factor=job.share, text=job.words)
+    if job and job.running:
+        layout.progress(factor=job.share)
+        sentence(context, layout, job.words)
         layout.operator("nlos.cancel_environment", icon="CANCEL")
         return
     row = layout.row(align=True)
@@ -113,15 +112,7 @@ def _test(interpreter: str) -> None:
     background.Task(lambda task: environment.run(command, task.stop), then, topic="environment").settle()
 
 
-class _Idle:
-    @classmethod
-    def poll(cls: Any, context: Any) -> bool:
-        """Return whether no environment is being made."""
-        cls.poll_message_set("An environment is being made")
-        return job is None
-
-
-class NLOS_OT_make_environment(_Idle, bpy.types.Operator):
+class NLOS_OT_make_environment(_OfMaking, base.Alone, base.Told, bpy.types.Operator):
     """Make a Python with all that answers and training need, in Blender's folder for extensions; asks first"""
 
     bl_idname = "nlos.make_environment"
@@ -133,8 +124,7 @@ class NLOS_OT_make_environment(_Idle, bpy.types.Operator):
             folder = environment.own()
             _check_online()
         except NlosError as error:
-            self.report({"ERROR"}, str(error))
-            return {"CANCELLED"}
+            return base.refused(self, error)
         made, current = environment.look(), making.is_current(folder)
         title = "Make a Python for answers and training?"
         if made:
@@ -150,43 +140,23 @@ class NLOS_OT_make_environment(_Idle, bpy.types.Operator):
             ),
         )
 
-    def execute(self: Any, context: Any) -> set[str]:
+    def act(self, context: Any) -> None:
         """Begin, in the background."""
         global job
-        try:
+        with _told():
             _check_online()
             folder = environment.own()
-        except NlosError as error:
-            state.environment_words = str(error)
-            self.report({"ERROR"}, str(error))
-            return {"CANCELLED"}
         state.environment_words = ""
-        begun = Job(folder)
-        job = None if bpy.app.background else begun  # there it is over
-        state.redraw("VIEW_3D", "PREFERENCES")
-        return {"FINISHED"}
+        job = Job(folder)
 
 
-class NLOS_OT_cancel_environment(bpy.types.Operator):
+class NLOS_OT_cancel_environment(_OfMaking, base.Cancels, bpy.types.Operator):
     """Stop making the environment. What was made so far is removed"""
 
     bl_idname = "nlos.cancel_environment"
-    bl_label = "Cancel"
-
-    @classmethod
-    def poll(cls: Any, context: Any) -> bool:
-        """Return whether one is being made."""
-        cls.poll_message_set("No environment is being made")
-        return job is not None
-
-    def execute(self, context: Any) -> set[str]:
-        """Ask for the end."""
-        assert job is not None
-        job.cancel()
-        return {"FINISHED"}
 
 
-class NLOS_OT_remove_environment(_Idle, bpy.types.Operator):
+class NLOS_OT_remove_environment(_OfMaking, base.Alone, base.Told, bpy.types.Operator):
     """Delete the Python that Make Environment made"""
 
     bl_idname = "nlos.remove_environment"
@@ -196,13 +166,9 @@ class NLOS_OT_remove_environment(_Idle, bpy.types.Operator):
         """Ask first."""
         return cast("set[str]", context.window_manager.invoke_confirm(self, event))
 
-    def execute(self: Any, context: Any) -> set[str]:
+    def act(self, context: Any) -> None:
         """Delete it in a background thread, for it is thousands of files."""
-        try:
-            folder = environment.own()
-        except NlosError as error:
-            self.report({"ERROR"}, str(error))
-            return {"CANCELLED"}
+        folder = environment.own()
         _unname(folder)
 
         def then(task: background.Task) -> None:
@@ -211,7 +177,16 @@ class NLOS_OT_remove_environment(_Idle, bpy.types.Operator):
 
         state.environment_words = "Removing the environment ..."
         background.Task(lambda task: making.remove(folder), then, topic="environment").settle()
-        return {"FINISHED"}
+
+
+@contextmanager
+def _told() -> Iterator[None]:
+    """Say what is wrong in the panel too."""
+    try:
+        yield
+    except NlosError as error:
+        state.environment_words = str(error)
+        raise
 
 
 def _check_online() -> None:
@@ -228,21 +203,16 @@ def _unname(folder: Path) -> None:
         environment.name("")
 
 
-class NLOS_OT_test_environment(bpy.types.Operator):
+class NLOS_OT_test_environment(base.Told, bpy.types.Operator):
     """Start the Python named above and see whether it can read trained models"""
 
     bl_idname = "nlos.test_environment"
     bl_label = "Test"
 
-    def execute(self, context: Any) -> set[str]:
+    def act(self, context: Any) -> None:
         """Start the test in a background thread."""
-        try:
+        with _told():
             _test(environment.python())
-        except NlosError as error:
-            state.environment_words = str(error)
-            self.report({"ERROR"}, str(error))
-            return {"CANCELLED"}
-        return {"FINISHED"}
 
 
 _CLASSES = (

@@ -18,6 +18,7 @@ from generator.model.errors import NlosError
 from generator.model.grid import VoxelGrid
 
 from ..view import overlay
+from . import base
 
 _THINNEST = 1e-3
 """Least distance of two opposite faces, metres."""
@@ -70,8 +71,7 @@ class NLOS_OT_drag_face(bpy.types.Operator):
         try:
             self._put(context.scene, roles.read_grid(context.scene))
         except NlosError as error:
-            self.report({"ERROR"}, str(error))
-            return {"CANCELLED"}
+            return base.refused(self, error)
         return {"FINISHED"}
 
     def invoke(self: Any, context: Any, event: Any) -> set[str]:
@@ -79,8 +79,7 @@ class NLOS_OT_drag_face(bpy.types.Operator):
         try:
             self._before = roles.read_grid(context.scene)
         except NlosError as error:
-            self.report({"ERROR"}, str(error))
-            return {"CANCELLED"}
+            return base.refused(self, error)
         settings = context.scene.nlos
         self._drafted = tuple(settings.grid_lo), tuple(settings.grid_hi)
         self.by, self._exact, self._last = 0.0, 0.0, self._along(context, event)

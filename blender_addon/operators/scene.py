@@ -20,8 +20,9 @@ from generator.model.quantities import radiance
 from generator.model.scene import Scene
 
 from ..draft import device_of, fill, follow, grid_of, spec_of, sweep_of
-from ..session import background, state
+from ..session import background, state, wording
 from ..view import differs, images, live, target_file, views
+from . import base
 
 _ROLE_WORDS = {
     "relay_wall": ("Relay Wall", "What lamp and camera look at"),
@@ -53,9 +54,8 @@ class _Task:
         try:
             kind, message = self.work(context.scene)
         except NlosError as error:
-            self.report({"ERROR"}, str(error))
-            return {"CANCELLED"}
-        self.report({kind}, message)
+            return base.refused(self, error)
+        self.report({kind}, wording.shown(message))
         live.changed()
         return {"FINISHED"}
 
@@ -392,8 +392,7 @@ class NLOS_OT_open_image_editor(bpy.types.Operator):
         bpy.ops.screen.area_split(direction="VERTICAL", factor=0.4)
         [area] = set(context.screen.areas) - old_areas or [None]
         if area is None:
-            self.report({"ERROR"}, "The 3D view is too small to be split")
-            return {"CANCELLED"}
+            return base.refused(self, "The 3D view is too small to be split")
         area.type = "IMAGE_EDITOR"
         area.spaces.active.image = image
         name = image.name
@@ -433,8 +432,7 @@ class NLOS_OT_new_room(bpy.types.Operator):
         try:
             build.build(scene, spec_of(scene.nlos))
         except NlosError as error:
-            self.report({"ERROR"}, str(error))
-            return {"CANCELLED"}
+            return base.refused(self, error)
         differs.mark(scene)
         target = roles.find(scene, "target")
         target.select_set(True)

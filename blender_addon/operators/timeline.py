@@ -19,19 +19,42 @@ from generator.sets.dataset import Dataset
 from ..draft import folder_named, sweep_of
 from ..session import background, environment, state
 from ..view import path
-from . import dataset
+from . import base, dataset
 
 _FRAME = re.compile(r"frame (\d+): ")
 _TOPIC = "follow"
 
 words: list[str] = []
 """How the last tracking went, or how far it is, in sentences."""
-_following: background.Task | None = None
+
+
+class _Job(base.Job):
+    """The tracking that goes on, or the last one."""
+
+    def __init__(self, command: list[str], folder: Path) -> None:
+        super().__init__("")
+        words[:] = ["The atlas is tried ..."]
+        self._task = background.Task(
+            lambda task: _tracked(command, folder, task.stop), self._ended, _tell, topic=_TOPIC
+        )
+        self._task.settle()
+
+    def cancel(self) -> None:
+        """End it; what it finds no longer counts."""
+        forget()
+        words[:] = ["Cancelled"]
+
+    def _ended(self, task: background.Task) -> None:
+        self.running = False
+        _show(task)
+
+
+job: _Job | None = None
 
 
 def following() -> bool:
     """Return whether the target is being followed."""
-    return _following is not None
+    return job is not None and job.running
 
 
 class NLOS_OT_timeline_render(dataset.Running, bpy.types.Operator):
@@ -61,59 +84,43 @@ class NLOS_OT_timeline_render(dataset.Running, bpy.types.Operator):
         )
 
 
-class NLOS_OT_timeline_follow(bpy.types.Operator):
+class NLOS_OT_timeline_follow(base.Told, bpy.types.Operator):
     """Follow the object through the rendered frames by the atlas, and draw where it was and where it was found"""
 
     bl_idname = "nlos.timeline_follow"
     bl_label = "Follow"
 
-    def execute(self, context: Any) -> set[str]:
+    def act(self, context: Any) -> None:
         """Start the tracker in a background thread."""
-        global _following
+        global job
         settings = context.scene.nlos
-        try:
-            python = environment.python()
-            atlas = environment.chosen(settings.timeline_atlas, environment.ATLAS)
-            folder = folder_named(settings.timeline_folder)
-            if not Dataset.exists(folder):
-                raise NlosError(f"{folder} holds no frames yet: render the timeline first")
-        except NlosError as error:
-            self.report({"ERROR"}, str(error))
-            return {"CANCELLED"}
+        python = environment.python()
+        atlas = environment.chosen(settings.timeline_atlas, environment.ATLAS)
+        folder = folder_named(settings.timeline_folder)
+        if not Dataset.exists(folder):
+            raise NlosError(f"{folder} holds no frames yet: render the timeline first")
         step = str(settings.timeline_step)
-        command = [python, "-m", "classify.cli", "track", str(atlas), str(folder), "--process-noise", step]
-        words[:] = ["The atlas is tried ..."]
-        _following = background.Task(
-            lambda task: _tracked([*command, "--json"], folder, task.stop), _show, _tell, topic=_TOPIC
-        )
-        _following.settle()
-        return {"FINISHED"}
+        track = [python, "-m", "classify.cli", "track", str(atlas), str(folder), "--process-noise", step, "--json"]
+        job = _Job(track, folder)
 
 
-class NLOS_OT_timeline_cancel(bpy.types.Operator):
+class NLOS_OT_timeline_cancel(base.Cancels, bpy.types.Operator):
     """End the tracking"""
 
     bl_idname = "nlos.timeline_cancel"
-    bl_label = "Cancel"
+    idle = "Nothing is being followed"
 
     @classmethod
-    def poll(cls: Any, context: Any) -> bool:
-        """Return whether the target is being followed."""
-        cls.poll_message_set("Nothing is being followed")
-        return following()
-
-    def execute(self, context: Any) -> set[str]:
-        """Ask the tracker to stop."""
-        forget()
-        words[:] = ["Cancelled"]
-        return {"FINISHED"}
+    def job(cls) -> _Job | None:
+        """Return the tracking."""
+        return job
 
 
 def forget() -> None:
     """End the tracking, and draw no path any more."""
-    global _following
+    global job
     background.drop(_TOPIC)
-    _following = None
+    job = None
     words.clear()
     path.forget()
 
@@ -164,8 +171,6 @@ def _tell(task: background.Task) -> None:
 
 
 def _show(task: background.Task) -> None:
-    global _following
-    _following = None
     if task.error:
         words[:] = [task.error]
         return

@@ -17,25 +17,16 @@ from generator.model.quantities import clock
 
 from ..draft import folder_named
 from ..session import background, environment, state
+from . import base
 
 _PROGRESS = re.compile(r"(\d+) of (\d+) \w+")
 
 
-class Job:
-    """The training that goes on, or the last one.
-
-    Attributes
-    ----------
-    words : str
-        What is being done, or how it ended.
-    share : float
-        How much of the present step is done, 0 to 1.
-    running : bool
-        Whether it goes on.
-    """
+class Job(base.Job):
+    """The training that goes on, or the last one; its share is of the present step. A former model is kept."""
 
     def __init__(self, interpreter: str, dataset: Path, model: Path, settings: Any) -> None:
-        self.words, self.share, self.running = "Describing the pictures", 0.0, True
+        super().__init__("Describing the pictures")
         self._file, self._scene, self._model = bpy.data.filepath, settings.id_data.name, model
         features = background.folder() / "train.h5"
         described = ["--features", settings.train_features, "--partial"]
@@ -56,10 +47,6 @@ class Job:
 
         self._task = background.Task(work, self._ended, lambda task: state.redraw("VIEW_3D"))
         self._task.settle()
-
-    def cancel(self) -> None:
-        """Stop it; an older model of the same name is kept."""
-        self._task.stop.set()
 
     def _told(self, words: str) -> Any:
         def told(line: str) -> None:  # called in a thread
@@ -102,17 +89,19 @@ def _result(found: dict[str, Any], seconds: float) -> str:
 job: Job | None = None
 
 
-class NLOS_OT_train(bpy.types.Operator):
+class _OfTraining:
+    busy, idle = "A model is being trained", "No model is being trained"
+
+    @classmethod
+    def job(cls) -> Job | None:
+        return job
+
+
+class NLOS_OT_train(_OfTraining, base.Alone, base.Told, bpy.types.Operator):
     """Train a model on the data set, beside which it is written, and choose it. Blender stays free"""
 
     bl_idname = "nlos.train"
     bl_label = "Train"
-
-    @classmethod
-    def poll(cls: Any, context: Any) -> bool:
-        """Return whether no model is being trained."""
-        cls.poll_message_set("A model is being trained")
-        return job is None or not job.running
 
     def invoke(self: Any, context: Any, event: Any) -> set[str]:
         """Ask before an older model is replaced."""
@@ -130,38 +119,20 @@ class NLOS_OT_train(bpy.types.Operator):
             ),
         )
 
-    def execute(self: Any, context: Any) -> set[str]:
+    def act(self, context: Any) -> None:
         """Begin, in the background."""
         global job
-        try:
-            interpreter = environment.python()
-            dataset, model = _paths(context.scene)
-            if not dataset.is_dir():
-                raise NlosError(f"{dataset} is not there; render a data set first, or name the folder of one")
-            job = Job(interpreter, dataset, model, context.scene.nlos)
-        except NlosError as error:
-            self.report({"ERROR"}, str(error))
-            return {"CANCELLED"}
-        return {"FINISHED"}
+        interpreter = environment.python()
+        dataset, model = _paths(context.scene)
+        if not dataset.is_dir():
+            raise NlosError(f"{dataset} is not there; render a data set first, or name the folder of one")
+        job = Job(interpreter, dataset, model, context.scene.nlos)
 
 
-class NLOS_OT_train_cancel(bpy.types.Operator):
+class NLOS_OT_train_cancel(_OfTraining, base.Cancels, bpy.types.Operator):
     """Stop the training. An older model of the same name is kept"""
 
     bl_idname = "nlos.train_cancel"
-    bl_label = "Cancel"
-
-    @classmethod
-    def poll(cls: Any, context: Any) -> bool:
-        """Return whether a model is being trained."""
-        cls.poll_message_set("No model is being trained")
-        return job is not None and job.running
-
-    def execute(self, context: Any) -> set[str]:
-        """Ask for the end."""
-        assert job is not None
-        job.cancel()
-        return {"FINISHED"}
 
 
 def _paths(scene: Any) -> tuple[Path, Path]:

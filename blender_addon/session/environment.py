@@ -70,8 +70,8 @@ def chosen(path: str, what: str) -> Path:
     return found
 
 
-MODEL = "a model, trained by nlos-classify train (.skops)"
-ATLAS = "an atlas, made by nlos-classify atlas of pictures with --inside centre"
+MODEL = "a model (.skops), which Train makes"
+ATLAS = "an atlas, made by nlos-classify atlas in a shell, of a set with Data Set > Inside > Its Centre"
 
 
 def own() -> Path:

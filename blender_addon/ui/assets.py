@@ -7,7 +7,8 @@ from typing import Any
 import bpy
 
 from ..operators import assets
-from .panels import _sentence, _Tab
+from ..view.sentences import sentence
+from .panels import _Tab
 
 
 class NLOS_PT_assets(_Tab, bpy.types.Panel):
@@ -22,7 +23,7 @@ class NLOS_PT_assets(_Tab, bpy.types.Panel):
         layout = self.layout
         layout.operator("nlos.add_assets", icon="ASSET_MANAGER")
         if assets.words:
-            _sentence(context, layout, assets.words)
+            sentence(context, layout, assets.words)
 
 
 register, unregister = bpy.utils.register_classes_factory((NLOS_PT_assets,))

@@ -8,7 +8,8 @@ import bpy
 
 from ..operators import browser
 from ..view import differs, thumbnails
-from .panels import _sentence, _Tab
+from ..view.sentences import sentence
+from .panels import _Tab
 
 _PARTS = {"grid": "voxels", "spot": "lamp", "reflection_order": "reflections", "ambient": "ambient light"}
 
@@ -25,16 +26,16 @@ class NLOS_PT_browser(_Tab, bpy.types.Panel):
         layout, settings, found = self.layout, context.scene.nlos, thumbnails.opened()
         if found is None:
             thumbnails.want(settings.dataset)
-            _sentence(context, layout, thumbnails.words() or "Reading the set ...")
+            sentence(context, layout, thumbnails.words() or "Reading the set ...")
             layout.operator("nlos.browse_again", icon="FILE_REFRESH")
             return
         shown = browser.shown(found)
         thumbnails.want(settings.dataset, [record for record, _, _ in shown])
         if others := thumbnails.others_than(differs.described()):
             names = ", ".join(_PARTS.get(name, name) for name in others)
-            _sentence(context, layout, f"The set is of another scene than this one: other {names}", "ERROR")
+            sentence(context, layout, f"The set is of another scene than this one: other {names}", "ERROR")
         if found.fault:
-            _sentence(context, layout, found.fault, "ERROR")
+            sentence(context, layout, found.fault, "ERROR")
         if len(found.voxels) > browser.VOXELS:
             row = layout.row(align=True)
             row.operator("nlos.browse_page", text="", icon="TRIA_LEFT").by = -1
@@ -69,7 +70,7 @@ def _draw_pose(context: Any, box: Any, record: Any, place: int, count: int) -> N
         notes.append(f"One of {1 + len(record.others)} objects")
     notes += [f"{name} {value:.4g}" for name, value in record.values]
     if notes:
-        _sentence(context, box, "; ".join(notes))
+        sentence(context, box, "; ".join(notes))
 
 
 register, unregister = bpy.utils.register_classes_factory((NLOS_PT_browser,))

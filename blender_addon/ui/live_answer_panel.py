@@ -7,7 +7,8 @@ from typing import Any
 import bpy
 
 from ..view import live_answer
-from .panels import _sentence, _Tab
+from ..view.sentences import sentence
+from .panels import _Tab
 
 
 class NLOS_PT_live_answer(_Tab, bpy.types.Panel):
@@ -22,7 +23,7 @@ class NLOS_PT_live_answer(_Tab, bpy.types.Panel):
         layout.prop(session, "live_answer", toggle=True, icon="PLAY" if not session.live_answer else "PAUSE")
         if session.live_answer:
             for text in live_answer.words():
-                _sentence(context, layout, text)
+                sentence(context, layout, text)
 
 
 register, unregister = bpy.utils.register_classes_factory((NLOS_PT_live_answer,))

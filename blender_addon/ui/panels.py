@@ -3,12 +3,13 @@
 # mypy: disable-error-code="misc"
 
 import math
+from collections.abc import Iterable
 from typing import Any
 
 import bpy
 from bl_ui.utils import PresetPanel
 
-from generator.blender.finding import ERROR, FIXES, GOOD, NOTE, WARNING
+from generator.blender.finding import ERROR, FIXES, GOOD, NOTE, WARNING, Finding
 from generator.blender.scene import roles
 from generator.model.engines import AUTO, traits_of
 
@@ -16,11 +17,10 @@ from ..operators import dataset
 from ..operators import environment as environments
 from ..session import environment, state
 from ..view import differs, images, live, target_file, views
+from ..view.sentences import sentence
 from . import choices, menus
 
 _ICONS = {GOOD: "CHECKMARK", NOTE: "INFO", WARNING: "ERROR", ERROR: "CANCEL"}
-_LETTER = 6.3
-"""Mean width of a letter at a user interface scale of 1, pixels."""
 
 
 class _Tab:
@@ -43,21 +43,6 @@ def _split(layout: Any) -> None:
     layout.use_property_decorate = False
 
 
-def _sentence(context: Any, layout: Any, text: str, icon: str = "NONE") -> None:
-    """Draw a sentence on as many lines as it needs, since labels do not wrap."""
-    letters = context.region.width / (_LETTER * context.preferences.system.ui_scale)
-    longest = max(16, int(letters) - (8 if icon == "NONE" else 12))
-    column = layout.column(align=True)
-    column.scale_y = 0.8
-    line = ""
-    for word in text.split():
-        if line and len(line) + len(word) >= longest:
-            column.label(text=line, icon=icon, translate=False)
-            line, icon = "", "BLANK1" if icon != "NONE" else "NONE"
-        line = f"{line} {word}".lstrip()
-    column.label(text=line, icon=icon, translate=False)
-
-
 def _setting(layout: Any, settings: Any, name: str, **options: Any) -> None:
     """Draw a setting, with a pencil behind it if the scene has another value."""
     row = layout.row(align=True)
@@ -66,13 +51,30 @@ def _setting(layout: Any, settings: Any, name: str, **options: Any) -> None:
         row.label(text="", icon="GREASEPENCIL")
 
 
-def _result(layout: Any, topic: str) -> Any:
+def _result(context: Any, layout: Any, topic: str) -> Any:
     """Return a column for a result, grey where it is of another scene than now, which it says."""
     column = layout.column()
     if differs.is_stale(topic):
         column.active = False
-        column.label(text="Of the scene before its last edits", icon="TIME")
+        sentence(context, column, "Of the scene before its last edits", "TIME")
     return column
+
+
+def _findings(context: Any, layout: Any, findings: Iterable[Finding]) -> None:
+    """Draw findings, each with the buttons that select its object and mend it."""
+    for finding in findings:
+        box = layout.box()
+        sentence(context, box, finding.text, _ICONS[finding.level])
+        if finding.choices:
+            choices.draw(box, finding.fix, finding.choices)
+        elif finding.object or finding.fix:
+            row = box.row(align=True)
+            if finding.object:
+                row.operator(
+                    "nlos.select", text=finding.object, translate=False, icon="RESTRICT_SELECT_OFF"
+                ).name = finding.object
+            if finding.fix:
+                row.operator("nlos.fix", text=FIXES[finding.fix], icon="TOOL_SETTINGS").fix = finding.fix
 
 
 def _is_noisy(settings: Any) -> bool:
@@ -114,11 +116,11 @@ class NLOS_PT_scene(_Tab, bpy.types.Panel):
         row.operator("nlos.apply", text="Apply", icon="EXPORT")
         to_apply, to_build = differs.found()
         if not (to_apply or to_build):  # says so, lest all below move when there is something
-            _sentence(context, layout, "The scene has these figures", "CHECKMARK")
+            sentence(context, layout, "The scene has these figures", "CHECKMARK")
         for operator, names in (("Apply", to_apply), ("Build Scene", to_build)):
             if names:
                 words = f"Other in the scene, until {operator} writes them: {_listed(settings, names)}"
-                _sentence(context, layout, words, "GREASEPENCIL")
+                sentence(context, layout, words, "GREASEPENCIL")
         row = layout.row(align=True)
         row.use_property_split = False
         session = context.window_manager.nlos
@@ -187,7 +189,7 @@ class NLOS_PT_target(_Tab, bpy.types.Panel):
         _setting(layout, settings, "target_size")
         _setting(layout, settings, "target_albedo")
         for text, icon in target_file.words(settings):
-            _sentence(context, layout, text, icon)
+            sentence(context, layout, text, icon)
 
 
 class NLOS_PT_light(_Tab, bpy.types.Panel):
@@ -237,6 +239,11 @@ class NLOS_PT_voxels(_Tab, bpy.types.Panel):
         _split(layout)
         for name in ("grid_counts", "grid_lo", "grid_hi"):
             _setting(layout.column(), settings, name)
+        if roles.GRID_SHAPE in context.scene:
+            row = layout.row(align=True)
+            row.use_property_split = False
+            row.operator("nlos.fix", text=FIXES["voxels"], icon="TOOL_SETTINGS").fix = "voxels"
+            row.prop(context.window_manager.nlos, "show_handles", toggle=True, icon="EMPTY_ARROWS")
 
 
 class NLOS_PT_look(_OfScene, bpy.types.Panel):
@@ -256,15 +263,17 @@ class NLOS_PT_look(_OfScene, bpy.types.Panel):
         column.prop(settings, "look_resolution")
         column.prop(settings, "look_shadows")
         if session.look and live.words():
-            _sentence(context, layout, live.words(), "SORTTIME" if live.waits() else "NONE")
-        for finding in live.played_twice():
-            choices.draw(layout, finding.fix, finding.choices)
-        layout.label(text="The paper's experiments")
+            sentence(context, layout, live.words(), "SORTTIME" if live.waits() else "NONE")
+        if session.look:
+            _findings(context, layout, live.reasons())
+            if live.needs_environment():
+                environments.draw(context, layout)
+        sentence(context, layout, "The paper's experiments")
         row = layout.row(align=True)
         for number, name in ((1, "Sphere"), (2, "Sheet"), (3, "Turned")):
             row.operator("nlos.experiment", text=f"{number} {name}").number = number
         if state.experiment:
-            _sentence(context, layout, state.experiment)
+            sentence(context, layout, state.experiment)
 
 
 class NLOS_PT_check(_Tab, bpy.types.Panel):
@@ -276,22 +285,10 @@ class NLOS_PT_check(_Tab, bpy.types.Panel):
         """Draw the findings."""
         layout = self.layout
         layout.operator("nlos.check", icon="VIEWZOOM")
-        layout = _result(layout, "check") if state.findings else layout
-        for finding in state.findings:
-            box = layout.box()
-            _sentence(context, box, finding.text, _ICONS[finding.level])
-            if finding.choices:
-                choices.draw(box, finding.fix, finding.choices)
-            elif finding.object or finding.fix:
-                row = box.row(align=True)
-                if finding.object:
-                    row.operator(
-                        "nlos.select", text=finding.object, translate=False, icon="RESTRICT_SELECT_OFF"
-                    ).name = finding.object
-                if finding.fix:
-                    row.operator("nlos.fix", text=FIXES[finding.fix], icon="TOOL_SETTINGS").fix = finding.fix
+        layout = _result(context, layout, "check") if state.findings else layout
+        _findings(context, layout, state.findings)
         if state.checking:
-            layout.label(text="Looking, then measuring signal and noise ...", icon="SORTTIME")
+            sentence(context, layout, "Looking, then measuring signal and noise ...", "SORTTIME")
 
 
 class NLOS_PT_rendering(_Tab, bpy.types.Panel):
@@ -310,12 +307,12 @@ class NLOS_PT_rendering(_Tab, bpy.types.Panel):
         if _is_noisy(settings):
             row.prop(settings, "denoise")
         if state.rendering:
-            _sentence(context, _result(layout, "picture"), state.rendering)
+            sentence(context, _result(context, layout, "picture"), state.rendering)
             if state.shown is not None:
                 show = layout.operator("nlos.open_image_editor", text="Show the Picture", icon="IMAGE_DATA")
                 show.image = images.PREVIEW
         else:
-            _sentence(
+            sentence(
                 context,
                 layout,
                 "F12 and rendered views find the lit patch only by chance, so they show black with bright dots: "
@@ -364,12 +361,12 @@ class NLOS_PT_dataset(_OfScene, bpy.types.Panel):
         column.prop(settings, "dataset")
         column.prop(settings, "poses", text="Poses a Voxel")
         voxels = math.prod(context.scene[roles.GRID_SHAPE])
-        column.label(text=f"{voxels * settings.poses} pictures in {voxels} voxels")
+        sentence(context, column, f"{voxels * settings.poses} pictures in {voxels} voxels")
         column.prop(settings, "inside")
         column.prop(settings, "workers")
         if job is not None and job.running:
             layout.progress(factor=job.share)
-            _sentence(context, layout, job.status())
+            sentence(context, layout, job.status())
             layout.operator("nlos.sweep_cancel", icon="CANCEL")
         else:
             row = layout.row(align=True)
@@ -377,9 +374,9 @@ class NLOS_PT_dataset(_OfScene, bpy.types.Panel):
             row.operator("nlos.sweep_start", icon="RENDER_ANIMATION")
             row.operator("nlos.sweep_resume", icon="PLAY")
             if job is not None:
-                _sentence(context, layout, job.status())
+                sentence(context, layout, job.status())
         for message in job.told if job is not None else ():
-            _sentence(context, layout, message)
+            sentence(context, layout, message)
         layout.operator("nlos.open_folder", icon="FILE_FOLDER")
 
 
@@ -397,8 +394,8 @@ class NLOS_PT_answer(_OfScene, bpy.types.Panel):
         column.prop(settings, "model")
         layout.operator("nlos.answer", icon="QUESTION")
         if state.answer_words:
-            layout = _result(layout, "answer")
-            _sentence(context, layout, state.answer_words)
+            layout = _result(context, layout, "answer")
+            sentence(context, layout, state.answer_words)
         if state.answer:
             column = layout.column(align=True)
             likely = sorted(state.answer.items(), key=lambda item: -item[1])[:_MOST_LIKELY]
@@ -406,15 +403,15 @@ class NLOS_PT_answer(_OfScene, bpy.types.Panel):
                 column.progress(factor=probability, text=f"{label}  {probability:.0%}")
             layout.operator("nlos.forget_answer", icon="X")
         if not environment.named():
-            _sentence(
+            sentence(
                 context,
                 layout,
                 "Answers need a Python with scikit-learn: make one here, or name one in the add-on's preferences",
                 "INFO",
             )
-            environments.draw(layout)
+            environments.draw(context, layout)
         if state.environment_words:
-            _sentence(context, layout, state.environment_words)
+            sentence(context, layout, state.environment_words)
 
 
 _MOST_LIKELY = 5

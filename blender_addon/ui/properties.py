@@ -338,7 +338,7 @@ class NlosSettings(bpy.types.PropertyGroup):
     )
     model: StringProperty(
         name="Model",
-        description="Trained by nlos-classify train (.skops); Live Answer takes an atlas too (nlos-classify atlas)",
+        description="What Train made (.skops). Live Answer takes an atlas too (nlos-classify atlas, in a shell)",
         subtype="FILE_PATH",
         default="",
         options=_READ,
@@ -353,7 +353,7 @@ class NlosSettings(bpy.types.PropertyGroup):
     )
     timeline_atlas: StringProperty(
         name="Atlas",
-        description="Made by nlos-classify atlas, of pictures whose poses fill the volume (--inside centre)",
+        description="Made by nlos-classify atlas in a shell, of a set with Data Set > Inside > Its Centre",
         subtype="FILE_PATH",
         default="",
         options=_READ,
@@ -381,6 +381,12 @@ def _live_answer_switched(session: Any) -> None:
         session.look = True
 
 
+def _handles_switched(session: Any) -> None:
+    if session.show_handles:
+        session.overlay = session.show_voxels = True  # which they belong to
+    overlay.changed()
+
+
 class NlosSession(bpy.types.PropertyGroup):
     """Switches of this window manager. They are not saved with the file: opening a file starts nothing."""
 
@@ -405,6 +411,11 @@ class NlosSession(bpy.types.PropertyGroup):
     )
     show_voxels: BoolProperty(
         name="Voxels", description="The hidden volume, with its letters", default=True, update=_redraw
+    )
+    show_handles: BoolProperty(
+        name="Drag Faces",
+        description="Arrows on the faces of the voxel grid, to drag them by. Off, clicks select what is behind",
+        update=lambda session, context: _handles_switched(session),
     )
     show_patches: BoolProperty(
         name="Patches", description="What the lamp lights and what the camera watches", default=True, update=_redraw

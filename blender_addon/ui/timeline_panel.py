@@ -7,7 +7,8 @@ from typing import Any
 import bpy
 
 from ..operators import dataset, timeline
-from .panels import _sentence, _split, _Tab
+from ..view.sentences import sentence
+from .panels import _split, _Tab
 
 
 class NLOS_PT_timeline(_Tab, bpy.types.Panel):
@@ -28,12 +29,13 @@ class NLOS_PT_timeline(_Tab, bpy.types.Panel):
         row.prop(scene, "frame_end", text="")
         row.prop(scene, "frame_step", text="")
         if job is not None and job.running:
-            layout.progress(factor=job.done / job.total if job.total else 0.0, text=job.status())
+            layout.progress(factor=job.share)
+            sentence(context, layout, job.status())
             layout.operator("nlos.sweep_cancel", icon="CANCEL")
         else:
             layout.operator("nlos.timeline_render", icon="RENDER_ANIMATION")
             if job is not None:
-                _sentence(context, layout, job.status())
+                sentence(context, layout, job.status())
         column = layout.column()
         _split(column)
         column.prop(settings, "timeline_atlas")
@@ -43,7 +45,7 @@ class NLOS_PT_timeline(_Tab, bpy.types.Panel):
         else:
             layout.operator("nlos.timeline_follow", icon="TRACKING")
         for text in timeline.words:
-            _sentence(context, layout, text)
+            sentence(context, layout, text)
 
 
 register, unregister = bpy.utils.register_classes_factory((NLOS_PT_timeline,))

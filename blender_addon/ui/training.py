@@ -7,7 +7,8 @@ from typing import Any
 import bpy
 
 from ..operators import train
-from .panels import _sentence, _split, _Tab
+from ..view.sentences import sentence
+from .panels import _split, _Tab
 
 
 class NLOS_PT_train(_Tab, bpy.types.Panel):
@@ -25,12 +26,13 @@ class NLOS_PT_train(_Tab, bpy.types.Panel):
         for name in ("train_set", "train_features", "train_classifier"):
             column.prop(settings, name)
         if job is not None and job.running:
-            layout.progress(factor=job.share, text=job.words)
+            layout.progress(factor=job.share)
+            sentence(context, layout, job.words)
             layout.operator("nlos.train_cancel", icon="CANCEL")
             return
         layout.operator("nlos.train", icon="EXPERIMENTAL")
         if job is not None:
-            _sentence(context, layout, job.words)
+            sentence(context, layout, job.words)
 
 
 register, unregister = bpy.utils.register_classes_factory((NLOS_PT_train,))

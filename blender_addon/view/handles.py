@@ -1,4 +1,7 @@
-"""Arrows on the faces of the voxel grid, while the overlay shows it: a drag moves the face."""
+"""Arrows on the faces of the voxel grid, while they are asked for: a drag moves the face.
+
+They take clicks that are meant for what stands behind them, so they are not there otherwise.
+"""
 
 # mypy: disable-error-code="misc"
 
@@ -26,9 +29,11 @@ class NLOS_GGT_grid(bpy.types.GizmoGroup):
 
     @classmethod
     def poll(cls, context: Any) -> bool:
-        """Return whether the overlay shows voxels."""
+        """Return whether the arrows are asked for, and the overlay shows voxels."""
         session = context.window_manager.nlos
-        return bool(session.overlay and session.show_voxels and roles.GRID_SHAPE in context.scene)
+        return bool(
+            session.show_handles and session.overlay and session.show_voxels and roles.GRID_SHAPE in context.scene
+        )
 
     def setup(self, context: Any) -> None:
         """Make the arrows."""

@@ -17,9 +17,9 @@ from typing import Any
 import bpy
 from bpy.app.handlers import persistent
 
-from generator.blender import check
+from generator.blender import check, remedies
 from generator.blender.engines import renderers, survey
-from generator.blender.finding import Finding
+from generator.blender.finding import WARNING, Finding
 from generator.blender.scene import geometry, materials, roles
 from generator.blender.scene.description import read_scene
 from generator.jobs.protocol import Question
@@ -43,6 +43,7 @@ _OFTEN, _SOON, _LONGEST = 0.01, 0.02, 0.03
 draws its window next, which takes longer than most answers; and that a step may take with such a wait."""
 
 _MOST_REASONS = 5
+_NONE = "No live picture"
 _TIMES, _MOST_STALLS = 400, 100_000
 
 
@@ -87,6 +88,10 @@ class _Look:
         that is whole, and of the last one with shadows.
     twice : list of Finding
         Roles that several objects play, so that there is no picture.
+    reasons : list of Finding
+        What else in the scene is in a picture's way.
+    lacking : bool
+        Whether what is in its way is that there is no environment.
     at : dict
         When questions were asked, by their number, `time.perf_counter`.
     """
@@ -103,6 +108,8 @@ class _Look:
     last_change: float = 0.0
     words: str = ""
     twice: list[Finding] = field(default_factory=list)
+    reasons: list[Finding] = field(default_factory=list)
+    lacking: bool = False
     pose: tuple[tuple[float, ...], tuple[float, ...]] | None = None
     asked: int = 0
     first: int = 0
@@ -129,6 +136,16 @@ def words() -> str:
 def played_twice() -> list[Finding]:
     """Return the roles that several objects play, if that is why there is no picture."""
     return _look.twice if _noted in bpy.app.handlers.depsgraph_update_post else []
+
+
+def reasons() -> list[Finding]:
+    """Return what is in a picture's way, if that is why there is none."""
+    return played_twice() or (_look.reasons if _look.words.startswith(_NONE) else [])
+
+
+def needs_environment() -> bool:
+    """Return whether there is no picture for want of an environment."""
+    return _look.lacking and not environment.named()
 
 
 def waits() -> bool:
@@ -390,6 +407,7 @@ def _instead(scene: Any, found: survey.Survey) -> str:
 def _read(scene: Any) -> None:
     """Read from the scene what a picture needs besides the pose, and write it for the process that draws."""
     old, _look.world_changed, _look.world = _look.world, False, None
+    _look.reasons, _look.lacking = [], False
     if old is not None:
         old.unlink(missing_ok=True)
     resolution = int(scene.nlos.look_resolution)
@@ -400,14 +418,16 @@ def _read(scene: Any) -> None:
     surveyed = survey.survey(scene, resolution=size)
     world = surveyed.world
     if world is None:
-        reasons = surveyed.reasons("surfel")
-        more = f"; and {len(reasons) - _MOST_REASONS} more" if len(reasons) > _MOST_REASONS else ""
-        listed = "; ".join(reasons[:_MOST_REASONS])
-        raise NlosError(f"No live picture: {listed}{more}{_instead(scene, surveyed)}")
-    if renderers.lacking(surveyed) and not environment.named():
+        found = [remedies.finding(scene, WARNING, why) for why in surveyed.reasons("surfel")]
+        _look.reasons = found[:_MOST_REASONS]
+        count = "1 thing is" if len(found) == 1 else f"{len(found)} things are"
+        shown = f", the first {_MOST_REASONS} of them here" if len(found) > _MOST_REASONS else ""
+        raise NlosError(f"{_NONE}: {count} in its way{shown}{_instead(scene, surveyed)}")
+    _look.lacking = bool(renderers.lacking(surveyed))
+    if _look.lacking and not environment.named():
         raise NlosError(
-            "No live picture: a furnished room needs packages that Blender's own Python lacks; Make Environment, in "
-            "the panel Answer, makes one that has them"
+            f"{_NONE}: a furnished room needs packages that Blender's own Python lacks; Make "
+            "Environment makes one that has them"
         )
     _look.first, _look.watched, _look.reference = _look.asked + 1, world.watched, described.reference_radiance
     _look.described = described

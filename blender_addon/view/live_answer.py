@@ -37,6 +37,8 @@ class _Live:
     answered: int = 0
     count: int = 0
     at: float = 0.0
+    begun: float = field(default_factory=time.monotonic)
+    told: int = 0
     stalls: list[float] = field(default_factory=list)
 
 
@@ -48,9 +50,23 @@ def words() -> list[str]:
     resident = _live.resident
     if resident is None:
         return _live.words
-    if resident.ended or not resident.about:
+    if resident.ended:
         return [resident.words]
+    since = _seconds()
+    if not resident.about:
+        return [f"The Python of the preferences starts and reads the model: {since} s. The first time takes longest"]
+    if not _live.asked and not _live.words:
+        return [resident.about, "Waiting for the first whole picture of the look"]
+    if _live.answered < _live.asked and since >= 1:
+        return [resident.about, f"Waiting for the answer: {since} s", *_live.words]
     return [resident.about, *_live.words]
+
+
+def _seconds() -> int:
+    """Return for how many whole seconds what comes next has been waited for."""
+    resident = _live.resident
+    started = resident is None or not resident.about or not _live.asked
+    return int(time.monotonic() - (_live.begun if started else _live.at))
 
 
 def waits() -> bool:
@@ -120,7 +136,9 @@ def _follow(shown: live.Whole | None) -> None:
             _live.words = ["The look is without the object's shadows, which a picture has: switch Shadows on"]
             _forget()
             return
-        _live.asked, _live.at = shown.number, start
+        if not waits() or not _live.asked:
+            _live.at = time.monotonic()
+        _live.asked = shown.number
         _live.resident.ask(
             PictureQuestion(
                 number=shown.number,
@@ -153,10 +171,10 @@ def _show() -> float | None:
         _forget()
         state.redraw("VIEW_3D")
         return None
-    if not resident.about:
+    if waits() and _live.told != _seconds():
+        _live.told = _seconds()
         state.redraw("VIEW_3D")
-        return _SELDOM
-    return _OFTEN if waits() else _SELDOM
+    return _OFTEN if waits() and resident.about else _SELDOM
 
 
 def _take(fields: dict[str, Any]) -> None:

@@ -2,7 +2,8 @@
 
 What is asked is what the answer would be about a picture that was taken, so a clean picture is first measured as the
 pictures were that the model was trained on, or that the atlas is made for. A model of clean pictures gets it clean.
-The noise is that of one seed, the same for every picture: answers follow from the picture alone.
+The noise is that of one seed, the same for every picture: answers follow from the picture alone. Noise of rendering,
+which a model's pictures may have had, is not added, since it is not known pixel by pixel: that is said.
 """
 
 from __future__ import annotations
@@ -25,6 +26,7 @@ from classify.pictures.sensor import Sensor, level_between
 from generator.files.pictures import Picture
 from generator.files.toml import from_dict
 from generator.model.arrays import Array
+from generator.model.engines import ENGINES
 from generator.model.errors import NlosError
 from generator.model.grid import VoxelGrid
 from generator.sets.readable import check_colours
@@ -215,9 +217,25 @@ class ByModel(Answerer):
             sentences.append(
                 f"the empty scene is {1.0 / level:.3g} times as bright as that of the training, which is made up for"
             )
+        if noise := self._rendering_noise():
+            sentences.append(noise)
         if target != trained:
             sentences.append(f"it was trained on a {trained}, and the look is of a {target}")
         return sentences
+
+    def _rendering_noise(self) -> str:
+        """Return what is to be said of the noise that its pictures had from rendering; empty if they had none."""
+        provenance = self._model.about.get("provenance")
+        sweep = provenance.get("sweep") if isinstance(provenance, dict) else None
+        engine = str(sweep.get("engine", "")) if isinstance(sweep, dict) else ""
+        if not isinstance(sweep, dict) or engine not in ENGINES or not ENGINES[engine].noisy:
+            return ""
+        by = f"{sweep['samples']} samples of {engine!r}" if sweep.get("samples") else repr(engine)
+        return (
+            f"it learnt from pictures with the noise of rendering, {by}, which the look's do not have: its "
+            "probabilities are those of a rendered picture only if that noise is far below the object's light; "
+            "Render Wall and Where Is It? ask about such a picture"
+        )
 
 
 class ByAtlas(Answerer):

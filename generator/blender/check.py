@@ -3,13 +3,12 @@
 from __future__ import annotations
 
 import itertools
-import re
 from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
 from typing import Any
 
 import bpy
 
-from generator.blender import check_sight, check_signal
+from generator.blender import check_sight, check_signal, remedies
 from generator.blender.engines import renderers, survey
 from generator.blender.engines.reading import MAX_ORDER
 from generator.blender.engines.settings import settled
@@ -108,12 +107,7 @@ def _told(scene: bpy.types.Scene, error: NlosError) -> Finding:
     """Return an error's message, without the leading file name, as a finding."""
     text = str(error).removeprefix(f"{bpy.data.filepath or 'scene'}: ")
     fix = "voxels" if "voxel grid" in text else ""
-    return Finding(ERROR, text, _named(scene, text), fix)
-
-
-def _named(scene: bpy.types.Scene, text: str) -> str:
-    """Return the first object of the scene that a sentence names; empty if there is none."""
-    return next((name for name in re.findall(r"'([^']*)'", text) if name in scene.objects), "")
+    return Finding(ERROR, text, remedies.named(scene, text), fix)
 
 
 def _roles(scene: bpy.types.Scene) -> list[Finding]:
@@ -195,7 +189,7 @@ def _voxels(scene: bpy.types.Scene, described: Scene) -> list[Finding]:
 def _engine(scene: bpy.types.Scene, engine: str) -> list[Finding]:
     surveyed = survey.survey(scene)
     if surveyed.never:
-        return [Finding(ERROR, f"It cannot be swept: {why}", _named(scene, why)) for why in surveyed.never]
+        return [remedies.finding(scene, ERROR, why, "It cannot be swept: {}") for why in surveyed.never]
     if engine == AUTO:
         return []
     chosen, _ = renderers.choose(scene, surveyed)
@@ -203,10 +197,8 @@ def _engine(scene: bpy.types.Scene, engine: str) -> list[Finding]:
         return []
     reasons = surveyed.reasons(engine)
     if reasons:
-        return [
-            Finding(ERROR, f"The engine {engine!r} cannot honour that {why}; {chosen!r} can", _named(scene, why))
-            for why in reasons
-        ]
+        text = f"The engine {engine!r} cannot honour that {{}}; {chosen!r} can"
+        return [remedies.finding(scene, ERROR, why, text) for why in reasons]
     by_cost = list(ENGINES)  # the most expensive first
     if by_cost.index(chosen) > by_cost.index(engine):
         return [Finding(NOTE, f"The engine {chosen!r} can render this scene too, in less time")]

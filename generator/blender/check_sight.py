@@ -7,14 +7,13 @@ from typing import Any
 
 import bpy
 import numpy as np
-from numpy.typing import ArrayLike
 
 from generator.blender.engines.lit_patch import other_lights
 from generator.blender.engines.reading import lights
 from generator.blender.engines.surface import Light
 from generator.blender.finding import ERROR, GOOD, NOTE, WARNING, Finding
 from generator.blender.lighting import Beam, Eyes
-from generator.blender.scene import clearance, geometry, roles
+from generator.blender.scene import clearance, geometry, nodes, roles
 from generator.model.arrays import Array
 from generator.model.grid import VoxelGrid
 from generator.model.scene import Scene
@@ -53,7 +52,7 @@ class _Sight:
         self._bounds = [grid.bounds(int(voxel)) for voxel in checked]
         self._points = [lo + lattice * (hi - lo) for lo, hi in self._bounds]
         self._lamp, self._camera = roles.find(scene, "spot"), roles.find(scene, "camera")
-        self._starts, self._corners = geometry.view(scene, self._camera, self._seen.matrices["camera"])
+        _, self._corners = geometry.view(scene, self._camera, self._seen.matrices["camera"])
         self._shown = {self._lamp: self._eyes.of_lamp(self._lamp), self._camera: self._eyes.rays("camera")}
         s, t = np.meshgrid(_PIXELS, _PIXELS)
         weights = np.stack([(1 - s) * (1 - t), s * (1 - t), s * t, (1 - s) * t], axis=-1).reshape(-1, 4)
@@ -85,12 +84,16 @@ class _Sight:
     def _around_the_corner(self) -> tuple[list[Finding], set[str]]:
         """Return findings about voxels that lamp or camera point at or are not hidden from, and the latter voxels."""
         results, unhidden_from_any = [], set[str]()
-        lamp, labels = self._seen.matrices["spot"][:3, 3], self._grid.labels
+        labels = self._grid.labels
         solids = clearance.sights(self._scene, self._described.spot, self._seen)
-        for obj, solid, verb in zip((self._lamp, self._camera), solids, ("shines", "looks"), strict=True):
-            eyes = self._shown[obj]
+        for obj, solid, role, verb in zip(
+            (self._lamp, self._camera), solids, ("spot", "camera"), ("shines", "looks"), strict=True
+        ):
+            eyes, start = self._shown[obj], self._seen.matrices[role][:3, 3]
             beam_points = eyes.passed(*solid.rays(_RINGS))
-            beam_points = beam_points[_inside(beam_points, self._grid.lo, self._grid.hi)]  # few
+            beam_points = beam_points[
+                _inside(beam_points, np.asarray(self._grid.lo), np.asarray(self._grid.hi))
+            ]  # few
             direct = [
                 label
                 for label, (lo, hi) in zip(self._labels, self._bounds, strict=True)
@@ -98,18 +101,14 @@ class _Sight:
             ]
             unhidden = []
             for label, points in zip(self._labels, self._points, strict=True):
-                # The rays of an orthographic camera are parallel and start at different points.
-                is_camera = obj == self._camera
-                origins = (
-                    _opposite(self._starts, self._corners, points) if is_camera else np.tile(lamp, (len(points), 1))
-                )
-                if label not in direct and eyes.clear(origins, points).any():
+                if label not in direct and eyes.clear(np.tile(start, (len(points), 1)), points).any():
                     unhidden.append(label)
             if direct:
                 text = (
-                    f"{obj.name!r} {verb} straight into {_voxels(direct, labels)}: nothing is around the corner there"
+                    f"{obj.name!r} {verb} straight into {_voxels(direct, labels)}: nothing is around the corner "
+                    "there; turn it away, or lay the voxels elsewhere"
                 )
-                results.append(Finding(ERROR, text, obj.name))
+                results.append(Finding(ERROR, text, obj.name, "voxels"))
             unhidden_from_any.update(unhidden)
             if unhidden:
                 voxels = _voxels(unhidden, labels)
@@ -123,10 +122,11 @@ class _Sight:
         w1, camera = np.asarray(self._described.spot.aim), self._described.camera
         if camera.x[0] <= w1[0] <= camera.x[1] and camera.z[0] <= w1[2] <= camera.z[1]:
             text = f"{lamp.name!r} lights the watched patch itself, which outshines the hidden object"
-            results.append(Finding(WARNING, f"{text} thousands of times", lamp.name))
-        if not self._shown[lamp].open(self._seen.matrices["spot"][:3, 3], w1):
-            text = f"Something stands between {lamp.name!r} and the wall that it lights"
-            results.append(Finding(ERROR, text, lamp.name))
+            text += " thousands of times; aim it at another part of the wall, or the camera"
+            results.append(Finding(WARNING, text, lamp.name))
+        if between := self._shown[lamp].between(self._seen.matrices["spot"][:3, 3], w1):
+            text = f"{between!r} stands between {lamp.name!r} and the wall that it lights; move it, or aim elsewhere"
+            results.append(Finding(ERROR, text, between if between in self._scene.objects else lamp.name))
         return results
 
     def _open(self) -> list[Finding]:
@@ -138,12 +138,14 @@ class _Sight:
             open_share = float((lit_share * self._eyes.share(points, self._watched)).mean())
             if open_share == 0.0:
                 patch = "the lit patch" if not lit_share.any() else "the watched patch"
-                results.append(Finding(ERROR, f"Voxel {label} does not see {patch}: what stands there stays unseen"))
+                text = f"Voxel {label} does not see {patch}: what stands there stays unseen; lay the voxels elsewhere"
+                results.append(Finding(ERROR, text, fix="voxels"))
             elif open_share < _HALF:
                 partly_open.append(f"{label} {open_share:.0%}")
         if partly_open:
             text = "Of the ways from the lit patch by way of a voxel to the watched patch, few are open"
-            results.append(Finding(WARNING, f"{text}: {', '.join(partly_open)}"))
+            remedy = "move what stands between, or lay the voxels elsewhere"
+            results.append(Finding(WARNING, f"{text}: {', '.join(partly_open)}; {remedy}"))
         return results
 
 
@@ -162,8 +164,21 @@ def _lights(
     results = []
     for (level, text), names in names_by_verdict.items():
         listed = ", ".join(map(repr, names[:3])) + (f" and {len(names) - 3} more" if len(names) > 3 else "")
-        results.append(Finding(level, f"Light of {listed} {text}", names[0] if names[0] in scene.objects else ""))
+        text = f"Light of {listed} {text}"
+        if level in (WARNING, ERROR):
+            text += f"; {_darkened(scene, names[0])}"
+        results.append(Finding(level, text, names[0] if names[0] in scene.objects else ""))
     return results
+
+
+def _darkened(scene: bpy.types.Scene, name: str) -> str:
+    """Return how an object would give no light."""
+    obj = scene.objects.get(name)
+    materials = [slot.material for slot in obj.material_slots if slot.material is not None] if obj else []
+    glowing = list(dict.fromkeys(repr(material.name) for material in materials if nodes.glows(material)))
+    if glowing:
+        return f"take the emission out of its material {' and '.join(glowing)}, or hide it from renders"
+    return "hide it from renders, or shade it from there"
 
 
 def _one_light(
@@ -212,23 +227,13 @@ def _one_light(
     return NOTE, "is in the scene too, hidden from the watched patch and from the voxels"
 
 
-def _any_inside(points: Array, lo: ArrayLike, hi: ArrayLike) -> bool:
+def _any_inside(points: Array, lo: Array, hi: Array) -> bool:
     return bool(_inside(points, lo, hi).any())
 
 
-def _inside(points: Array, lo: ArrayLike, hi: ArrayLike) -> Array:
+def _inside(points: Array, lo: Array, hi: Array) -> Array:
     within: Array = ((points > lo) & (points < hi)).all(axis=1)
     return within
-
-
-def _opposite(starts: Array, corners: Array, points: Array) -> Array:
-    """Return where a camera's rays to points start; its corner rays go from starts (4, 3) to corners (4, 3)."""
-    if np.ptp(starts, axis=0).max() == 0.0:
-        return np.tile(starts[0], (len(points), 1))
-    axis = corners[0] - starts[0]
-    depths = (points - starts[0]) @ axis / (axis @ axis)
-    origins: Array = points - depths[:, None] * axis
-    return origins
 
 
 def _voxels(labels: Sequence[str], every: Sequence[str]) -> str:

@@ -6,13 +6,14 @@ import itertools
 import math
 import time
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import bpy
 import numpy as np
 
 from generator.blender.engines import renderers, survey
 from generator.blender.finding import ERROR, GOOD, NOTE, WARNING, Finding
+from generator.blender.scene import roles
 from generator.blender.scene.description import read_scene
 from generator.measure import student
 from generator.model.arrays import Array
@@ -54,6 +55,8 @@ class Probe:
         Whether the share is known without noise, from the engine `surfel`.
     other : bool
         Whether `surfel` can render the scene as well.
+    target : str
+        Name of the object.
     """
 
     engine: str
@@ -66,16 +69,18 @@ class Probe:
     missed: int = 0
     exact: bool = False
     other: bool = False
+    target: str = ""
 
     def findings(self) -> list[Finding]:
         """Return the prediction as findings."""
         cost = f"A sweep takes about {rough_time(self.seconds)} and {byte_size(self.bytes)} on disk"
-        return [self._signal(), Finding(NOTE, cost)]
+        return [replace(self._signal(), object=self.target), Finding(NOTE, cost)]
 
     def _signal(self) -> Finding:
         if self.exact and self.signal_to_noise == 0.0:
             rounding = f"above the rounding of float32, {_share(ROUNDING)} of a pixel"
-            return Finding(ERROR, f"The object makes no change {rounding}, where it stands now")
+            remedy = "put it where the lit patch and the watched one see it, or give it a lighter material"
+            return Finding(ERROR, f"The object makes no change {rounding}, where it stands now; {remedy}")
         more = " or the engine 'surfel'" if self.other and self.engine != "surfel" else ""
         missed = f"none of {self.missed:,} samples of {self.engine!r} met it"
         if self.missed and not self.exact:
@@ -164,6 +169,7 @@ def probe(scene: bpy.types.Scene, sweep: Sweep) -> Probe:
         missed=missed,
         exact=known_exactly,
         other=other,
+        target=roles.find(scene, "target").name,
     )
 
 

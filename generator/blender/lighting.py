@@ -91,6 +91,17 @@ class Eyes:
         """Whether nothing stands between two points, each of shape (3,)."""
         return bool(self.clear(start[None], end[None])[0])
 
+    def between(self, start: Array, end: Array) -> str:
+        """Return the name of the first object between two points, each of shape (3,); empty if there is none."""
+        way = Vector(end - start)
+        index = self._tree.ray_cast(
+            Vector(start) + _SHORT * way, way.normalized(), (1.0 - 2.0 * _SHORT) * way.length
+        )[2]
+        if index is None:
+            return ""
+        ends = np.cumsum([len(o.triangles) for o in self._obstacles])
+        return str(self._obstacles[int(np.searchsorted(ends, index, side="right"))].objects[0].name)
+
     def clear(self, starts: Array, ends: Array) -> Array:
         """Return whether nothing stands between each of starts (n, 3) and its end (n, 3), as an array (n,)."""
         offsets = ends - starts

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import bpy
 from bpy_extras.view3d_utils import location_3d_to_region_2d
-from helpers import call, check, module, point, redraw, screenshot, tab, view3d, xdotool
+from helpers import call, check, click, module, point, redraw, screenshot, tab, view3d, xdotool
 from mathutils import Vector
 
 
@@ -50,6 +50,26 @@ def drag(axis, side, pixels, key=""):
     yield 0.3
 
 
+def selects_behind():
+    """Without its button there are no arrows, and a click where one would be selects what is there."""
+    before, (start, _) = grid(), arrow(2, 1)
+    target = module("generator.blender.scene.roles").find(bpy.context.scene, "target")
+    place = target.location.copy()
+    target.location = [(a + b) / 2.0 for a, b in zip(before.lo, before.hi, strict=True)]
+    target.location.z = before.hi[2]
+    with view3d():
+        for obj in bpy.context.scene.objects:
+            obj.select_set(False)
+    redraw()
+    yield 0.5
+    yield from click(*start)
+    yield 0.5
+    with view3d():
+        check(target.select_get(), "a click where an arrow would be selects the object there")
+    check(grid() == before, "and leaves the voxels alone")
+    target.location = place
+
+
 def dragged():
     settings = bpy.context.scene.nlos
     settings.preset = "room"
@@ -62,6 +82,10 @@ def dragged():
         view.view_rotation = Vector((-0.6, 1.0, -0.7)).to_track_quat("-Z", "Y")
     redraw()
     yield 1.0
+    yield from selects_behind()
+    bpy.context.window_manager.nlos.show_handles = True
+    redraw()
+    yield 0.5
     yield from screenshot("82-handles")
     for axis, side in ((0, 1), (0, 0), (2, 1), (1, 1)):
         before = grid()
@@ -90,6 +114,7 @@ def stopped():
     call(bpy.ops.ed.undo)
     yield 0.3
     check(grid() == before, "and that is undone")
+    bpy.context.window_manager.nlos.show_handles = False
     bpy.context.window_manager.nlos.overlay = False
     redraw()
     yield from screenshot("82-off")

@@ -40,9 +40,9 @@ def cancelled():
     yield 0.5
     yield from screenshot("86-asks")
     yield from xdotool("key", "Return")
-    yield from until(lambda: making().job is not None, "it begins once that is confirmed")
+    yield from until(lambda: making().job and making().job.running, "it begins once that is confirmed")
     gaps, last = [], time.monotonic()
-    while making().job is not None and "numba" not in making().job.words:
+    while making().job.running and "numba" not in making().job.words:
         yield 0.02
         gaps.append(time.monotonic() - last)
         last = time.monotonic()
@@ -50,7 +50,7 @@ def cancelled():
     yield from panel_picture("NLOS_PT_answer", "86-makes")
     check("package" in making().job.words, making().job.words)
     check(call(bpy.ops.nlos.cancel_environment) == {"FINISHED"}, "it can be cancelled")
-    yield from until(lambda: making().job is None, "it ends")
+    yield from until(lambda: not making().job.running, "it ends")
     check(not module("session.environment").own().exists(), "it is gone")
     check("Cancelled" in module("session.state").environment_words, module("session.state").environment_words)
 

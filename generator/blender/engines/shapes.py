@@ -134,14 +134,14 @@ def _gloss(glossy: nodes.Glossy) -> Array:
 def _material_flaw(material: Any) -> str:
     if material is None:
         return "has no material, so that Cycles takes one of its own, which is glossy"
-    shader = nodes.read(material)
+    shader, has = nodes.read(material), f"has a material ({material.name!r}) that"
     if shader.volume:
-        return "has a material that fills it with a volume"
+        return f"{has} fills it with a volume"
     if shader.displaced:
-        return "has a material that displaces it"
+        return f"{has} displaces it"
     if nodes.glows(material):
-        return "has a material that may give light of its own, which is not constant, or not all"
-    return "has a material that is not one constant colour, diffuse and with at most one gloss (GGX)"
+        return f"{has} may give light of its own, which is not constant, or not all"
+    return f"{has} is not one constant colour, diffuse and with at most one gloss (GGX)"
 
 
 def softening(obj: bpy.types.Object) -> float:

@@ -12,7 +12,7 @@ import mathutils
 import numpy as np
 from mathutils import Matrix
 
-from generator.blender.scene import geometry, relay, roles
+from generator.blender.scene import free_box, geometry, relay, roles
 from generator.blender.scene.words import numbers, vector
 from generator.model.arrays import Array, Vector
 from generator.model.errors import NlosError
@@ -22,6 +22,11 @@ ROLES = (*roles.SINGLE_ROLES, "room", "partition")
 
 _ROOMY = 1.25
 """A voxel's edge in units of the target's largest diameter, so that it can turn inside and move a little."""
+
+_LEAST = 0.25
+"""Edge of the smallest box in which voxels are laid, in units of the target's largest diameter."""
+
+_SLACK = 1e-6
 
 _STRAY = 1e-4
 """Distance from where it should be, in units of the scene's size, and angle, radians, at which an object is held."""
@@ -177,6 +182,15 @@ def align(scene: bpy.types.Scene) -> None:
 def fit_grid(scene: bpy.types.Scene, shape: tuple[int, int, int] = (3, 3, 1)) -> VoxelGrid:
     """Lay voxels around the target, each large enough for it to turn inside, and store them in the scene.
 
+    They keep within walls, off all objects, out of the lamp's cone and the camera's view, and in their shadow if the
+    target is. Where there is no room for so many, there are fewer along that axis.
+
+    Parameters
+    ----------
+    scene : bpy.types.Scene
+    shape : (int, int, int)
+        Most voxels along each axis.
+
     Raises
     ------
     NlosError
@@ -184,11 +198,16 @@ def fit_grid(scene: bpy.types.Scene, shape: tuple[int, int, int] = (3, 3, 1)) ->
     """
     seen = geometry.snapshot(scene)
     hull = geometry.hull(scene, seen)
-    edge = _ROOMY * max(1e-6, 2.0 * float(np.linalg.norm(hull, axis=1).max()))
-    size = edge * np.array(shape)
-    lo = seen.matrices["target"][:3, 3] - size / 2.0
+    diameter = max(1e-6, 2.0 * float(np.linalg.norm(hull, axis=1).max()))
+    place = seen.matrices["target"][:3, 3]
+    low, high = geometry.box_of(scene, roles.target_parts(scene), seen)
+    size = _ROOMY * diameter * np.array(shape)
+    least = np.full(3, _LEAST * diameter)
+    found = (free_box.free_box(scene, seen, around, least, size) for around in (place, (low + high) / 2.0))
+    lo, hi = next((box for box in found if box is not None), (place - size / 2.0, place + size / 2.0))
     lo[1] = max(lo[1], _LEFT_OVER * size[2])
-    grid = VoxelGrid(lo=_rounded(lo), hi=_rounded(lo + size), shape=shape)
+    counts = np.clip(np.floor((hi - lo) / (_ROOMY * diameter) + _SLACK), 1, shape).astype(int)
+    grid = VoxelGrid(lo=_rounded(lo), hi=_rounded(hi), shape=(int(counts[0]), int(counts[1]), int(counts[2])))
     roles.write_grid(scene, grid)
     return grid
 

@@ -69,7 +69,7 @@ def _read(scene: bpy.types.Scene, size: tuple[int, int]) -> Scene:
         wall=Wall(x=range_of(low, high, 0), z=range_of(low, high, 2), albedo=mean_albedo(colour)),
         room=_read_room(scene, room, seen) if room else None,
         partition=_read_partition(scene, screens, seen) if screens else None,
-        spot=_read_spot(lamp, seen.matrices["spot"]),
+        spot=read_spot(lamp, seen.matrices["spot"]),
         camera=_read_camera(scene, camera, seen.matrices["camera"]),
         grid=read_grid(scene),
         target=Target(
@@ -114,7 +114,8 @@ def lamp_power(light: Any) -> float:
     return float(light.energy * 2.0 ** getattr(light, "exposure", 0.0) * mean)
 
 
-def _read_spot(lamp: bpy.types.Object, place: Array) -> Spot:
+def read_spot(lamp: bpy.types.Object, place: Array) -> Spot:
+    """Return a spot lamp, placed by a transform (4, 4); raise NlosError if it does not point at the plane y = 0."""
     if lamp.type != "LIGHT" or lamp.data.type != "SPOT":
         raise NlosError(f"{file_name()}: the spot {lamp.name!r} must be a spot lamp")
     matrix = Matrix(place.tolist())

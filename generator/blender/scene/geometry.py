@@ -365,6 +365,11 @@ def view(scene: bpy.types.Scene, camera: bpy.types.Object, place: Array | None =
         The camera is neither perspective nor orthographic, or does not look at the wall.
     """
     starts, ways = corner_rays(scene, camera, place)
+    if camera.data.type == "ORTHO" and (ways[:, 1] < 0.0).all() and (starts[:, 1] <= 0.0).any():
+        raise NlosError(
+            f"{file_name()}: the camera {camera.name!r} is orthographic, and part of its picture starts behind the "
+            "relay wall (the plane y = 0); move it away from the wall, or lower its Orthographic Scale"
+        )
     if (ways[:, 1] >= 0.0).any() or (starts[:, 1] <= 0.0).any():
         raise NlosError(
             f"{file_name()}: the camera {camera.name!r} does not look at the relay wall (the plane y = 0)"

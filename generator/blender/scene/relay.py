@@ -166,7 +166,7 @@ def refuse_unwatched(scene: bpy.types.Scene, seen: geometry.Snapshot, plane: Rel
     if first is None:
         raise NlosError(
             f"{file_name()}: the camera {camera.name!r} does not look at the relay wall {wall.name!r}: in the middle "
-            "of its picture there is nothing; turn it to the face that the spot lights"
+            f"of its picture there is nothing; {_turned(camera)} the face that the spot lights"
         )
     if first.owner != wall:
         raise NlosError(
@@ -186,6 +186,12 @@ def refuse_unwatched(scene: bpy.types.Scene, seen: geometry.Snapshot, plane: Rel
         f"{file_name()}: the spot {lamp.name!r} lights one face of the relay wall {wall.name!r} and the camera "
         f"{camera.name!r} looks at another, {how}; both must look at faces in one plane"
     )
+
+
+def _turned(camera: bpy.types.Object) -> str:
+    if camera.data.type == "ORTHO":  # what it sees is as wide as its scale, and beside it by its shift
+        return "lower its Orthographic Scale, or move it before"
+    return "turn it to"
 
 
 def _triangles(shapes: Sequence[geometry.Shape]) -> Array:

@@ -10,6 +10,7 @@ import pytest
 import worlds
 from classify_helpers import make_bulk, make_seen
 
+from classify.classifiers.models import load
 from classify.inference import answerer, atlas_build, atlas_file
 from classify.pictures.sensor import Camera, Sensor
 from generator.files.pictures import write_picture
@@ -167,3 +168,25 @@ def test_what_is_no_model_is_refused_in_a_sentence(tmp_path, models):
             answerer.opened(path)
     with pytest.raises(NlosError, match="is not an atlas"):
         answerer.opened(models["clean"].with_suffix(".h5"))
+
+
+@pytest.mark.parametrize(
+    ("sweep", "words"),
+    [
+        (
+            {"engine": "patch", "samples": 256},
+            "the noise of rendering, 256 samples of 'patch', which the look's do not",
+        ),
+        ({"engine": "path"}, "the noise of rendering, 'path', which"),
+        ({"engine": "surfel", "accuracy": 1e-3}, ""),
+        ({"engine": "of another time"}, ""),
+        (None, ""),
+    ],
+)
+def test_noise_that_only_the_training_had_is_told(sweep, words, models, seen):
+    model = load(models["clean"])
+    model.about["provenance"]["sweep"] = sweep
+    asked = answerer.ByModel(models["clean"], model)
+    asked.look_at(scene(seen))
+    assert len(asked.doubts) == bool(words)
+    assert words in "".join(asked.doubts)

@@ -726,3 +726,35 @@ def test_what_is_deleted_between_two_parts_ends_a_check():
     found += parts
     [told] = [f for f in check.ordered(found) if f.level == ERROR]
     assert "no object is the spot" in told.text.lower()
+
+
+def test_an_orthographic_camera_is_told_what_is_right_for_it():
+    scene = built()
+    camera = roles.find(scene, "camera")
+    camera.data.type, camera.data.ortho_scale = "ORTHO", 0.5
+    bpy.context.view_layer.update()
+    assert not told(scene, ERROR)
+    assert any("hidden from lamp and camera" in f.text for f in told(scene, GOOD)), "from its place, as others"
+    camera.data.ortho_scale = 6.0
+    assert any("lower its Orthographic Scale" in f.text and f.object == camera.name for f in told(scene, ERROR))
+    camera.data.ortho_scale = 0.5
+    camera.location.y = 0.1
+    camera.rotation_euler.x += 0.6
+    bpy.context.view_layer.update()
+    [error] = told(scene, ERROR)
+    assert "part of its picture starts behind the relay wall" in error.text
+    assert error.object == camera.name
+
+
+def test_what_stands_before_the_lamp_is_named():
+    scene = built()
+    spot = read_scene(scene).spot
+    mesh = bpy.data.meshes.new("Book")
+    across = 0.05 * np.array([[-1, 0, -1], [1, 0, -1], [1, 0, 1], [-1, 0, 1]])
+    mesh.from_pydata((np.add(spot.location, spot.aim) / 2.0 + across).tolist(), [], [(0, 1, 2, 3)])
+    linked = bpy.data.collections.new("In the lamp's light")
+    scene.collection.children.link(linked)
+    linked.objects.link(bpy.data.objects.new("Book", mesh))
+    roles.find(scene, "spot").light_linking.blocker_collection = linked
+    bpy.context.view_layer.update()
+    assert any(f.object == "Book" and f.text.startswith("'Book' stands between 'Spot'") for f in told(scene, ERROR))
