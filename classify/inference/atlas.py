@@ -27,6 +27,10 @@ from generator.model.grid import VoxelGrid
 
 LEFT_OUT = 0.05
 """Root mean square over all pictures, in units of the noise, below which the remaining directions are dropped."""
+_SAME_NOISE = 0.05
+"""Relative difference of noise between bright and dark up to which two cameras count as alike but for their light."""
+_MOST_LEFT_OUT = 0.3
+"""Root mean square that an atlas may leave out of pictures of another camera, in units of their noise."""
 _FEWEST = 100.0
 """Electrons of the darkest pixel in all frames from which on a code grows with the square root of the frames."""
 
@@ -166,6 +170,37 @@ class Atlas:
             )
         scale = math.sqrt(frames / available)
         spread = 1.0 + (self.spread - 1.0) * frames / available
+        return self._scaled(scale, spread, replace(self.sensor, frames=frames))
+
+    def seen_by(self, sensor: Sensor) -> Atlas:
+        """Return the atlas for pictures of another camera, whose exposure is that of the atlas' radiance.
+
+        Codes follow from all electrons of a picture together: a camera that collects another number in as many frames
+        as it likes has codes of another length, as long as the same share of its noise is that of photons.
+
+        Raises
+        ------
+        NlosError
+            Its noise is distributed otherwise, or it collects so much light that the atlas leaves out too much.
+        """
+        light = np.maximum(self.background, 0.0)[..., None]
+        ratio = np.sqrt(self.sensor.variance(light) / sensor.variance(light))
+        scale = float(np.sqrt((ratio**2).mean()))
+        if float(np.abs(ratio / scale - 1.0).max()) > _SAME_NOISE:
+            raise NlosError(
+                "the atlas: is of a camera whose noise is distributed otherwise over bright and dark; make it with "
+                "this camera's noise: nlos-classify atlas SET -o FILE.atlas --sensor FILE.toml"
+            )
+        if self.left_out * scale > _MOST_LEFT_OUT:
+            raise NlosError(
+                f"the atlas: was made for {1.0 / scale**2:.2g} of the light that these pictures have collected, and "
+                f"leaves out too much for them; make it with --frames {math.ceil(self.sensor.frames * scale**2)}"
+            )
+        spread = 1.0 + sensor.frames / sensor.background_frames
+        return self._scaled(scale, spread, sensor)
+
+    def _scaled(self, scale: float, spread: float, sensor: Sensor) -> Atlas:
+        """Return the atlas for a sensor by which codes are ``scale`` times as long before their noise is 1."""
         old_factor = np.linalg.cholesky(noise_of(self.spread, self.nuisances))
         # Noise that pixels share grows in the code as other noise does; a drift grows with the code.
         drifts = len(self.nuisances) - self.shared
@@ -188,7 +223,7 @@ class Atlas:
             basis=basis[:kept],
             nuisances=grown * self.nuisances[:, :kept],
             spread=spread,
-            sensor=replace(self.sensor, frames=frames),
+            sensor=sensor,
             left_out=math.hypot(scale * self.left_out, float(residual[kept]) if kept < len(residual) else 0.0),
         )
 

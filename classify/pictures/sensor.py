@@ -411,6 +411,11 @@ class Sensor:
         return float(2**self.bits - 1)
 
     @property
+    def electrons_per_level(self) -> float:
+        """Electrons per grey level (1 / K of EMVA 1288); 0 where nothing is rounded."""
+        return self._step
+
+    @property
     def _step(self) -> float:
         """Electrons per grey level; 0 where nothing is rounded."""
         if not self.bits:
