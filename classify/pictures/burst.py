@@ -70,7 +70,9 @@ def _grey(frame: frames.Frame, path: Path, channel: str) -> NDArray[Any]:
     """Values of a frame, (height, width), if they are those of single pixels."""
     if frame.lossy or frame.gamma:
         why = "is compressed with loss" if frame.lossy else f"has a gamma ({frame.gamma})"
-        raise NlosError(f"{path}: {frame.name} {why}, which changes the noise; take raw frames, or linear PNG or TIFF")
+        raise NlosError(
+            f"{path}: {frame.name} {why}, which changes the noise; take raw frames, or linear PNG or TIFF"
+        )
     values = frame.values
     if values.shape[2] == 3 and channel:
         values = values[..., ("red", "green", "blue").index(channel)]
