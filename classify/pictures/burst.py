@@ -74,6 +74,8 @@ def _grey(frame: frames.Frame, path: Path, channel: str) -> NDArray[Any]:
             f"{path}: {frame.name} {why}, which changes the noise; take raw frames, or linear PNG or TIFF"
         )
     values = frame.values
+    if not np.isfinite(values).all():
+        raise NlosError(f"{path}: {frame.name} holds NaN or infinite values")
     if values.shape[2] == 3 and channel:
         values = values[..., ("red", "green", "blue").index(channel)]
     elif (values == values[..., :1]).all():
@@ -82,8 +84,6 @@ def _grey(frame: frames.Frame, path: Path, channel: str) -> NDArray[Any]:
         raise NlosError(
             f"{path}: {frame.name} is in colour; take one of --channel red and --channel blue, of raw files"
         )
-    if not np.isfinite(values).all():
-        raise NlosError(f"{path}: {frame.name} holds NaN or infinite values")
     return values
 
 
