@@ -61,6 +61,19 @@ def _add_locate(commands: Commands) -> None:
         help="take the first N pictures of a simulated set (default: all)",
     )
     parser.add_argument("-o", "--output", type=Path, metavar="FOLDER", help="for report.html and answers.csv")
+    parser.add_argument(
+        "--watch",
+        type=Path,
+        metavar="FOLDER",
+        help="in place of the set's pictures, answer those that a camera puts into this folder, treated as those of "
+        "the set were by nlos-classify import",
+    )
+    parser.add_argument(
+        "--patience",
+        type=float,
+        metavar="S",
+        help="with --watch: end when nothing has come for S seconds (default: when interrupted)",
+    )
     add_seed(parser, "of the sensor's noise")
     add_false_alarm(parser)
     add_atlas_options(parser, voxels=True)
@@ -294,7 +307,7 @@ def run_locate(options: argparse.Namespace) -> Answer:
     from classify.inference import evaluation
     from classify.report import page
     from generator.files.writing import write_text
-    from generator.sets.measured import has_own_noise
+    from generator.sets.measured import MeasuredSet
     from generator.sets.simulated import open_set
 
     models.check_seed(options.seed)
@@ -302,8 +315,10 @@ def run_locate(options: argparse.Namespace) -> Answer:
         check_output(options.output, folder=True)
     atlas = loaded(options)
     dataset = open_set(options.dataset, options.count)
-    if has_own_noise(dataset):
+    if MeasuredSet.exists(options.dataset):
         return photographs.locate(options, atlas, dataset)
+    if options.watch is not None:
+        raise NlosError(f"--watch: {options.dataset} was not made by nlos-classify import, which says how")
     with progress_bar("locating", "pictures") as progress:
         answers = evaluation.run(
             atlas,
@@ -444,7 +459,7 @@ def run_track(options: argparse.Namespace) -> Answer:
     from classify.report import page
     from generator.files.writing import write_text
     from generator.sets.dataset import Dataset
-    from generator.sets.measured import MeasuredSet, has_own_noise
+    from generator.sets.measured import MeasuredSet
 
     models.check_seed(options.seed)
     gaps = [_gap(text) for text in options.gap]
@@ -456,8 +471,8 @@ def run_track(options: argparse.Namespace) -> Answer:
         print(frame_words(record.index, step, atlas.grid.labels), flush=True)
 
     atlas = loaded(options)
-    if MeasuredSet.exists(options.dataset) and has_own_noise(measured := MeasuredSet.open(options.dataset)):
-        return photographs.track(options, atlas, measured)
+    if MeasuredSet.exists(options.dataset):
+        return photographs.track(options, atlas, MeasuredSet.open(options.dataset))
     dataset = Dataset.open(options.dataset)
     for first, last in gaps:
         if first >= dataset.planned:

@@ -9,11 +9,13 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from classify.cli.options import progress_bar
+from generator.cli import console, volume
 from generator.cli.answer import Answer, Interval, interval
 from generator.model.errors import NlosError
 
 if TYPE_CHECKING:
     from classify.inference.atlas import Atlas
+    from classify.inference.photographs import Answers
     from classify.inference.tracker import Step
     from generator.model.poses import PoseRecord
     from generator.sets.readable import PictureSet
@@ -24,10 +26,12 @@ _FEW = 20
 
 def locate(options: argparse.Namespace, atlas: Atlas, dataset: PictureSet) -> Answer:
     """Answer each picture, and say how often answers are right as far as that is known."""
-    from classify.cli.locate import Located, Location
     from classify.inference import photographs
-    from generator.files.writing import write_text
 
+    if options.watch is not None:
+        return _watch(options, atlas, dataset)
+    if options.patience is not None:
+        raise NlosError("--patience: means nothing without --watch")
     with progress_bar("locating", "pictures") as progress:
         answers = photographs.answers(
             atlas,
@@ -36,8 +40,44 @@ def locate(options: argparse.Namespace, atlas: Atlas, dataset: PictureSet) -> An
             seed=options.seed,
             progress=lambda done, total: progress(done, total, ""),
         )
+    return _answer(options, answers, answers.lines() if len(answers.found) <= _FEW else [])
+
+
+def _watch(options: argparse.Namespace, atlas: Atlas, dataset: PictureSet) -> Answer:
+    """Answer pictures as they come into a folder."""
+    from classify.inference import photographs
+    from classify.pictures import arrivals
+    from classify.pictures.recipe import FILE, Recipe
+
+    if options.patience is not None and not options.patience > 0.0:
+        raise NlosError(f"--patience {options.patience:g}: must be positive, seconds")
+    recipe = Recipe.load(dataset.path / FILE)
+    loud = not volume.current().json
+
+    def told(name: str, found: photographs.Found) -> None:
+        if loud:
+            print(f"{name}: {found.words(atlas.grid.labels)}", flush=True)
+
+    answers = photographs.live(
+        atlas,
+        dataset,
+        recipe,
+        arrivals.come(options.watch, options.patience, complain=console.complain),
+        false_alarm=options.false_alarm,
+        seed=options.seed,
+        told=told,
+        complain=console.complain,
+    )
+    if not answers.found:
+        raise NlosError(f"{options.watch}: no picture came")
+    return _answer(options, answers, [])
+
+
+def _answer(options: argparse.Namespace, answers: Answers, lines: list[str]) -> Answer:
+    from classify.cli.locate import Located, Location
+    from generator.files.writing import write_text
+
     seconds = float(np.median([found.seconds for found in answers.found]))
-    lines = answers.lines() if len(answers.found) <= _FEW else []
     lines.append(f"something is found in {answers.detected().percent()} of {len(answers.found)} pictures")
     if accuracy := answers.accuracy():
         lines.append(f"right voxel in {accuracy.percent()} of those whose voxel is known")
@@ -93,7 +133,7 @@ def track(options: argparse.Namespace, atlas: Atlas, dataset: PictureSet) -> Ans
     def report(record: PoseRecord, step: Step) -> None:
         print(frame_words(record.index, step, atlas.grid.labels), flush=True)
 
-    tracked = photographs.track(atlas, dataset, step=options.step, told=report)
+    tracked = photographs.track(atlas, dataset, step=options.step, seed=options.seed, told=report)
     found = sum(step.found for step in tracked.steps)
     lines = [f"something is there in {found} of {len(tracked.steps)} frames"]
     errors = tracked.errors
