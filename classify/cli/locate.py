@@ -26,7 +26,10 @@ from generator.model.errors import NlosError
 
 if TYPE_CHECKING:
     from classify.inference.evaluation import Evaluation
+    from classify.inference.photographs import Answers
+    from classify.inference.photographs import Tracked as Followed
     from classify.inference.tracker import Step
+    from generator.model.poses import PoseRecord
 
 
 def add_parsers(commands: Commands) -> None:
@@ -316,7 +319,7 @@ def run_locate(options: argparse.Namespace) -> Answer:
     atlas = loaded(options)
     dataset = open_set(options.dataset, options.count)
     if MeasuredSet.exists(options.dataset):
-        return photographs.locate(options, atlas, dataset)
+        return _of_photographs(photographs.locate(options, atlas, dataset))
     if options.watch is not None:
         raise NlosError(f"--watch: {options.dataset} was not made by nlos-classify import, which says how")
     with progress_bar("locating", "pictures") as progress:
@@ -371,6 +374,72 @@ def run_locate(options: argparse.Namespace) -> Answer:
         files=files,
     )
     return Answer(values, text)
+
+
+def _of_photographs(told: photographs.Told[Answers]) -> Answer:
+    answers = told.answers
+    values = Located(
+        quality=[],
+        accuracy=_or_none(answers.accuracy()),
+        error=_or_none(answers.error()),
+        covered=_or_none(answers.covered()),
+        false_alarms=None,
+        seconds=float(np.median([found.seconds for found in answers.found])),
+        level=answers.level,
+        mismatch=answers.mismatch,
+        doubts=list(answers.doubts),
+        answers=[
+            Location(
+                file=record.file,
+                truth=record.label or None,
+                label=answers.labels[found.place.voxels.argmax()],
+                probability=float(found.place.voxels.max()),
+                true_position=list(record.position) if record.placed else None,
+                position=found.place.position.tolist(),
+                deviation=np.sqrt(np.diag(found.place.covariance)).tolist(),
+                evidence=found.evidence,
+                detected=found.detected,
+                misfit=found.misfit,
+            )
+            for record, found in zip(answers.records, answers.found, strict=True)
+        ],
+        files=told.files,
+    )
+    return Answer(values, told.lines, 1 if answers.doubts else 0)
+
+
+def _of_walk(told: photographs.Told[Followed], labels: Sequence[str]) -> Answer:
+    tracked = told.answers
+    errors = tracked.errors
+    values = Tracked(
+        frames=[
+            Frame(
+                frame=record.index,
+                there=None,
+                presence=step.presence,
+                label=labels[int(step.voxels.argmax())],
+                position=step.position.tolist(),
+                deviation=np.sqrt(np.diag(step.covariance)).tolist(),
+                covariance=step.covariance.tolist(),
+                true_position=list(record.position) if record.placed else None,
+            )
+            for record, step in zip(tracked.records, tracked.steps, strict=True)
+        ],
+        error=None,
+        trajectory_error=float(np.sqrt((errors**2).mean())) if len(errors) else None,
+        accuracy=None,
+        covered=None,
+        presence=None,
+        found_again=[],
+        atlas_covered=None,
+        words=told.lines,
+        files=told.files,
+    )
+    return Answer(values, told.lines, 1 if tracked.doubts else 0)
+
+
+def _or_none(value: object) -> Interval | None:
+    return None if value is None else interval(value)
 
 
 def _quality(answers: Evaluation) -> list[Quality]:
@@ -472,7 +541,12 @@ def run_track(options: argparse.Namespace) -> Answer:
 
     atlas = loaded(options)
     if MeasuredSet.exists(options.dataset):
-        return photographs.track(options, atlas, MeasuredSet.open(options.dataset))
+
+        def report_one(record: PoseRecord, step: Step) -> None:
+            print(frame_words(record.index, step, atlas.grid.labels), flush=True)
+
+        measured = MeasuredSet.open(options.dataset)
+        return _of_walk(photographs.track(options, atlas, measured, report_one), atlas.grid.labels)
     dataset = Dataset.open(options.dataset)
     for first, last in gaps:
         if first >= dataset.planned:
