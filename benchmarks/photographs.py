@@ -10,6 +10,10 @@ from __future__ import annotations
 import argparse
 import subprocess
 import sys
+import tempfile
+import threading
+import time
+from collections.abc import Iterator
 from pathlib import Path
 
 import numpy as np
@@ -19,9 +23,13 @@ sys.path.append(str(Path(__file__).resolve().parents[1] / "tests" / "support"))
 import cameras
 
 from classify.cli.main import main as classify
-from classify.inference import atlas_build
+from classify.inference import atlas_build, photographs
+from classify.inference.atlas import Atlas
 from classify.inference.posterior import holds, locate
 from classify.intervals import wilson
+from classify.pictures import arrivals
+from classify.pictures.frames import Frame
+from classify.pictures.recipe import FILE, Recipe
 from classify.pictures.sensor import Sensor
 from classify.pictures.taken import Taken
 from generator.sets.bulk_set import Bulk
@@ -50,8 +58,18 @@ RESULTS = {
         "median error (cm)",
         "truth in 95 % region (%)",
         "places apart",
-    )
+    ),
+    "photographs-live": (
+        "frame (pixels)",
+        "frames a second",
+        "from the last byte to the answer, median (ms)",
+        "95 % (ms)",
+        "of it the answer (ms)",
+        "answered",
+    ),
 }
+LIVE = 200
+RATE = 20.0
 
 
 def generate(*words: object) -> None:
@@ -66,10 +84,9 @@ def smaller(picture: np.ndarray) -> np.ndarray:
     return grey.reshape(height // FINER, FINER, width // FINER, FINER).mean(axis=(1, 3))
 
 
-def rows(folder: Path, simulated: Path, cycles: Path) -> list[tuple[object, ...]]:
+def rows(folder: Path, atlas: Atlas, cycles: Path, pixels: int) -> list[tuple[object, ...]]:
     """Return the table's rows; the camera's files go into a folder."""
-    bulk, rendered = Bulk.open(simulated), Dataset.open(cycles)
-    atlas = atlas_build.build(bulk, Sensor(full_well=1e6, bits=0, read_noise=20.0, frames=10))
+    rendered = Dataset.open(cycles)
     empty = rendered.background().mean(axis=2, dtype=np.float64)
     light = [rendered.picture(record).mean(axis=2, dtype=np.float64) for record in rendered.records]
     table = []
@@ -80,7 +97,7 @@ def rows(folder: Path, simulated: Path, cycles: Path) -> list[tuple[object, ...]
             files = folder / f"{name.partition('-')[0]}-{frames}"
             taken(files, camera, empty, light, rendered, frames)
             given = [f"{files}/shots", "--background", f"{files}/empty", "--dark", f"{files}/dark"]
-            given += ["--flat", f"{files}/flat", "--like", str(cycles), "--resolution", str(bulk.picture_shape[0])]
+            given += ["--flat", f"{files}/flat", "--like", str(cycles), "--resolution", str(pixels)]
             given += [
                 "--corners",
                 *map(str, CORNERS.ravel()),
@@ -119,7 +136,7 @@ def taken(
     (files / "labels.csv").write_text("\n".join(lines))
 
 
-def compared(path: Path, atlas: object, rendered: Dataset) -> tuple[object, ...]:
+def compared(path: Path, atlas: Atlas, rendered: Dataset) -> tuple[object, ...]:
     """Return how an imported set differs from the rendered one."""
     made = open_set(path)
     seen = Taken(made, atlas.background)
@@ -159,6 +176,66 @@ def compared(path: Path, atlas: object, rendered: Dataset) -> tuple[object, ...]
     )
 
 
+def live(folder: Path, atlas: Atlas, path: Path, cycles: Path) -> list[tuple[object, ...]]:
+    """Return how fast frames are answered that come into a folder, of several sizes."""
+    made, rendered, table = open_set(path), Dataset.open(cycles), []
+    picture = rendered.picture(rendered.records[0]).mean(axis=2, dtype=np.float64)
+    for times in (1, 3):
+        shape, corners = tuple(times * size for size in SHAPE), times * (CORNERS + 0.5) - 0.5
+        camera = cameras.Camera(corners, shape, **CAMERAS["16-bit PNG"])
+        camera.exposure = 0.8 * 8000.0 / picture.max()
+        light, rng = camera.light(picture), np.random.default_rng(0)
+        frames = [file.read_bytes() for file in camera.take(folder / f"source-{times}", light, rng, 10)]
+        empty = camera.light(rendered.background().mean(axis=2, dtype=np.float64))
+        camera.take(folder / f"empty-{times}", empty, rng, 10)
+        given = [f"{folder}/source-{times}", "--background", f"{folder}/empty-{times}", "--like", str(cycles)]
+        given += ["--resolution", str(made.picture(made.records[0]).shape[1]), "--black", str(camera.black)]
+        given += ["--electrons", str(camera.electrons), "--corners", *map(str, corners.ravel())]
+        if classify(["import", *given, "-o", f"{folder}/set-{times}"]):
+            raise SystemExit(1)
+        table.append(
+            (f"{shape[1]} x {shape[0]}", f"{RATE:g}", *_timed(folder, atlas, folder / f"set-{times}", frames))
+        )
+        print(*table[-1], sep=", ", flush=True)
+    return table
+
+
+def _timed(folder: Path, atlas: Atlas, path: Path, frames: list[bytes]) -> tuple[object, ...]:
+    """Write frames into a folder, one after the other, and time the answers."""
+    watched = folder / f"{path.name}-watched"
+    watched.mkdir()
+    written: dict[str, float] = {}
+    told: dict[str, float] = {}
+    whole = threading.Event()
+
+    def write() -> None:
+        whole.wait()
+        start = time.perf_counter()
+        for number in range(LIVE):
+            time.sleep(max(0.0, start + number / RATE - time.perf_counter()))
+            (watched / f"{number}.png").write_bytes(frames[number % len(frames)])
+            written[f"{number}.png"] = time.perf_counter()
+
+    def coming() -> Iterator[Frame]:
+        whole.set()  # the atlas is ready
+        yield from arrivals.come(watched, 1.0)
+
+    writer = threading.Thread(target=write)
+    writer.start()
+    answers = photographs.live(
+        atlas,
+        open_set(path),
+        Recipe.load(path / FILE),
+        coming(),
+        told=lambda name, found: told.setdefault(name, time.perf_counter()) and None,
+    )
+    writer.join()
+    late = 1000.0 * np.array([told[name] - written[name] for name in told])
+    own = 1000.0 * float(np.median([found.seconds for found in answers.found]))
+    middle, most = np.median(late), np.quantile(late, 0.95)
+    return f"{middle:.1f}", f"{most:.1f}", f"{own:.1f}", f"{len(told)} of {LIVE}"
+
+
 def main() -> None:
     """Make the sets, and write the table."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
@@ -181,8 +258,12 @@ def main() -> None:
         *("sweep", scene, "-o", folder / "cycles", "--engine", "patch", "--poses", options.poses, "--seed", 5),
         *("--samples", options.samples, "--resolution", FINER * pixels, "--inside", "centre", "--no-probe"),
     )
-    table = rows(folder / "taken", folder / "bulk", folder / "cycles")
-    results.write(options.output, "photographs", RESULTS["photographs"], table)
+    atlas = atlas_build.build(Bulk.open(folder / "bulk"), Sensor(full_well=1e6, bits=0, read_noise=20.0, frames=10))
+    with tempfile.TemporaryDirectory(dir=folder) as files:
+        table = rows(Path(files), atlas, folder / "cycles", pixels)
+        results.write(options.output, "photographs", RESULTS["photographs"], table)
+        timed = live(Path(files), atlas, Path(files, "16-1", "set"), folder / "cycles")
+        results.write(options.output, "photographs-live", RESULTS["photographs-live"], timed)
 
 
 if __name__ == "__main__":
