@@ -132,6 +132,11 @@ class Atlas:
             return codes @ self.codes.T - self._half_squares
         return self._strengths.logs(codes @ self.added.T, codes @ self.hiding.T)
 
+    @property
+    def shared(self) -> int:
+        """Number of the last nuisances, which are noise that pixels share and not drifts."""
+        return self.sensor.shared_count(self.background.shape)
+
     def example(self, pose: int, rng: np.random.Generator) -> Array:
         """Return the noiseless code (k,) of the object at a pose; if size and albedo are unknown, of random ones."""
         code: Array = self.codes[pose].astype(np.float64)
@@ -197,7 +202,12 @@ class Atlas:
     def _scaled(self, scale: float, spread: float, sensor: Sensor) -> Atlas:
         """Return the atlas for a sensor by which codes are ``scale`` times as long before their noise is 1."""
         old_factor = np.linalg.cholesky(noise_of(self.spread, self.nuisances))
-        new_factor = np.linalg.cholesky(noise_of(spread, scale * self.nuisances))
+        # Noise that pixels share grows in the code as other noise does; a drift grows with the code.
+        drifts = len(self.nuisances) - self.shared
+        grown = np.where(np.arange(len(self.nuisances)) < drifts, scale, math.sqrt(spread / self.spread)).astype(
+            np.float32
+        )[:, None]
+        new_factor = np.linalg.cholesky(noise_of(spread, grown * self.nuisances))
         change = np.linalg.solve(new_factor, old_factor)
         codes = (scale * self.codes @ change.T).astype(np.float32)
         hiding = None if self.hiding is None else (scale * self.hiding @ change.T).astype(np.float32)
@@ -211,7 +221,7 @@ class Atlas:
             codes=np.ascontiguousarray(codes[:, :kept]),
             hiding=None if hiding is None else np.ascontiguousarray(hiding[:, :kept]),
             basis=basis[:kept],
-            nuisances=scale * self.nuisances[:, :kept],
+            nuisances=grown * self.nuisances[:, :kept],
             spread=spread,
             sensor=sensor,
             left_out=math.hypot(scale * self.left_out, float(residual[kept]) if kept < len(residual) else 0.0),
@@ -258,7 +268,9 @@ class Atlas:
         empty = self.empty
         if background is not None:
             self._check(background, f"{name}: its background")
-            empty = self.sensor.stabilised_mean(background)  # averages so many frames that it counts as known
+            empty = self.sensor.stabilised_mean(
+                background, measured=True
+            )  # averages so many frames that it counts as known
         self._check(picture, name)
         difference: Array = (self.sensor.stabilised(picture) - empty).ravel()
         return difference
