@@ -1,4 +1,4 @@
-"""What is not known exactly of a scene: joint standard deviations of its values, and furniture that nobody measured."""
+"""What is not known exactly of a scene: joint deviations of its values, and furniture that nobody measured."""
 
 from __future__ import annotations
 
@@ -44,7 +44,7 @@ _ROUNDING = 1e-6
 @documented
 @dataclass(frozen=True, kw_only=True)
 class Furniture:
-    """Boxes on the floor of the room that nobody knows: their number, edges, places and albedos are drawn at random."""
+    """Boxes on the floor that nobody knows: number, edges, places and albedos are drawn at random."""
 
     boxes: tuple[int, int] = described(
         "least and largest number of boxes; each number is as likely", (0, 3), lo=0, hi=20
@@ -130,7 +130,7 @@ class Uncertainty:
             mean_of(scene, name)
 
     def draw(self, scene: Mapping[str, Any], seed: int, voxel: int, index: int, *, stream: int = 0) -> Values:
-        """Return the values of a pose's scene, which follow from the set's seed, the voxel and the pose's index in it.
+        """Return the values of a pose's scene; they follow from the set's seed, the voxel and the index in it.
 
         They are jointly normal about those of the scene; while one is not physical, all are drawn again.
 
@@ -161,7 +161,7 @@ class Uncertainty:
             if all(low <= value <= high for value, (low, high) in zip(values, bounds, strict=True)):
                 return tuple(zip(self.names, values, strict=True))
         raise NlosError(
-            f"uncertain: {_TRIES} draws of {', '.join(self.names)} gave none that is physical; state smaller deviations"
+            f"uncertain: {_TRIES} draws of {', '.join(self.names)} gave none that is physical; state less"
         )
 
 
