@@ -14,11 +14,12 @@ from scipy.stats import chi2
 
 from classify.inference.atlas import Atlas
 from classify.inference.detect import Detector, evidence
-from classify.inference.misfit import Misfits, doubt
+from classify.inference.misfit import Misfits, doubt, doubt_of_backgrounds
 from classify.inference.posterior import Place, holds, locate
 from classify.intervals import Interval, exceedance, median, share
 from classify.pictures.leak import refuse_shared
 from classify.pictures.sensor import Camera
+from generator.files.pictures import Picture
 from generator.files.writing import csv_text
 from generator.measure import figures
 from generator.model.arrays import Array
@@ -257,6 +258,11 @@ def doubts(atlas: Atlas, kind: str, *, level: float, mismatch: float) -> list[st
     return sentences
 
 
+def _strange(atlas: Atlas, background: Picture) -> float:
+    """Return the probability that a background of the stated scene differs as much from the atlas'."""
+    return 1.0 if atlas.uncertain is None else atlas.uncertain.misfit(atlas.shift(background))
+
+
 def run(
     atlas: Atlas,
     dataset: PictureSet,
@@ -309,21 +315,27 @@ def run(
         raise NlosError(f"{dataset.path}: shows {1 + len(records[0].others)} objects at once; locate answers for one")
     positions = np.array([r.position for r in records])
     refuse_shared(atlas.positions, positions, "the atlas", str(dataset.path))
-    camera = Camera(dataset, atlas.sensor, seed, like=atlas.background)
+    uncertain = atlas.uncertain is not None
+    camera = Camera(dataset, atlas.sensor, seed, like=atlas.background, any_shape=uncertain)
     measured, clean = [camera.background(k) for k in range(min(backgrounds, len(records)))], camera.empty()
     draws, empty_draws = (np.arange(n) % len(measured) for n in (len(records), empty))
     if dataset.own_backgrounds:
         draws = np.arange(len(records))
     misfit, misfits = Misfits(atlas, seed=seed), []
     codes, places, seconds = [], [], []
+    given = {} if dataset.own_backgrounds else {k: atlas.given(one) for k, one in enumerate(measured)}
+    strange = [_strange(atlas, background) for background in measured] if not dataset.own_backgrounds else []
     for done, record in enumerate(records):
         picture = camera.picture(record)
         start = time.perf_counter()
         background = camera.background_of(record) if dataset.own_backgrounds else measured[draws[done]]
         difference = atlas.difference(picture, background, name=str(dataset.path / record.file))
         codes.append(atlas.code_of(difference))
-        places.append(locate(atlas, codes[-1], seed=seed))
-        misfits.append(misfit(difference, codes[-1]).probability)
+        conditioned = given.get(int(draws[done])) or atlas.given(background)
+        places.append(locate(conditioned, codes[-1], seed=seed))
+        misfits.append(misfit(difference, codes[-1], conditioned).probability)
+        if dataset.own_backgrounds:
+            strange.append(_strange(atlas, background))
         seconds.append(time.perf_counter() - start)
         progress(done + 1, len(records))
     rng = np.random.default_rng([seed, 5])
@@ -348,7 +360,13 @@ def run(
             filter(
                 None,
                 [
-                    *doubts(atlas, dataset.target_kind, level=camera.level, mismatch=camera.mismatch),
+                    *doubts(
+                        atlas,
+                        dataset.target_kind,
+                        level=1.0 if uncertain else camera.level,
+                        mismatch=camera.mismatch,
+                    ),
+                    doubt_of_backgrounds(np.array(strange)),
                     doubt(np.array(misfits)),
                 ],
             )

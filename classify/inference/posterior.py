@@ -279,6 +279,10 @@ def _sharpened(
     terms = _quadratic((poses - centre) / scale)
     root_weights = np.sqrt(tempered)[:, None]
     codes = _parts(atlas, neighbours)
+    if atlas.uncertain is not None:  # what scatters is put on the scale of unit noise as well
+        factor = np.linalg.cholesky(atlas.uncertain.covariance(neighbours, tempered))
+        codes = [np.linalg.solve(factor, codes[0].T).T]
+        code = np.linalg.solve(factor, code.astype(np.float64)).astype(np.float32)
     surfaces = [np.linalg.lstsq(terms * root_weights, part * root_weights, rcond=None)[0] for part in codes]
     # The misfit of the surface adds to the noise.
     fitted_codes = [terms @ surface for surface in surfaces]

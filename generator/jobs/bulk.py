@@ -150,9 +150,11 @@ class Engine:
     bulk : Bulk
     threads : int
         Threads of the engine; 0 takes all cores.
+    as_stated : bool
+        Whether `pictures` are of the scene as it is stated, although it is uncertain.
     """
 
-    def __init__(self, bulk: Bulk, *, threads: int = 0) -> None:
+    def __init__(self, bulk: Bulk, *, threads: int = 0, as_stated: bool = False) -> None:
         from generator.transport import Transport  # imported here: readers of sets need no compiler
 
         plan = bulk.plan
@@ -160,7 +162,8 @@ class Engine:
         self._varies = bool(bulk.plan.vary)
         self._make = partial(Transport, accuracy=plan.accuracy, threads=threads)
         self._world = bulk.world().seen_by(*plan.resolution)
-        self._known = None if plan.unknown or plan.targets > 1 or plan.uncertain else self._make(self._world)
+        several = plan.unknown or plan.targets > 1 or (plan.uncertain and not as_stated)
+        self._known = None if several else self._make(self._world)
         self._last: Transport | None = None
 
     def pictures(

@@ -38,7 +38,7 @@ NAMES = tuple(_PHYSICAL)
 SALT = 2000
 """Distinguishes the stream of these draws from those of `generator.model.variation` and of the poses."""
 ATTEMPTS = 100
-"""Most draws of a pose's scene until one has room for the target at the pose, and lets lamp and camera see the wall."""
+"""Most draws of a pose's scene until one has room for the target there, and lets lamp and camera see the wall."""
 _TRIES = 10_000
 _ROUNDING = 1e-6
 

@@ -43,7 +43,7 @@ def unknown_furniture(
     """
     room = scene.get("room")
     if not room:
-        raise NlosError("uncertain: [furniture] needs a room that it stands in, and this scene has none; leave it out")
+        raise NlosError("uncertain: [furniture] needs a room to stand in, and this scene has none; leave it out")
     radius = max((float(np.linalg.norm(corner)) for corner in _extremes(world)), default=0.0)
     ends = _sight(world)
     taken: list[tuple[Array, float]] = []
@@ -101,9 +101,7 @@ def _in_partition(scene: Mapping[str, Any], centre: Array, across: float) -> boo
     return bool(inside and y[0] - across - _APART < centre[1] < y[1] + across + _APART)
 
 
-def _is_free(
-    middle: Array, half: Array, turn: Array, place: Array, radius: float, ends: tuple[Array, Array]
-) -> bool:
+def _is_free(middle: Array, half: Array, turn: Array, place: Array, radius: float, ends: tuple[Array, Array]) -> bool:
     """Whether a box leaves target, lamp's cone and camera's view free; lines against its slabs in its own frame."""
     offset = np.maximum(np.abs((place - middle) @ turn) - half, 0.0)
     if np.linalg.norm(offset) <= radius + _APART:
