@@ -123,9 +123,7 @@ def _of_uncertain(
     """Build an atlas of a set whose scene is drawn at every pose (`classify.inference.uncertain`)."""
     bulk, plan = bulks[0], bulks[0].plan
     if len(bulks) > 1:
-        raise NlosError(
-            f"{bulk.path}: is of an uncertain scene, and an atlas takes one such set; leave the others out"
-        )
+        raise NlosError(f"{bulk.path}: is of an uncertain scene, and an atlas takes one such set; leave others out")
     if unknown:
         raise NlosError("--unknown: a set of an uncertain scene says itself how size and albedo vary; leave it out")
     if lamp_drift or ambient_drift:

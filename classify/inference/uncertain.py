@@ -5,8 +5,8 @@ much its code differs from that of the scene as stated is a smooth function of t
 fitted around each pose by what neighbouring poses drew: linear in the background, which a lab measures, and in the
 drawn values that the background does not tell, each of these linear in the position (locally weighted regression:
 Cleveland 1979). Given a measured background, the code at a pose is then a normal variable, and the unknown values are
-integrated out in closed form (linear Gaussian model: Rasmussen and Williams 2006, section 2.1). What such a fit leaves
-over, such as furniture that the background hardly shows, widens it.
+integrated out in closed form (linear Gaussian model: Rasmussen and Williams 2006, section 2.1). What such a fit
+leaves over, such as furniture that the background hardly shows, widens it.
 """
 
 from __future__ import annotations
@@ -101,7 +101,7 @@ class Uncertain:
 
     @cached_property
     def _whitened(self) -> tuple[Floats, Floats]:
-        """Directions (n, r, k) whose squared products are twice a gain, and half the determinants' logarithms (n,)."""
+        """Directions (n, r, k) whose squared products are twice a gain, and half the log-determinants (n,)."""
         scatter = self.scatter.astype(np.float64)
         factor = np.linalg.cholesky(np.eye(scatter.shape[1]) + scatter @ scatter.transpose(0, 2, 1))
         ways = np.linalg.solve(factor, scatter)

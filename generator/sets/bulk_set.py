@@ -62,8 +62,8 @@ from generator.transport.world_file import load_world, save_world, world_hash
 
 FORMAT = 5
 """Format 1 had no seal; up to format 2, the seed drew the poses of a sweep; up to format 3, nothing varied from pose
-to pose and there was one object; up to format 4, no scene was uncertain. A set has the oldest format that holds it, so
-that older versions read it."""
+to pose and there was one object; up to format 4, no scene was uncertain. A set has the oldest format that holds it,
+so that older versions read it."""
 MANIFEST = "bulk.toml"
 WORLD = "world.npz"
 MASTER = "set.h5"
