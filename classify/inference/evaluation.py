@@ -15,7 +15,7 @@ from scipy.stats import chi2
 from classify.inference.atlas import Atlas
 from classify.inference.detect import Detector, evidence
 from classify.inference.misfit import Misfits, doubt, doubt_of_backgrounds
-from classify.inference.posterior import Place, holds, locate
+from classify.inference.posterior import REACH, Place, holds, locate
 from classify.intervals import Interval, exceedance, median, share
 from classify.pictures.leak import refuse_shared
 from classify.pictures.sensor import Camera
@@ -132,7 +132,8 @@ class Evaluation:
             [np.subtract(r.position, p.position) for p, r in zip(self.places, self.records, strict=True)]
         )
         inverse = np.array([np.linalg.pinv(p.covariance, hermitian=True) for p in self.places])
-        probabilities: Array = chi2.cdf(np.einsum("ni,nij,nj->n", offsets, inverse, offsets), 3)
+        wider = REACH / np.array([p.reach for p in self.places])
+        probabilities: Array = chi2.cdf(wider * np.einsum("ni,nij,nj->n", offsets, inverse, offsets), 3)
         return probabilities
 
     def calibration(self, levels: Array) -> Array:
@@ -323,19 +324,19 @@ def run(
         draws = np.arange(len(records))
     misfit, misfits = Misfits(atlas, seed=seed), []
     codes, places, seconds = [], [], []
-    given = {} if dataset.own_backgrounds else {k: atlas.given(one) for k, one in enumerate(measured)}
-    strange = [_strange(atlas, background) for background in measured] if not dataset.own_backgrounds else []
+    shared = [] if dataset.own_backgrounds else measured
+    given, strange = [atlas.given(one) for one in shared], [_strange(atlas, one) for one in shared]
     for done, record in enumerate(records):
-        picture = camera.picture(record)
-        start = time.perf_counter()
         background = camera.background_of(record) if dataset.own_backgrounds else measured[draws[done]]
-        difference = atlas.difference(picture, background, name=str(dataset.path / record.file))
-        codes.append(atlas.code_of(difference))
-        conditioned = given.get(int(draws[done])) or atlas.given(background)
-        places.append(locate(conditioned, codes[-1], seed=seed))
-        misfits.append(misfit(difference, codes[-1], conditioned).probability)
+        conditioned = given[draws[done]] if given else atlas.given(background)
         if dataset.own_backgrounds:
             strange.append(_strange(atlas, background))
+        picture = camera.picture(record)
+        start = time.perf_counter()
+        difference = atlas.difference(picture, background, name=str(dataset.path / record.file))
+        codes.append(atlas.code_of(difference))
+        places.append(locate(conditioned, codes[-1], seed=seed))
+        misfits.append(misfit(difference, codes[-1], conditioned).probability)
         seconds.append(time.perf_counter() - start)
         progress(done + 1, len(records))
     rng = np.random.default_rng([seed, 5])

@@ -7,7 +7,7 @@ in what the code leaves out. Two tests say how probable so much is for a picture
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -92,7 +92,9 @@ class Misfits:
         given : Atlas, optional
             The atlas, given the picture's background (`Atlas.given`).
         """
-        subset = self._subset if given is None else given.take(self._some)
+        subset = self._subset
+        if given is not None and given is not self._atlas:  # what scatters does not depend on the background
+            subset = replace(subset, codes=given.codes[self._some])
         rest = difference - self._directions @ (difference @ self._directions)
         freedom = len(difference) - self._directions.shape[1]
         pixels = float(chi2.sf(rest @ rest / self._atlas.spread, freedom)) if freedom else 1.0
