@@ -1,9 +1,9 @@
 """Do stated regions hold where the scene is not the one that is stated? Prints and writes a row for each wrong scene.
 
 ``python benchmarks/uncertain.py FOLDER -o DIR`` makes, in FOLDER, the scene (a sphere of 30 cm radius in the
-corridor, whose corner is matt black), an atlas of it as stated and one with ``--uncertain``, of as many poses; and for
-each way in which the true scene may differ a test set, which both atlases answer. A set whose scenes are drawn from the
-stated uncertainty is the last row. What is there already is not made again.
+corridor, whose corner is matt black), an atlas of it as stated and one with ``--uncertain``, of as many poses; and
+for each way in which the true scene may differ a test set, which both atlases answer. A set whose scenes are drawn
+from the stated uncertainty is the last row. What is there already is not made again.
 """
 
 from __future__ import annotations
