@@ -36,7 +36,7 @@ _WEAK = 0.02
 """Variance of a direction of the scatter, in that of the noise, below which it is dropped."""
 _ANCHORS = 5000
 """Most poses around which codes are fitted; others take the fit of the nearest of these."""
-_SURPLUS = 3.0
+_SURPLUS = 4.0
 """Poses that a fit takes, in numbers of its terms."""
 
 
@@ -234,8 +234,9 @@ def fitted(
         root = np.sqrt(weights)[:, None]
         fit = _ridge(design * root, changes[near] * root)
         rest = (changes[near] - design @ fit) * root
-        freedom = max(1.0, weights.sum() - terms * weights.sum() / len(near))
-        leftover = rest.T @ rest / freedom
+        # With weights, so many neighbours count (Kish 1965). Errors of the fit itself add to what it leaves over.
+        used = terms * float(weights @ weights) / weights.sum() ** 2
+        leftover = rest.T @ rest / weights.sum() * (1.0 + used) / max(1.0 - used, 0.1)
         offsets = points[own] - points[anchor]
         linear = np.concatenate([np.ones((len(own), 1)), offsets], axis=1)
         shift[own] = _terms(offsets, np.zeros((len(own), p)), np.zeros((len(own), q))) @ fit
@@ -248,10 +249,10 @@ def fitted(
         roots = np.sqrt(np.maximum(strengths[:, kept], 0.0))
         scatter[own] = roots[:, ::-1, None] * axes[:, :, kept].transpose(0, 2, 1)[:, ::-1]
         progress(done + 1, len(anchors))
-    used = int(((scatter.astype(np.float64) ** 2).sum(axis=2).max(axis=0) > _WEAK).sum())
+    kept_ways = int(((scatter.astype(np.float64) ** 2).sum(axis=2).max(axis=0) > _WEAK).sum())
     left = np.sort(backgrounds.left)
     uncertain = Uncertain(
-        slopes, np.ascontiguousarray(scatter[:, : max(1, used)]), backgrounds.basis.astype(np.float32), left
+        slopes, np.ascontiguousarray(scatter[:, : max(1, kept_ways)]), backgrounds.basis.astype(np.float32), left
     )
     return shift, uncertain
 

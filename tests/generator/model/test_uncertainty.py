@@ -86,7 +86,7 @@ def test_what_is_not_physical_is_drawn_again():
 
 def test_a_scene_without_a_value_is_refused():
     scene = {**SCENE, "target": {"kind": "mesh", "size": 1.0}}
-    with pytest.raises(NlosError, match="target.albedo has no single value"):
+    with pytest.raises(NlosError, match=r"target\.albedo has no single value"):
         Uncertainty(names=("target.albedo",), deviation=(0.1,)).check(scene)
     assert mean_of(SCENE, "camera.view.x") == pytest.approx(-1.4)
     assert mean_of(SCENE, "target.size") == 1.0
