@@ -13,7 +13,7 @@ import numpy as np
 from classify.inference.atlas import Atlas
 from classify.inference.detect import Detector, evidence
 from classify.inference.evaluation import doubts as doubts_of
-from classify.inference.misfit import Misfits, doubt
+from classify.inference.misfit import Misfits, doubt, doubt_of_backgrounds
 from classify.inference.posterior import Place, holds, locate
 from classify.inference.sequence import refuse_gaps
 from classify.inference.tracker import Filter, Step
@@ -92,6 +92,7 @@ class Answering:
     def __init__(self, atlas: Atlas, background: Picture, *, false_alarm: float = 0.01, seed: int = 0) -> None:
         self.atlas = atlas
         self._background, self._seed = background, seed
+        self._given = atlas.given(background)
         self._misfits = Misfits(atlas, seed=seed)
         self.detector = Detector.at(atlas, false_alarm, seed=seed)
 
@@ -100,9 +101,9 @@ class Answering:
         start = time.perf_counter()
         difference = self.atlas.difference(picture, self._background, name=name)
         code = self.atlas.code_of(difference)
-        place = locate(self.atlas, code, seed=self._seed)
+        place = locate(self._given, code, seed=self._seed)
         ratio = float(evidence(self.atlas, code[None])[0])
-        misfit = self._misfits(difference, code).probability
+        misfit = self._misfits(difference, code, self._given).probability
         return Found(place, ratio, ratio > self.detector.threshold, misfit, time.perf_counter() - start)
 
 
@@ -189,9 +190,13 @@ def prepared(atlas: Atlas, dataset: PictureSet, seed: int = 0) -> tuple[Taken | 
         raise NlosError(f"{dataset.path}: has another voxel grid than the atlas; make both of one scene")
     check_colours(dataset.path, dataset.colour_space, atlas.colour_space, "the atlas")
     if not has_own_noise(dataset):
-        camera = Camera(dataset, atlas.sensor, seed, like=atlas.background)
+        camera = Camera(dataset, atlas.sensor, seed, like=atlas.background, any_shape=atlas.uncertain is not None)
         return camera, atlas, doubts_of(atlas, dataset.target_kind, level=camera.level, mismatch=camera.mismatch)
     taken = Taken(dataset, atlas.background)
+    seen = atlas.seen_by(taken.sensor)
+    if seen.uncertain is not None:
+        strange = doubt_of_backgrounds(np.array([seen.uncertain.misfit(seen.shift(taken.background()))]))
+        return taken, seen, [strange] if strange else []
     doubts = []
     # Noise of the measured background is no difference of scenes.
     noise = math.sqrt(float(taken.sensor.variance(taken.background(), frames=taken.sensor.background_frames).mean()))
@@ -201,7 +206,7 @@ def prepared(atlas: Atlas, dataset: PictureSet, seed: int = 0) -> tuple[Taken | 
             f"do not rely on these answers: the empty scene differs from that of the atlas by {taken.mismatch:.1%} "
             "in shape, so room, lamp or view are others; make the atlas of this scene"
         )
-    return taken, atlas.seen_by(taken.sensor), doubts
+    return taken, seen, doubts
 
 
 def answers(
@@ -348,7 +353,8 @@ def track(
     """
     refuse_gaps(atlas)
     taken, atlas, doubts = prepared(atlas, dataset, seed)
-    tracker, steps, background = Filter(atlas, step=step), [], taken.background()
+    background = taken.background()
+    tracker, steps = Filter(atlas.given(background), step=step), []
     for record in dataset.records:
         code = atlas.code(taken.picture(record), background, name=str(dataset.path / record.file))
         steps.append(tracker.update(code))
