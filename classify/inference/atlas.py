@@ -18,6 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from classify.inference import unknown_object
+from classify.inference.uncertain import Uncertain
 from classify.inference.unknown_object import AmplitudePrior
 from classify.pictures.sensor import Sensor
 from generator.files.pictures import COLOUR_SPACE, Picture
@@ -73,6 +74,8 @@ class Atlas:
     hiding : ndarray of shape (n, k), float32, optional
         Codes of the light that a black object would hide at the same poses. If given, the object's size and albedo
         count as unknown (`classify.inference.unknown_object`).
+    uncertain : Uncertain, optional
+        How codes differ and scatter where the scene is not known exactly; `given` takes a measured background.
     """
 
     codes: NDArray[np.float32]
@@ -89,6 +92,7 @@ class Atlas:
     left_out: float
     about: dict[str, Any]
     hiding: NDArray[np.float32] | None = None
+    uncertain: Uncertain | None = None
 
     @cached_property
     def empty(self) -> Array:
@@ -120,6 +124,11 @@ class Atlas:
         assert self.hiding is not None
         return AmplitudePrior.of(self.added, self.hiding)
 
+    @cached_property
+    def _products(self) -> NDArray[np.float32]:
+        assert self.uncertain is not None
+        return self.uncertain.products(self.codes)
+
     def logs(self, codes: NDArray[np.float32]) -> NDArray[np.float32]:
         """Return the log-likelihood ratio of each pose to an empty scene, given pictures, (..., n).
 
@@ -129,7 +138,8 @@ class Atlas:
             Codes of the pictures.
         """
         if self.hiding is None:
-            return codes @ self.codes.T - self._half_squares
+            logs: NDArray[np.float32] = codes @ self.codes.T - self._half_squares
+            return logs if self.uncertain is None else logs + self.uncertain.gains(codes, self._products)
         return self._strengths.logs(codes @ self.added.T, codes @ self.hiding.T)
 
     @property
@@ -138,11 +148,14 @@ class Atlas:
         return self.sensor.shared_count(self.background.shape)
 
     def example(self, pose: int, rng: np.random.Generator) -> Array:
-        """Return the noiseless code (k,) of the object at a pose; if size and albedo are unknown, of random ones."""
+        """Return the noiseless code (k,) of the object at a pose; of a random scene if it is uncertain."""
         code: Array = self.codes[pose].astype(np.float64)
         if self.hiding is not None:
             added, hidden = rng.multivariate_normal(unknown_object.MEAN, unknown_object.COVARIANCE)
             code = added * self.added[pose].astype(np.float64) + hidden * self.hiding[pose]
+        if self.uncertain is not None:
+            scatter = self.uncertain.scatter[pose].astype(np.float64)
+            code = code + rng.normal(size=len(scatter)) @ scatter
         return code
 
     def at(self, frames: int) -> Atlas:
@@ -213,6 +226,9 @@ class Atlas:
         hiding = None if self.hiding is None else (scale * self.hiding @ change.T).astype(np.float32)
         basis = (change @ self.basis).astype(np.float32)
         components = codes if hiding is None else np.concatenate([codes - hiding, hiding])
+        if self.uncertain is not None:
+            scattered = scale * self.uncertain.scatter @ change.T
+            components = np.sqrt(codes**2 + (scattered**2).sum(axis=1))
         residual = np.sqrt(np.cumsum(np.mean(components**2, axis=0)[::-1])[::-1])
         kept = max(1, int((residual > LEFT_OUT).sum()))
         # Ordered by strength, and Cholesky's factor is triangular: dropping the last directions changes no others.
@@ -221,6 +237,7 @@ class Atlas:
             codes=np.ascontiguousarray(codes[:, :kept]),
             hiding=None if hiding is None else np.ascontiguousarray(hiding[:, :kept]),
             basis=basis[:kept],
+            uncertain=None if self.uncertain is None else self.uncertain.scaled(scale, change, kept),
             nuisances=grown * self.nuisances[:, :kept],
             spread=spread,
             sensor=sensor,
@@ -235,7 +252,22 @@ class Atlas:
     def take(self, some: Any) -> Atlas:
         """Return the atlas of some of its poses, given by their indices or a slice."""
         fields = {name: getattr(self, name)[some] for name in ("codes", "positions", "rotations", "voxels", "kinds")}
-        return replace(self, **fields, hiding=None if self.hiding is None else self.hiding[some])
+        hiding = None if self.hiding is None else self.hiding[some]
+        uncertain = None if self.uncertain is None else self.uncertain.take(some)
+        return replace(self, **fields, hiding=hiding, uncertain=uncertain)
+
+    def given(self, background: Picture | None) -> Atlas:
+        """Return the atlas of what is left uncertain, given a measured background (as of `difference`)."""
+        if self.uncertain is None or background is None:
+            return self
+        places = self.uncertain.told(self.shift(background)).astype(np.float32)
+        return replace(self, codes=self.codes + np.tensordot(self.uncertain.slopes, places, axes=(1, 0)))
+
+    def shift(self, background: Picture) -> Array:
+        """Return how a measured background differs from the atlas', on the scale of unit noise, (height * width,)."""
+        self._check(background, "background")
+        shift: Array = (self.sensor.stabilised_mean(background) - self.empty).ravel()
+        return shift
 
     def code(
         self, picture: Picture, background: Picture | None = None, *, name: str = "picture"
@@ -266,6 +298,8 @@ class Atlas:
             If the picture has another size than the atlas, or holds NaN or infinite pixels.
         """
         empty = self.empty
+        if background is None and self.uncertain is not None:
+            raise NlosError(f"{name}: the atlas is of an uncertain scene, so its measured background is needed too")
         if background is not None:
             self._check(background, f"{name}: its background")
             empty = self.sensor.stabilised_mean(

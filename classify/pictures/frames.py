@@ -126,6 +126,8 @@ def read(path: Path) -> Iterator[Frame]:
             yield _raw(path)
         else:
             yield from _video(path)
+    except NlosError:
+        raise
     except OSError as error:
         raise NlosError(f"{path}: cannot be read ({error.strerror or error})") from None
     except (struct.error, IndexError, ValueError, cv2.error) as error:
@@ -312,7 +314,8 @@ def _raw(path: Path) -> Frame:
         raise NlosError(f"{path}: is no raw file that LibRaw can read ({error})") from None
     finally:
         raw.close()
-    head = path.open("rb").read(2**20)
+    with path.open("rb") as file:
+        head = file.read(2**20)
     return Frame(path.name, values, white, black=float(level), exposure=_exposure(head))
 
 

@@ -210,6 +210,8 @@ class Recipe:
                 exposure=float(about["exposure"]),
                 sensor=None if told is None else from_dict(Sensor, told, "sensor."),
             )
+        except NlosError as error:
+            raise NlosError(f"{path}: {error}") from None
         except (OSError, ValueError, KeyError, TypeError, AttributeError, zipfile.BadZipFile, EOFError) as error:
             raise NlosError(f"{path}: is no recipe of this software ({error})") from None
 
