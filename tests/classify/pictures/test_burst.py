@@ -55,11 +55,21 @@ def test_folders_and_stacks_hold_the_same(tmp_path, frames):
 def test_one_pixel_of_four_and_one_channel(tmp_path, frames):
     folder = write(tmp_path / "grey", frames)
     assert np.array_equal(burst.read(folder, mosaic=(1, 0)).frames, frames[:, 1::2, ::2])
+    part = burst.read(folder, mosaic=(1, 0), region=(1, 0, 2, 1)).frames
+    assert np.array_equal(part, frames[:, 1:2, 2:6:2])
+    with pytest.raises(NlosError, match="lies outside the 6 x 4 pixels"):
+        burst.read(folder, region=(5, 0, 2, 1))
     colour = np.stack([frames, frames + np.uint16(1), frames + np.uint16(2)], axis=-1)  # blue, green, red
     folder = write(tmp_path / "colour", colour)
     assert np.array_equal(burst.read(folder, channel="red").frames, frames + 2)
     with pytest.raises(NlosError, match="is in colour; take one of --channel red"):
         burst.read(folder)
+
+
+def test_too_much_for_the_memory_is_told(tmp_path, frames, monkeypatch):
+    monkeypatch.setattr(burst, "MOST", 40)
+    with pytest.raises(NlosError, match="holds more than 40 values; take a part of the frames"):
+        burst.read(write(tmp_path / "large", frames))
 
 
 def test_what_is_no_burst_is_refused(tmp_path, frames):
