@@ -1,8 +1,8 @@
 """Pictures by Cycles, seen by a camera, imported and answered: what is lost on the way.
 
-Run: ``python benchmarks/photographs.py -o DIR`` (an hour, most of it the simulated set). A room with twelve
-reflections is rendered by Cycles, finer than the atlas' pictures. A camera (``tests/support/cameras.py``) takes it:
-perspective, vignetting, black level, noise, rounding. `nlos-classify import` gets its files and the four corners.
+Run: ``python benchmarks/photographs.py -o DIR`` (half an hour, most of it the simulated set). A room with twelve
+reflections is rendered by Cycles, finer than the atlas' pictures. A camera (``tests/support/wall_camera.py``) takes
+it: perspective, vignetting, black level, noise, rounding. `nlos-classify import` gets its files and four corners.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ import numpy as np
 import results
 
 sys.path.append(str(Path(__file__).resolve().parents[1] / "tests" / "support"))
-import cameras
+import wall_camera
 
 from classify.cli.main import main as classify
 from classify.inference import atlas_build, photographs
@@ -91,7 +91,7 @@ def rows(folder: Path, atlas: Atlas, cycles: Path, pixels: int) -> list[tuple[ob
     light = [rendered.picture(record).mean(axis=2, dtype=np.float64) for record in rendered.records]
     table = []
     for name, kind in CAMERAS.items():
-        camera = cameras.Camera(CORNERS, SHAPE, **kind)
+        camera = wall_camera.Camera(CORNERS, SHAPE, **kind)
         camera.exposure = 0.8 * min(8000.0, (camera.top - camera.black) * camera.electrons) / max(map(np.max, light))
         for frames in (1, 10):
             files = folder / f"{name.partition('-')[0]}-{frames}"
@@ -122,7 +122,12 @@ def rows(folder: Path, atlas: Atlas, cycles: Path, pixels: int) -> list[tuple[ob
 
 
 def taken(
-    files: Path, camera: cameras.Camera, empty: np.ndarray, light: list[np.ndarray], rendered: Dataset, frames: int
+    files: Path,
+    camera: wall_camera.Camera,
+    empty: np.ndarray,
+    light: list[np.ndarray],
+    rendered: Dataset,
+    frames: int,
 ) -> None:
     """Take all pictures that a camera has to take."""
     rng = np.random.default_rng(frames)
@@ -182,7 +187,7 @@ def live(folder: Path, atlas: Atlas, path: Path, cycles: Path) -> list[tuple[obj
     picture = rendered.picture(rendered.records[0]).mean(axis=2, dtype=np.float64)
     for times in (1, 3):
         shape, corners = tuple(times * size for size in SHAPE), times * (CORNERS + 0.5) - 0.5
-        camera = cameras.Camera(corners, shape, **CAMERAS["16-bit PNG"])
+        camera = wall_camera.Camera(corners, shape, **CAMERAS["16-bit PNG"])
         camera.exposure = 0.8 * 8000.0 / picture.max()
         light, rng = camera.light(picture), np.random.default_rng(0)
         frames = [file.read_bytes() for file in camera.take(folder / f"source-{times}", light, rng, 10)]
@@ -242,7 +247,7 @@ def main() -> None:
     parser.add_argument("-o", "--output", type=Path, required=True, help="folder for the table, and for all files")
     parser.add_argument("--atlas", type=int, default=3600, help="simulated pictures")
     parser.add_argument("--poses", type=int, default=2, help="pictures by Cycles, a voxel")
-    parser.add_argument("--samples", type=int, default=256)
+    parser.add_argument("--samples", type=int, default=64)
     parser.add_argument("--pixels", type=int, default=24)
     options = parser.parse_args()
     folder = options.output.resolve()

@@ -8,10 +8,10 @@ import threading
 import time
 from types import SimpleNamespace
 
-import cameras
 import cv2
 import numpy as np
 import pytest
+import wall_camera
 import worlds
 from classify_helpers import make_bulk
 
@@ -46,7 +46,7 @@ def lab(tmp_path_factory):
 
 def camera_of(lab, kind):
     brightest = lab.seen.pictures[:].max()
-    camera = cameras.Camera(CORNERS, **CAMERAS[kind])
+    camera = wall_camera.Camera(CORNERS, **CAMERAS[kind])
     camera.exposure = 0.8 * min(4000.0, (camera.top - camera.black) * camera.electrons) / brightest
     return camera
 

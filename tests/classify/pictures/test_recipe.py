@@ -39,6 +39,8 @@ def test_frames_are_averaged_and_exposures_brought_to_one():
     wanted = made.matrix @ (np.arange(20) + 1.0) - np.arange(6.0)
     assert np.allclose(made([one, two])[..., 0].ravel(), wanted)
     timed = recipe(exposure=0.02)
+    with pytest.raises(NlosError, match="states no exposure, and the first picture one"):
+        timed([one])
     assert np.allclose(timed.light(frame(np.arange(20), exposure=0.01)), 2.0 * made.light(one))
 
 

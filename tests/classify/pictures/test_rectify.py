@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-import cameras
 import cv2
 import numpy as np
 import pytest
+import wall_camera
 
 from classify.pictures import rectify
 from generator.model.errors import NlosError
@@ -23,7 +23,7 @@ def wall_of(seed=0):
 
 
 def camera(**changes):
-    return cameras.Camera(CORNERS, fall=0.0, **changes)
+    return wall_camera.Camera(CORNERS, fall=0.0, **changes)
 
 
 def rectified(light, marks):
