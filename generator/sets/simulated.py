@@ -16,6 +16,7 @@ from generator.model.poses import Other, PoseRecord
 from generator.sets.bulk_set import Bulk
 from generator.sets.dataset import Dataset
 from generator.sets.hdf5 import Rows
+from generator.sets.measured import MeasuredSet
 from generator.sets.readable import PictureSet
 
 
@@ -93,11 +94,12 @@ class SimulatedSet:
         """Poses of the pictures, in order; the files that they name do not exist."""
         labels, n = self.grid.labels, self.grid.n_voxels
         records = []
+        names = [text.partition("=")[0] for text in self._bulk.plan.varying]
         poses = zip(self._bulk.positions[: self._count], self._bulk.rotations[: self._count], strict=True)
         for number, (position, rotation) in enumerate(poses):
             index, voxel = divmod(number, n)
             pose, file = (tuple(position), tuple(rotation)), f"{labels[voxel]}/{index:04d}"
-            values = self._bulk.plan.values(voxel, index)
+            values = tuple(zip(names, self._bulk.values[number].tolist(), strict=True))
             others = self._others_of(number)
             records.append(PoseRecord(index, voxel, labels[voxel], *pose, 0, file=file, values=values, others=others))
         return records
@@ -145,7 +147,7 @@ class SimulatedSet:
 
 
 def open_set(path: Path, count: int = 0) -> PictureSet:
-    """Open a data set, or a bulk set with the same interface.
+    """Open a data set, rendered or measured, or a bulk set, all with the same interface.
 
     Parameters
     ----------
@@ -162,4 +164,4 @@ def open_set(path: Path, count: int = 0) -> PictureSet:
         return SimulatedSet(Bulk.open(path), count)
     if count:
         raise NlosError(f"{path}: is no simulated set (nlos-generate bulk), of which a number could be taken")
-    return Dataset.open(path)
+    return MeasuredSet.open(path) if MeasuredSet.exists(path) else Dataset.open(path)

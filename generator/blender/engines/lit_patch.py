@@ -19,7 +19,6 @@ from generator.blender.engines.planes import (
     cut_areas,
     first_hit,
     near_plane,
-    perpendicular,
     pyramid,
 )
 from generator.blender.engines.reading import RAYS
@@ -27,6 +26,7 @@ from generator.blender.engines.surface import Light, Reading
 from generator.blender.scene import nodes, roles
 from generator.blender.scene.words import numbers
 from generator.model.arrays import Array
+from generator.transport.cone import patch_lit
 from generator.transport.world import LitPatch
 
 LIFT = 1e-3
@@ -51,41 +51,26 @@ def read_lit_patch(scene: bpy.types.Scene, reading: Reading) -> tuple[LitPatch |
     surfaces = [s for s in reading.surfaces if s.role != "target"]
     walls = [s for s in surfaces if s.role == "relay_wall"]
     origin, axis = matrix[:3, 3], -matrix[:3, 2] / np.linalg.norm(matrix[:3, 2])
-    half_angle = light.spot_size / 2.0
     hit, point, normal = first_hit(surfaces, origin, axis)
     if hit is None or hit.role != "relay_wall":
         return None, [*reasons, blocked(lamp, wall, hit)]
     if normal @ axis > 0:
         normal = -normal
-    height = float((origin - point) @ normal)
-    tilt = math.acos(min(1.0, float(-axis @ normal)))
-    if tilt + half_angle >= math.radians(89.0):
-        return None, [*reasons, f"the spot {lamp.name!r} grazes the wall, so that its patch has no edge"]
-    along = axis + normal * math.cos(tilt)
-    along = along / np.linalg.norm(along) if tilt > 1e-6 else perpendicular(normal)
-    near, far = height * math.tan(tilt - half_angle), height * math.tan(tilt + half_angle)
-    middle, major = (near + far) / 2.0, (far - near) / 2.0
-    reach = (middle * math.sin(tilt) + height * math.cos(tilt)) / math.cos(half_angle)
-    minor = math.sqrt(reach**2 - middle**2 - height**2)
-    blend = float(light.spot_blend)
-    patch = LitPatch(
-        centre=origin - height * normal + middle * along,
-        major=major * along,
-        minor=minor * np.cross(normal, along),
-        normal=normal,
-        lamp=origin,
-        axis=axis,
-        height=height,
+    patch = patch_lit(
+        *(origin, axis, point, normal),
+        half_angle=light.spot_size / 2.0,
+        blend=float(light.spot_blend),
         intensity=lamps.strength(light) / (4.0 * math.pi),
         albedo=np.zeros(3),
-        cos_outer=math.cos(half_angle),
-        cos_width=(1.0 - math.cos(half_angle)) * blend,
     )
+    if patch is None:
+        return None, [*reasons, f"the spot {lamp.name!r} grazes the wall, so that its patch has no edge"]
     turns = np.arange(64)[:, None] * (2.0 * math.pi / 64)
     rim = patch.centre + _RIM * (np.cos(turns) * patch.major + np.sin(turns) * patch.minor)
     apex = np.append(origin, 1.0)
     sides = pyramid(rim, apex)
-    slack = min(1e-4 * height, LIFT / 2.0 * minor)  # what is farther from the wall would hide that lamp
+    major, minor = (float(np.linalg.norm(axis)) for axis in (patch.major, patch.minor))
+    slack = min(1e-4 * patch.height, LIFT / 2.0 * minor)  # what is farther from the wall would hide that lamp
     cone = [*sides, Plane(normal, float(normal @ point) + slack)]
     colour = colour_within(walls, [*sides, *near_plane(normal, point, slack)])
     if colour is None:

@@ -38,14 +38,6 @@ def colour_within(walls: Sequence[Surface], planes: Sequence[Plane]) -> Array | 
     return None if np.ptp(albedo, axis=0).any() else albedo[0]
 
 
-def perpendicular(normal: Array) -> Array:
-    """Return a unit vector at right angles to a normal."""
-    axis = np.eye(3)[int(np.argmin(np.abs(normal)))]
-    across = np.cross(normal, axis)
-    unit: Array = across / np.linalg.norm(across)
-    return unit
-
-
 def plane_of(triangles: Array) -> tuple[Array, Array]:
     """Return a point and the unit normal of the plane through triangles."""
     sides = np.cross(triangles[:, 1] - triangles[:, 0], triangles[:, 2] - triangles[:, 0])
