@@ -226,8 +226,8 @@ def judge(residuals: Array, slopes: Array, covariance: Array) -> Verdict:
     """Test whether residuals are noise, of which a fit has taken a part.
 
     Residuals of a right fit have the covariance 1 - S' C S, with the slopes S of the pictures in units of the noise
-    and the covariance C of what was fitted: it is the inverse of 1 + S' P S, the covariance of the pictures before the
-    fit, where P is that of what was known beforehand.
+    and the covariance C of what was fitted: it is the inverse of 1 + S' P S, the pictures' covariance before the fit,
+    where P is that of what was known beforehand.
 
     Parameters
     ----------
