@@ -20,7 +20,7 @@ from generator.cli.main import main as generate_main
 
 ROOT = Path(__file__).resolve().parents[1]
 MAINS = {"generator": (generate_main, "nlos-generate"), "classify": (classify_main, "nlos-classify")}
-LEAVES_TRACES = {"scene", "check", "experiment", "plan", "--jobs"}
+LEAVES_TRACES = {"scene", "check", "describe", "experiment", "plan", "--jobs"}
 """Verbs that load Blender into their own process, where they replace the scene that a test has open; and submitit,
 which leaves log files open."""
 

@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 import argparse
+from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
 
+from classify.cli import photographs
 from classify.cli.options import (
     add_atlas_options,
     add_false_alarm,
@@ -24,6 +26,7 @@ from generator.model.errors import NlosError
 
 if TYPE_CHECKING:
     from classify.inference.evaluation import Evaluation
+    from classify.inference.tracker import Step
 
 
 def add_parsers(commands: Commands) -> None:
@@ -47,7 +50,8 @@ def _add_locate(commands: Commands) -> None:
         "dataset",
         type=Path,
         metavar="SET",
-        help="folder of a data set, or a simulated one; its pictures are clean, noise is added",
+        help="folder of a data set, or a simulated one, whose clean pictures get noise; or of nlos-classify import, "
+        "whose pictures have theirs",
     )
     parser.add_argument(
         "--count",
@@ -176,10 +180,10 @@ class Location:
     """The answer to a picture."""
 
     file: str = described("the picture")
-    truth: str = described("voxel in which the object stands")
+    truth: str | None = described("voxel in which the object stands; null if that is not known")
     label: str = described("the most probable voxel")
     probability: float = described("probability of that voxel")
-    true_position: list[float] = described("where the object stands, metres")
+    true_position: list[float] | None = described("where the object stands, metres; null if that is not known")
     position: list[float] = described("where it is found, metres")
     deviation: list[float] = described("standard deviation of that along x, y and z, metres")
     evidence: float = described("logarithm of how much likelier an object is than an empty scene")
@@ -192,9 +196,21 @@ class Located:
     """Where the hidden objects are."""
 
     quality: list[Quality] = described("how good the answers are, voxel by voxel, and last in all")
-    false_alarms: Interval = described("share of empty scenes in which something is found")
+    accuracy: Interval | None = described(
+        "of pictures of a camera: share of those whose voxel is known that are put into it; null if there is none"
+    )
+    error: Interval | None = described(
+        "of pictures of a camera: median distance from known positions, metres; null if there is none"
+    )
+    covered: Interval | None = described(
+        "of pictures of a camera: share of known positions in the stated 95 % region; null if there is none"
+    )
+    false_alarms: Interval | None = described(
+        "share of empty scenes in which something is found; null of pictures of a camera"
+    )
     seconds: float = described("median time of an answer, seconds")
     level: float = described("factor on the exposure that makes the empty scene as bright as that of the atlas")
+    mismatch: float | None = described("difference in shape of the two empty scenes; null of a rendered set")
     doubts: list[str] = described("what speaks against these answers, in sentences")
     answers: list[Location] = described("answers, picture by picture")
     files: list[Path] = described("files that were written")
@@ -226,27 +242,27 @@ class Frame:
     """Where the object is after a frame."""
 
     frame: int = described("number of the frame")
-    there: bool = described("whether the object was in it; in a gap it was not")
+    there: bool | None = described("whether the object was in it; in a gap it was not; null if that is not known")
     presence: float = described("probability that there is an object")
     label: str = described("the most probable voxel, if there is an object")
     position: list[float] = described("where it is then, metres")
     deviation: list[float] = described("standard deviation of that along x, y and z, metres")
     covariance: list[list[float]] = described("covariance of the position, m^2: its 95 % region is an ellipsoid")
-    true_position: list[float] = described("where the object stands, metres")
+    true_position: list[float] | None = described("where the object stands, metres; null if that is not known")
 
 
 @json_object
 class Tracked:
-    """How an object moves."""
+    """How an object moves; of pictures of a camera, what follows from the truth is null."""
 
     frames: list[Frame] = described("answers, frame by frame")
-    error: Interval = described("median distance of the position from the true one, metres")
-    trajectory_error: float = described("root mean square of these distances, metres")
-    accuracy: Interval = described("share of frames in which the voxel is right")
-    covered: Interval = described("share of frames whose true position lies in the 95 % region")
-    presence: Interval = described("share of frames in which presence is told rightly")
+    error: Interval | None = described("median distance of the position from the true one, metres")
+    trajectory_error: float | None = described("root mean square of these distances, metres")
+    accuracy: Interval | None = described("share of frames in which the voxel is right")
+    covered: Interval | None = described("share of frames whose true position lies in the 95 % region")
+    presence: Interval | None = described("share of frames in which presence is told rightly")
     found_again: list[int | None] = described("frames until it was found again, gap by gap; null if it was not")
-    atlas_covered: Interval = described(
+    atlas_covered: Interval | None = described(
         "share of the atlas' own poses, left out of it, that the 95 % region holds after 20 frames"
     )
     words: list[str] = described("the same in sentences")
@@ -278,6 +294,7 @@ def run_locate(options: argparse.Namespace) -> Answer:
     from classify.inference import evaluation
     from classify.report import page
     from generator.files.writing import write_text
+    from generator.sets.measured import has_own_noise
     from generator.sets.simulated import open_set
 
     models.check_seed(options.seed)
@@ -285,6 +302,8 @@ def run_locate(options: argparse.Namespace) -> Answer:
         check_output(options.output, folder=True)
     atlas = loaded(options)
     dataset = open_set(options.dataset, options.count)
+    if has_own_noise(dataset):
+        return photographs.locate(options, atlas, dataset)
     with progress_bar("locating", "pictures") as progress:
         answers = evaluation.run(
             atlas,
@@ -325,9 +344,13 @@ def run_locate(options: argparse.Namespace) -> Answer:
         text.append(str(page_file))
     values = Located(
         quality=_quality(answers),
+        accuracy=None,
+        error=None,
+        covered=None,
         false_alarms=interval(answers.false_alarms()),
         seconds=float(np.median(answers.seconds)),
         level=answers.level,
+        mismatch=None,
         doubts=list(answers.doubts),
         answers=_locations(answers),
         files=files,
@@ -421,6 +444,7 @@ def run_track(options: argparse.Namespace) -> Answer:
     from classify.report import page
     from generator.files.writing import write_text
     from generator.sets.dataset import Dataset
+    from generator.sets.measured import MeasuredSet, has_own_noise
 
     models.check_seed(options.seed)
     gaps = [_gap(text) for text in options.gap]
@@ -429,12 +453,12 @@ def run_track(options: argparse.Namespace) -> Answer:
 
     def report(so_far: sequence.TrackedSequence) -> None:
         record, step = so_far.records[-1], so_far.steps[-1]
-        x, y, z = step.position
-        label = atlas.grid.labels[step.voxels.argmax()]
-        place = f"{label} at {x:.2f}, {y:.2f}, {z:.2f} m" if step.found else "nothing"
-        print(f"frame {record.index}: {place} (presence {step.presence:.0%})", flush=True)
+        print(frame_words(record.index, step, atlas.grid.labels), flush=True)
 
-    atlas, dataset = loaded(options), Dataset.open(options.dataset)
+    atlas = loaded(options)
+    if MeasuredSet.exists(options.dataset) and has_own_noise(measured := MeasuredSet.open(options.dataset)):
+        return photographs.track(options, atlas, measured)
+    dataset = Dataset.open(options.dataset)
     for first, last in gaps:
         if first >= dataset.planned:
             raise NlosError(f"--gap {first}:{last}: begins after the last of the {dataset.planned} frames")
@@ -481,6 +505,13 @@ def run_track(options: argparse.Namespace) -> Answer:
         files=files,
     )
     return Answer(values, text)
+
+
+def frame_words(frame: int, step: Step, labels: Sequence[str]) -> str:
+    """Return where an object is after a frame, in a line."""
+    x, y, z = step.position
+    place = f"{labels[int(step.voxels.argmax())]} at {x:.2f}, {y:.2f}, {z:.2f} m" if step.found else "nothing"
+    return f"frame {frame}: {place} (presence {step.presence:.0%})"
 
 
 def _gap(text: str) -> tuple[int, int]:

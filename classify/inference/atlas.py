@@ -27,6 +27,10 @@ from generator.model.grid import VoxelGrid
 
 LEFT_OUT = 0.05
 """Root mean square over all pictures, in units of the noise, below which the remaining directions are dropped."""
+_SAME_NOISE = 0.05
+"""Relative difference of noise between bright and dark up to which two cameras count as alike but for their light."""
+_MOST_LEFT_OUT = 0.3
+"""Root mean square that an atlas may leave out of pictures of another camera, in units of their noise."""
 _FEWEST = 100.0
 """Electrons of the darkest pixel in all frames from which on a code grows with the square root of the frames."""
 
@@ -128,6 +132,11 @@ class Atlas:
             return codes @ self.codes.T - self._half_squares
         return self._strengths.logs(codes @ self.added.T, codes @ self.hiding.T)
 
+    @property
+    def shared(self) -> int:
+        """Number of the last nuisances, which are noise that pixels share and not drifts."""
+        return self.sensor.shared_count(self.background.shape)
+
     def example(self, pose: int, rng: np.random.Generator) -> Array:
         """Return the noiseless code (k,) of the object at a pose; if size and albedo are unknown, of random ones."""
         code: Array = self.codes[pose].astype(np.float64)
@@ -161,8 +170,44 @@ class Atlas:
             )
         scale = math.sqrt(frames / available)
         spread = 1.0 + (self.spread - 1.0) * frames / available
+        return self._scaled(scale, spread, replace(self.sensor, frames=frames))
+
+    def seen_by(self, sensor: Sensor) -> Atlas:
+        """Return the atlas for pictures of another camera, whose exposure is that of the atlas' radiance.
+
+        Codes follow from all electrons of a picture together: a camera that collects another number in as many frames
+        as it likes has codes of another length, as long as the same share of its noise is that of photons.
+
+        Raises
+        ------
+        NlosError
+            Its noise is distributed otherwise, or it collects so much light that the atlas leaves out too much.
+        """
+        light = np.maximum(self.background, 0.0)[..., None]
+        ratio = np.sqrt(self.sensor.variance(light) / sensor.variance(light))
+        scale = float(np.sqrt((ratio**2).mean()))
+        if float(np.abs(ratio / scale - 1.0).max()) > _SAME_NOISE:
+            raise NlosError(
+                "the atlas: is of a camera whose noise is distributed otherwise over bright and dark; make it with "
+                "this camera's noise: nlos-classify atlas SET -o FILE.atlas --sensor FILE.toml"
+            )
+        if self.left_out * scale > _MOST_LEFT_OUT:
+            raise NlosError(
+                f"the atlas: was made for {1.0 / scale**2:.2g} of the light that these pictures have collected, and "
+                f"leaves out too much for them; make it with --frames {math.ceil(self.sensor.frames * scale**2)}"
+            )
+        spread = 1.0 + sensor.frames / sensor.background_frames
+        return self._scaled(scale, spread, sensor)
+
+    def _scaled(self, scale: float, spread: float, sensor: Sensor) -> Atlas:
+        """Return the atlas for a sensor by which codes are ``scale`` times as long before their noise is 1."""
         old_factor = np.linalg.cholesky(noise_of(self.spread, self.nuisances))
-        new_factor = np.linalg.cholesky(noise_of(spread, scale * self.nuisances))
+        # Noise that pixels share grows in the code as other noise does; a drift grows with the code.
+        drifts = len(self.nuisances) - self.shared
+        grown = np.where(np.arange(len(self.nuisances)) < drifts, scale, math.sqrt(spread / self.spread)).astype(
+            np.float32
+        )[:, None]
+        new_factor = np.linalg.cholesky(noise_of(spread, grown * self.nuisances))
         change = np.linalg.solve(new_factor, old_factor)
         codes = (scale * self.codes @ change.T).astype(np.float32)
         hiding = None if self.hiding is None else (scale * self.hiding @ change.T).astype(np.float32)
@@ -176,9 +221,9 @@ class Atlas:
             codes=np.ascontiguousarray(codes[:, :kept]),
             hiding=None if hiding is None else np.ascontiguousarray(hiding[:, :kept]),
             basis=basis[:kept],
-            nuisances=scale * self.nuisances[:, :kept],
+            nuisances=grown * self.nuisances[:, :kept],
             spread=spread,
-            sensor=replace(self.sensor, frames=frames),
+            sensor=sensor,
             left_out=math.hypot(scale * self.left_out, float(residual[kept]) if kept < len(residual) else 0.0),
         )
 
@@ -223,7 +268,9 @@ class Atlas:
         empty = self.empty
         if background is not None:
             self._check(background, f"{name}: its background")
-            empty = self.sensor.stabilised_mean(background)  # averages so many frames that it counts as known
+            empty = self.sensor.stabilised_mean(
+                background, measured=True
+            )  # averages so many frames that it counts as known
         self._check(picture, name)
         difference: Array = (self.sensor.stabilised(picture) - empty).ravel()
         return difference

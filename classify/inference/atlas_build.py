@@ -74,7 +74,7 @@ def build(
     sample_rows = [np.unique(np.linspace(0, b.planned - 1, min(b.planned, share)).astype(np.int64)) for b in bulks]
     samples = [_colour(b.pictures[rows]) for b, rows in zip(bulks, sample_rows, strict=True)]
     sample = np.concatenate(samples)
-    difference = _Difference(sensor.exposed([background, sample.reshape(-1, sample.shape[-2], 3)]), background)
+    difference = _Difference(sensor.exposed([background, *sample]), background)
     sensor, differences = difference.sensor, difference(sample)
     if blacks:
         black_pictures = [d(rows, pictures) for d, rows, pictures in zip(blacks, sample_rows, samples, strict=True)]
@@ -85,8 +85,10 @@ def build(
     spread = 1.0 + (sensor.frames / sensor.background_frames if measured_background else 0.0)
     drifts = [background * (1.0 + lamp_drift)] if lamp_drift else []
     drifts += [background + ambient_drift * background.mean()] if ambient_drift else []
-    nuisances = np.array([basis @ difference.of(drifted) for drifted in drifts])
-    nuisances = nuisances.reshape(len(drifts), len(basis)).astype(np.float32)
+    # So does noise that pixels share: in the mean of the frames, and in the background's.
+    noise = difference.shared(background) * math.sqrt(spread)
+    nuisances = np.array([*(basis @ difference.of(drifted) for drifted in drifts), *(noise @ basis.T)])
+    nuisances = nuisances.reshape(len(drifts) + len(noise), len(basis)).astype(np.float32)
     whitened = np.linalg.solve(np.linalg.cholesky(noise_of(spread, nuisances)), basis).astype(np.float32)
     codes, hiding = _codes(bulks, blacks, difference, whitened, progress)
     return Atlas(
@@ -128,6 +130,14 @@ class _Difference:
         """Return the difference of one picture, (pixels,)."""
         difference: Array = (self.sensor.stabilised_mean(picture) - self._empty).ravel()
         return difference
+
+    def shared(self, background: Picture) -> Array:
+        """Return `Sensor.shared` of the mean of the sensor's frames as differences, (n, pixels)."""
+        patterns = self.sensor.shared(background) / math.sqrt(self.sensor.frames)
+        differences: Array = (patterns * self.sensor.stabilised_slope(background)).reshape(
+            len(patterns), background[..., 0].size
+        )
+        return differences
 
     def __call__(self, pictures: NDArray[np.float32]) -> NDArray[np.float32]:
         """Return the differences, (n, pixels), of pictures (n, height, width, 3)."""

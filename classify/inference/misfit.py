@@ -65,7 +65,12 @@ class Misfits:
 
     def __init__(self, atlas: Atlas, *, seed: int = 0) -> None:
         self._atlas = atlas
-        self._directions = np.linalg.qr(atlas.basis.T.astype(np.float64))[0]
+        # Noise that pixels share says nothing about the scene either, and has another variance.
+        shared = atlas.sensor.shared(atlas.background[..., None]) * atlas.sensor.stabilised_slope(
+            atlas.background[..., None]
+        )
+        known = np.concatenate([atlas.basis.astype(np.float64), shared.reshape(len(shared), atlas.background.size)])
+        self._directions = np.linalg.qr(known.T)[0]
         self._subset = atlas.take(slice(None, None, -(-len(atlas.codes) // _POSES)))
         free = int((np.ptp(np.concatenate([atlas.positions, atlas.rotations], axis=1), axis=0) > 0.0).sum())
         count, size = self._subset.codes.shape

@@ -163,9 +163,10 @@ class Synthesis:
         """
         sensor, rendering = self.atlas.sensor, self._leaning.render(position, rotation, derivatives=True)
         assert rendering.derivatives is not None
-        # Derivative of 2 sqrt(n + ...) by the radiance, with n the electrons in all frames.
-        gain = 2.0 * sensor.frames * sensor.exposure / sensor.stabilised_mean(rendering.pixels)
-        slopes: Array = self.atlas.basis @ (rendering.derivatives.mean(axis=3) * gain).reshape(7, -1).T
+        gain = sensor.stabilised_slope(rendering.pixels)
+        slopes: Array = (
+            self.atlas.basis @ (sensor.blurred(rendering.derivatives.mean(axis=3)) * gain).reshape(7, -1).T
+        )
         return slopes
 
 

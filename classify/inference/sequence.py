@@ -276,7 +276,7 @@ def run(
         If the atlas' poses do not fill the volume, or are those of the trajectory; grid or resolution differ, or the
         data set is not a trajectory, is empty or broken.
     """
-    _refuse_gaps(atlas)
+    refuse_gaps(atlas)
     if not dataset.settings.get("frames"):
         raise NlosError(f"{dataset.path}: is no trajectory; make one with nlos-generate trajectory")
     if dataset.grid != atlas.grid:
@@ -307,7 +307,7 @@ def run(
     return pursuit
 
 
-def _refuse_gaps(atlas: Atlas) -> None:
+def refuse_gaps(atlas: Atlas) -> None:
     """Raise NlosError if the atlas' poses leave gaps between the voxels."""
     if inside := atlas.about.get("inside"):
         gaps = set(inside) != {"centre"}

@@ -353,7 +353,10 @@ def check_comparable(a: Features, b: Features, names: tuple[str, str]) -> None:
             "their labels mean different places; compare data sets of one grid"
         )
     check_colours(Path(names[0]), a.colour_space, b.colour_space, names[1])
-    sensors = [{k: v for k, v in f.provenance.get("sensor", {}).items() if k != "exposure"} for f in (a, b)]
+    # A file from before a setting was there is of its default.
+    sensors = [
+        f.provenance.get("sensor") and {**asdict(Sensor()), **f.provenance["sensor"], "exposure": 0.0} for f in (a, b)
+    ]
     if sensors[0] != sensors[1]:
         raise NlosError(
             f"{names[0]} and {names[1]}: were seen by different sensors; extract both with one --sensor and --frames"

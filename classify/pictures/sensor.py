@@ -1,8 +1,11 @@
 """Model of a real camera: it counts photons, the chip adds noise, and the converter rounds.
 
-The terms are those of the linear model of the standard EMVA 1288: photon shot noise, temporal dark noise (here read
-noise: exposures are short), full well (saturation capacity), spread of the pixels' gain (PRNU) and offset (DSNU), and
-quantisation. The camera is monochrome: it sees the mean of a picture's three channels.
+The terms are those of the linear model of the standard EMVA 1288 (release 4.0): photon shot noise, temporal dark
+noise (read noise, shot noise of the dark current, noise of whole rows and columns), full well (saturation capacity),
+system gain, quantisation, and the spread of the pixels' gain (PRNU) and offset (DSNU). Not in it are non-linearity,
+and what the lens and the lamp add (blur, vignetting, flicker). The camera is monochrome: it sees the mean of a
+picture's three channels. What is known of a camera is undone in what it reports: mean dark charge, non-linearity,
+vignetting.
 """
 
 from __future__ import annotations
@@ -17,6 +20,7 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.ndimage import gaussian_filter
 
 from generator.files.pictures import Picture
 from generator.model.arrays import Array
@@ -30,10 +34,29 @@ _BLACK = 8.0
 """Black level, in standard deviations of the dark noise, high enough that clipping at zero biases no mean."""
 _BRIGHTER = 4.0
 """A well whose expected charge is this many times its capacity overflows for any shot noise."""
+_PHOTON_METRE = 1.98644586e-25
+"""Planck's constant times the speed of light, J m."""
 _SAME_SHAPE = 0.02
 """Relative RMS difference, after scaling to one level, below which two pictures differ in the level alone."""
 _SAME_LEVEL = 0.01
 """Relative difference below which two levels count as equal: lamps drift by as much."""
+
+
+_STEEPEST = 0.45
+"""Largest non-linearity; at a half the response ends flat."""
+_NOT_NEGATIVE = (
+    *(
+        "read_noise",
+        "exposure",
+        "gain_spread",
+        "offset_spread",
+        "gain",
+        "black_level",
+        "dark_current",
+        "exposure_time",
+    ),
+    *("row_noise", "column_noise", "blur", "flicker", "quantum_efficiency", "pixel_size", "f_number"),
+)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -47,9 +70,10 @@ class Sensor:
     read_noise : float
         Standard deviation of every readout, electrons.
     bits : int
-        Bits of the converter, whose range is the full well; 0 does not round.
+        Bits of the converter; 0 does not round.
     exposure : float
-        Electrons in a frame per W/m^2/sr; 0 puts the brightest pixel of the scene at ``fill``.
+        Electrons in a frame per W/m^2/sr; 0 lets it follow from ``quantum_efficiency`` and what is named there, or
+        puts the brightest pixel of the scene at ``fill``.
     fill : float
         Share of the full well that the brightest pixel fills if the exposure follows from the scene.
     frames : int
@@ -62,6 +86,34 @@ class Sensor:
         Standard deviation of the pixels' offset, electrons (DSNU): also a fixed pattern.
     drift : float
         Relative change of the ambient light since the background was taken.
+    gain : float
+        Overall system gain K, grey levels per electron; 0 lets the converter's range be the full well.
+    black_level : float
+        Mean grey level without light and without dark charge; 0 is eight standard deviations of the dark noise.
+    dark_current : float
+        Electrons that a pixel collects in a second without light. Their mean is subtracted from what is reported, as
+        with a dark frame of the same exposure time; their shot noise stays.
+    exposure_time : float
+        Seconds in which a frame collects light and dark charge.
+    nonlinearity : float
+        Share of the charge that is missing in the response at full well; in between it grows with the charge.
+    row_noise, column_noise : float
+        Standard deviation of an offset that all pixels of a row, or of a column, share in a frame, electrons.
+    vignetting : float
+        Share of the light that is missing in the corners; in between it grows with the square of the distance from
+        the middle.
+    blur : float
+        Standard deviation of the point spread function, a Gaussian, pixels.
+    flicker : float
+        Relative standard deviation of the light from frame to frame.
+    quantum_efficiency : float
+        Electrons per photon; with ``exposure_time``, ``pixel_size`` and ``f_number`` the exposure follows from it.
+    pixel_size : float
+        Side of a square pixel, metres.
+    f_number : float
+        Focal length over the diameter of the entrance pupil, of a lens that is focused far away.
+    wavelength : float
+        Of the light, metres.
     """
 
     full_well: float = 10_500.0
@@ -74,15 +126,29 @@ class Sensor:
     gain_spread: float = 0.0
     offset_spread: float = 0.0
     drift: float = 0.0
+    gain: float = 0.0
+    black_level: float = 0.0
+    dark_current: float = 0.0
+    exposure_time: float = 0.0
+    nonlinearity: float = 0.0
+    row_noise: float = 0.0
+    column_noise: float = 0.0
+    vignetting: float = 0.0
+    blur: float = 0.0
+    flicker: float = 0.0
+    quantum_efficiency: float = 0.0
+    pixel_size: float = 0.0
+    f_number: float = 0.0
+    wavelength: float = 550e-9
 
     def __post_init__(self) -> None:
         for name, value in vars(self).items():
             if not math.isfinite(value):
                 raise NlosError(f"sensor.{name}: {value} is not a finite number")
-        for name in ("read_noise", "exposure", "gain_spread", "offset_spread"):
+        for name in _NOT_NEGATIVE:
             if getattr(self, name) < 0.0:
                 raise NlosError(f"sensor.{name}: {getattr(self, name):g} must not be negative")
-        for name in ("full_well", "fill"):
+        for name in ("full_well", "fill", "wavelength"):
             if getattr(self, name) <= 0.0:
                 raise NlosError(f"sensor.{name}: {getattr(self, name):g} must be positive")
         for name in ("frames", "background_frames"):
@@ -92,6 +158,22 @@ class Sensor:
             raise NlosError(f"sensor.bits: {self.bits} must be from 1 to 32, or 0 not to round")
         if self.drift <= -1.0:
             raise NlosError(f"sensor.drift: {self.drift:g} must be above -1, which is no light at all")
+        if self.quantum_efficiency > 1.0:
+            raise NlosError(f"sensor.quantum_efficiency: {self.quantum_efficiency:g} must be at most 1")
+        if not 0.0 <= self.vignetting < 1.0:
+            raise NlosError(
+                f"sensor.vignetting: {self.vignetting:g} must be from 0 to below 1, which is no light at all"
+            )
+        if not -_STEEPEST < self.nonlinearity < _STEEPEST:
+            raise NlosError(
+                f"sensor.nonlinearity: {self.nonlinearity:g} must lie between -{_STEEPEST} and {_STEEPEST}; beyond "
+                "that more light would give no more signal"
+            )
+        if self._dark_charge >= self.full_well:
+            raise NlosError(
+                f"sensor.dark_current: {self.dark_current:g} electrons a second fill the well of {self.full_well:g} "
+                f"in an exposure time of {self.exposure_time:g} s"
+            )
         if self.bits and self._black >= self._white:
             raise NlosError(
                 f"sensor.bits: {self.bits} are too few for a read noise of {self.read_noise:g} electrons and a full "
@@ -108,7 +190,9 @@ class Sensor:
         """
         if self.exposure:
             return self
-        brightest = max((float(_grey(p).max()) for p in pictures), default=0.0)
+        if collected := self._collected():
+            return replace(self, exposure=collected)
+        brightest = max((float(self._seen(p).max()) for p in pictures), default=0.0)
         if not (brightest > 0.0 and math.isfinite(self.fill * self.full_well / brightest)):
             raise NlosError(
                 "sensor.exposure: cannot follow from pictures without light; give it in electrons per W/m^2/sr"
@@ -119,13 +203,12 @@ class Sensor:
         """Return the electrons expected in a frame, (height, width), for radiance (height, width, 3), W/m^2/sr."""
         if not self.exposure:
             raise NlosError("sensor.exposure: is not chosen yet")
-        # Rendering noise can make a radiance negative, but photon counts cannot be.
-        expected: Array = np.maximum(_grey(picture), 0.0) * self.exposure
+        expected: Array = np.maximum(self._seen(picture), 0.0) * self.exposure
         return expected
 
     def saturated(self, picture: Picture) -> float:
         """Return the share of pixels that overflow."""
-        return float((self.electrons(picture) > self.full_well).mean())
+        return float((self.electrons(picture) + self._dark_charge > self._capacity).mean())
 
     def measure(self, picture: Picture, rng: np.random.Generator, *, frames: int = 0, pattern: int = 0) -> Picture:
         """Return the radiance that the camera reports, (height, width, 3), float32, W/m^2/sr.
@@ -147,55 +230,180 @@ class Sensor:
             If no exposure is chosen yet.
         """
         expected = self.electrons(picture)
-        gain, offset = self._pattern(expected.shape, pattern)
-        expected = np.minimum(expected * gain, _BRIGHTER * self.full_well + 100.0)
+        fixed = self._pattern(expected.shape, pattern)
         count, total = frames or self.frames, np.zeros(expected.shape)
         for _ in range(count):
-            electrons = np.minimum(rng.poisson(expected), self.full_well)
-            total += self._convert(electrons + offset + rng.normal(scale=self.read_noise, size=electrons.shape))
-        radiance = total / count / self.exposure
+            total += self._read_out(expected, fixed, rng)
+        radiance = self._corrected(total / count) / self.exposure
         return np.repeat(radiance[..., None], 3, axis=2).astype(np.float32)
+
+    def frame(self, picture: Picture | Array, rng: np.random.Generator, *, pattern: int = 0) -> Array:
+        """Return the grey levels of one frame, (height, width): whole numbers where there is a converter.
+
+        Where neither ``bits`` nor ``gain`` is given, a grey level is an electron.
+
+        Parameters
+        ----------
+        picture : ndarray of shape (height, width, 3)
+            Scene-linear radiance, W/m^2/sr.
+        rng : Generator
+            Generator of the temporal noise.
+        pattern : int
+            Seed of the fixed pattern.
+        """
+        expected = self.electrons(picture)
+        levels: Array = (
+            self._read_out(expected, self._pattern(expected.shape, pattern), rng) / self._unit + self._black
+        )
+        return np.rint(levels) if self.bits else levels
+
+    def radiance(self, levels: Array) -> Array:
+        """Return the radiance, (height, width), W/m^2/sr, that grey levels of a frame, or their mean, stand for.
+
+        The black level, the mean dark charge, the non-linearity and the vignetting are undone.
+
+        Raises
+        ------
+        NlosError
+            If no exposure is chosen yet.
+        """
+        if not self.exposure:
+            raise NlosError("sensor.exposure: is not chosen yet")
+        electrons = (np.asarray(levels, dtype=np.float64) - self._black) * self._unit
+        light: Array = self._corrected(electrons) / self.exposure
+        return light
 
     def variance(self, picture: Picture | Array, *, frames: int = 0) -> Array:
         """Return the variance of what `measure` reports, (height, width), (W/m^2/sr)^2, where no well overflows.
 
-        It is the sum for photons, readout and rounding (EMVA 1288, the linear model's temporal noise, divided by the
-        squared gain). The fixed pattern is left out, since picture and background share it.
+        It is the sum for photons, dark charge, readout and rounding (EMVA 1288, the linear model's temporal noise,
+        divided by the squared gain), and for flicker; where the response is not linear, noise that is added to it
+        counts by its slope. The fixed pattern is left out, since picture and background share it.
         """
         rounding = self._step**2 / 12.0
-        electrons = self.electrons(picture) + self.read_noise**2 + rounding
-        variance: Array = electrons / (frames or self.frames) / self.exposure**2
+        light = self.electrons(picture)
+        slope = (1.0 - 2.0 * self.nonlinearity * (light + self._dark_charge) / self.full_well) ** 2
+        electrons = light + self._dark_charge + self.read_noise**2 / slope + rounding / slope
+        electrons = electrons + (self.row_noise**2 + self.column_noise**2) / slope + (self.flicker * light) ** 2
+        variance: Array = electrons / (frames or self.frames) / (self.exposure * self._falloff(light.shape)) ** 2
         return variance
 
     def stabilised(self, picture: Picture | Array) -> Array:
         """Return measured light on a scale where its noise has variance 1 at any brightness, (height, width).
 
         The generalised Anscombe transform 2 sqrt(n + 3/8 + s^2) of n electrons with read noise s, in all frames
-        together (Anscombe 1948, equation 2.1; Murtagh, Starck and Bijaoui 1995, equation 4).
+        together (Anscombe 1948, equation 2.1; Murtagh, Starck and Bijaoui 1995, equation 4). Noise that pixels share
+        (rows, columns, flicker) is left out: no scale of single pixels makes it white, see `shared`. So is the slope
+        of a response that is not linear: it matters to the readout alone, where that is small against photons.
         """
-        electrons = self._held(picture)  # measured darkness can be below zero
+        electrons = self._held(_grey(picture))  # measured darkness can be below zero
         transformed: Array = 2.0 * np.sqrt(np.maximum(electrons + 0.375 + self._dark, 0.0))
         return transformed
 
-    def stabilised_mean(self, picture: Picture | Array) -> Array:
+    def stabilised_mean(self, picture: Picture | Array, *, measured: bool = False) -> Array:
         """Return the mean of `stabilised` over measurements of a known radiance, (height, width).
 
         As the root is concave, this is less than the root of the mean, by half its curvature times the variance.
+
+        Parameters
+        ----------
+        picture : ndarray of shape (height, width, 3)
+            Radiance, W/m^2/sr.
+        measured : bool
+            Whether it is the mean of so many frames that it counts as known: then it is blurred already.
         """
-        electrons = np.maximum(self._held(picture), 0.0)
+        electrons = np.maximum(self._held(_grey(picture) if measured else self.blurred(_grey(picture))), 0.0)
         argument = electrons + 0.375 + self._dark
         mean: Array = 2.0 * np.sqrt(argument) - (electrons + self._dark) / (4.0 * argument**1.5)
         return mean
 
-    def _held(self, picture: Picture | Array) -> Array:
-        """Electrons in all frames together, limited to the full well."""
-        electrons: Array = float(self.frames) * np.minimum(self.exposure * _grey(picture), self.full_well)
+    def shared(self, picture: Picture | Array) -> Array:
+        """Return noise that pixels share: patterns (n, height, width) of one standard deviation in a frame, W/m^2/sr.
+
+        First flicker, then each row, then each column; those without noise are left out.
+
+        Parameters
+        ----------
+        picture : ndarray of shape (height, width, 3)
+            Scene-linear radiance, W/m^2/sr.
+        """
+        light = self.blurred(_grey(picture))
+        height, width = light.shape
+        own = self.exposure * self._falloff(light.shape)
+        patterns = [self.flicker * light[None]] if self.flicker else []
+        if self.row_noise:
+            rows = np.eye(height)[:, :, None] * self.row_noise
+            patterns.append(np.broadcast_to(rows, (height, height, width)) / own)
+        if self.column_noise:
+            columns = np.eye(width)[:, None, :] * self.column_noise
+            patterns.append(np.broadcast_to(columns, (width, height, width)) / own)
+        return np.concatenate(patterns) if patterns else np.zeros((0, height, width))
+
+    def shared_count(self, shape: tuple[int, ...]) -> int:
+        """Return the number of patterns of `shared`, for pictures of a shape (height, width)."""
+        height, width = shape
+        return bool(self.flicker) + height * bool(self.row_noise) + width * bool(self.column_noise)
+
+    def stabilised_slope(self, picture: Picture | Array) -> Array:
+        """Return the derivative of `stabilised_mean`, (height, width), by the radiance behind the lens."""
+        mean = self.stabilised_mean(picture)
+        slope: Array = 2.0 * self.frames * self.exposure * self._falloff(mean.shape) / mean
+        return slope
+
+    def blurred(self, radiance: Array) -> Array:
+        """Return radiance (..., height, width) behind the lens."""
+        if not self.blur:
+            return radiance
+        spread = (0.0,) * (radiance.ndim - 2) + (self.blur, self.blur)
+        blurred: Array = gaussian_filter(radiance, spread, mode="nearest")
+        return blurred
+
+    def _collected(self) -> float:
+        """Electrons in a frame per W/m^2/sr that follow from the optics; 0 where these are not given.
+
+        A disc as wide as the entrance pupil, at the focal length, gives an irradiance of pi L / (4 N^2 + 1), as in
+        EMVA 1288; photons have an energy of h c / lambda each.
+        """
+        light = math.pi / (4.0 * self.f_number**2 + 1.0) if self.f_number else 0.0
+        joules = light * self.pixel_size**2 * self.exposure_time
+        return self.quantum_efficiency * joules * self.wavelength / _PHOTON_METRE
+
+    def _falloff(self, shape: tuple[int, ...]) -> Any:
+        """Share of the light that reaches each pixel: 1 in the middle."""
+        if not self.vignetting:
+            return 1.0
+        height, width = shape
+        y, x = np.ogrid[:height, :width]
+        squared = (x - (width - 1) / 2.0) ** 2 + (y - (height - 1) / 2.0) ** 2
+        return 1.0 - self.vignetting * squared / (((width - 1) ** 2 + (height - 1) ** 2) / 4.0 or 1.0)
+
+    def _seen(self, picture: Picture | Array) -> Array:
+        """Radiance, (height, width), after the lens; by rendering noise it can be negative."""
+        light = self.blurred(_grey(picture))
+        seen: Array = light * self._falloff(light.shape)
+        return seen
+
+    def _held(self, grey: Array) -> Array:
+        """Electrons in all frames together, limited to the full well, of radiance behind the lens."""
+        collected = self.exposure * self._falloff(grey.shape) * grey
+        electrons: Array = float(self.frames) * np.minimum(collected, self._capacity - self._dark_charge)
         return electrons
 
     @property
+    def _capacity(self) -> float:
+        """Electrons above which more light gives no more signal: of the well, or of the converter's range."""
+        range_ = (self._white - self._black) / self.gain if self.bits and self.gain else math.inf
+        return min(self.full_well, range_)
+
+    @property
+    def _dark_charge(self) -> float:
+        """Mean charge without light in a frame, electrons."""
+        return self.dark_current * self.exposure_time
+
+    @property
     def _dark(self) -> float:
-        """Variance of readout and rounding in all frames together, squared electrons."""
-        return self.frames * (self.read_noise**2 + self._step**2 / 12.0)
+        """Variance of dark charge, readout and rounding in all frames together, squared electrons."""
+        return self.frames * (self.read_noise**2 + self._step**2 / 12.0 + self._dark_charge)
 
     @property
     def _white(self) -> float:
@@ -203,15 +411,57 @@ class Sensor:
         return float(2**self.bits - 1)
 
     @property
+    def electrons_per_level(self) -> float:
+        """Electrons per grey level (1 / K of EMVA 1288); 0 where nothing is rounded."""
+        return self._step
+
+    @property
     def _step(self) -> float:
         """Electrons per grey level; 0 where nothing is rounded."""
-        return self.full_well / (self._white - self._black) if self.bits else 0.0
+        if not self.bits:
+            return 0.0
+        return 1.0 / self.gain if self.gain else self.full_well / (self._white - self._black)
+
+    @property
+    def _unit(self) -> float:
+        """Electrons per grey level, also where nothing is rounded."""
+        return self._step or (1.0 / self.gain if self.gain else 1.0)
 
     @property
     def _black(self) -> float:
         """Grey level without light."""
-        noise = math.hypot(self.read_noise, self.offset_spread)
+        if self.black_level:
+            return self.black_level
+        noise = math.hypot(self.read_noise, self.offset_spread, self.row_noise, self.column_noise)
+        if self.gain:
+            return float(math.ceil(_BLACK * noise * self.gain))
         return float(math.ceil(_BLACK * noise * self._white / (self.full_well + _BLACK * noise)))
+
+    def _read_out(self, expected: Array, fixed: tuple[Any, Any], rng: np.random.Generator) -> Array:
+        """Electrons that the converter reports of a frame, (height, width), for expected ones and a fixed pattern."""
+        gain, offset = fixed
+        if self.flicker:
+            expected = expected * max(0.0, 1.0 + self.flicker * rng.normal())
+        mean = np.minimum(expected * gain + self._dark_charge, _BRIGHTER * self.full_well + 100.0)
+        electrons = np.minimum(rng.poisson(mean), self.full_well)
+        if self.nonlinearity:
+            electrons = electrons * (1.0 - self.nonlinearity * electrons / self.full_well)
+        read = electrons + offset + rng.normal(scale=self.read_noise, size=electrons.shape)
+        if self.row_noise:
+            read = read + rng.normal(scale=self.row_noise, size=(len(read), 1))
+        if self.column_noise:
+            read = read + rng.normal(scale=self.column_noise, size=(1, read.shape[1]))
+        return self._convert(read)
+
+    def _corrected(self, electrons: Array) -> Array:
+        """Light in electrons of a pixel in the middle, from converted electrons: what is known is undone."""
+        if self.nonlinearity:
+            # n - a n^2 / w is reported of n electrons; below zero, where noise leads, the line is as good.
+            share = 4.0 * self.nonlinearity / self.full_well * np.maximum(electrons, 0.0)
+            root = np.sqrt(np.maximum(1.0 - share, (1.0 - 2.0 * abs(self.nonlinearity)) ** 2 / 4.0))
+            electrons = electrons * 2.0 / (1.0 + root)
+        corrected: Array = (electrons - self._dark_charge) / self._falloff(electrons.shape)
+        return corrected
 
     def _convert(self, electrons: Array) -> Array:
         """Electrons as the converter reports them, rounded and clipped to its range."""

@@ -107,11 +107,15 @@ def run_verify(options: argparse.Namespace) -> Answer:
     from generator.sets import audit
     from generator.sets.bulk_set import Bulk
     from generator.sets.dataset import Dataset
+    from generator.sets.measured import MeasuredSet
 
-    made: Bulk | Dataset
+    made: Bulk | Dataset | MeasuredSet
     if Bulk.exists(options.dataset):
         made = Bulk.open(options.dataset, check=False)
         note, extent = "", f"{made.planned} pictures in {made.parts} parts"
+    elif MeasuredSet.exists(options.dataset):
+        made = MeasuredSet.open(options.dataset, check=False)
+        note, extent = made.unchecked(), f"{made.planned} measured pictures"
     else:
         made = Dataset.open(options.dataset, check=False)
         note, extent = audit.unchecked(made), f"{made.planned} poses"

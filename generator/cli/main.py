@@ -4,16 +4,16 @@ from __future__ import annotations
 
 import sys
 
-from generator.cli import bulk, check, experiment, inspect, plan, scene, sweep
+from generator.cli import bulk, check, describe, experiment, inspect, plan, scene, sweep
 from generator.cli.answer import give
 from generator.cli.parser import Parser, VerbParser, check_volume, command_parser
 from generator.cli.terminal import guarded
 from generator.sets import links
 
-VERBS = (scene, check, sweep, bulk, plan, experiment, inspect)
+VERBS = (scene, check, describe, sweep, bulk, plan, experiment, inspect)
 """Modules of the verbs."""
 GROUPS = {
-    "make scenes": ("scene", "check"),
+    "make scenes": ("scene", "check", "describe"),
     "render data sets": ("sweep", "trajectory", "bulk"),
     "plan and measure": ("plan", "tradeoff", "experiment"),
     "look at sets": ("status", "verify"),

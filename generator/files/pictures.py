@@ -31,6 +31,10 @@ _GREY = ("Y", "V")
 """Channels of grey pictures: OpenEXR's own name, and Blender's."""
 
 
+_COMBINED = ".Combined."
+"""What the channels of a rendered picture have in their names in Blender's files of many layers."""
+
+
 def pixel_hash(pixels: Picture) -> str:
     """Return the SHA-256 of a picture's shape and little-endian float32 pixels."""
     data = np.ascontiguousarray(pixels, dtype="<f4")
@@ -77,7 +81,8 @@ def read_picture(path: Path) -> tuple[Picture, dict[str, str]]:
     Parameters
     ----------
     path : Path
-        A picture with channels R, G, B; or grey, as Y or V, which stands for all three.
+        A picture with channels R, G, B; or grey, as Y or V, which stands for all three; or a file of many layers as
+        Blender writes them, with the pass Combined of one view layer.
 
     Returns
     -------
@@ -105,6 +110,8 @@ def read_picture(path: Path) -> tuple[Picture, dict[str, str]]:
     names = {interop: name for name, interop in _INTEROP.items()}
     if (space := names.get(attributes.get(exr.SPACE, ""), attributes.get(exr.SPACE, COLOUR_SPACE))) != COLOUR_SPACE:
         header.setdefault("colour_space", space)
+    if not any(name in channels for name in "RGB"):
+        channels = _combined(channels, path)
     missing = [name for name in "RGB" if name not in channels]
     grey = [name for name in _GREY if name in channels]
     if len(missing) == 3 and len(grey) == 1 and not {"RY", "BY"} & set(channels):  # with these, Y is in colour
@@ -115,3 +122,11 @@ def read_picture(path: Path) -> tuple[Picture, dict[str, str]]:
             f"{', '.join(missing)} (or Y alone, for grey)"
         )
     return np.stack([channels[name] for name in "RGB"], axis=-1), header
+
+
+def _combined(channels: exr.Planes, path: Path) -> exr.Planes:
+    """Return the channels of the pass Combined by their colours, if there is one; else all channels as they are."""
+    layers = sorted({name.rpartition(_COMBINED)[0] for name in channels if _COMBINED in name})
+    if len(layers) > 1:
+        raise NlosError(f"{path}: holds the view layers {', '.join(layers)}; save the one to be read alone")
+    return {name.rpartition(".")[2]: plane for name, plane in channels.items() if _COMBINED in name} or channels

@@ -524,6 +524,11 @@ class PoseRecord:
         return "+".join(label for _, label in held)
 
     @property
+    def placed(self) -> bool:
+        """Whether the object's position is known; of a measured picture it may not be."""
+        return math.isfinite(self.position[0])
+
+    @property
     def background_file(self) -> str:
         """Path of the picture without the target, relative to the data set's folder, of a set that has one a pose."""
         return f"{self.file.removesuffix('.exr')}-background.exr"

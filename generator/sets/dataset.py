@@ -94,6 +94,8 @@ class Dataset:
         version = meta.get("format")
         if not isinstance(version, int):
             raise NlosError(f"{path / MANIFEST}: lacks the field 'format'")
+        if "measured" in meta:
+            raise NlosError(f"{path}: holds measured pictures, and no sweep's; this command takes rendered sets only")
         if version > FORMAT:
             raise NlosError(
                 f"{path}: has data set format {version}; this software reads up to {FORMAT}, so update it"

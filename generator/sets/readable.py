@@ -18,7 +18,7 @@ from generator.model.variation import Values
 
 
 class PictureSet(Protocol):
-    """A set that pictures are read from: `Dataset`, or `generator.sets.simulated.SimulatedSet`."""
+    """A set that pictures are read from: `Dataset`, `generator.sets.simulated.SimulatedSet`, or a `MeasuredSet`."""
 
     @property
     def path(self) -> Path:

@@ -16,6 +16,7 @@ from generator.model.poses import Other, PoseRecord
 from generator.sets.bulk_set import Bulk
 from generator.sets.dataset import Dataset
 from generator.sets.hdf5 import Rows
+from generator.sets.measured import MeasuredSet
 from generator.sets.readable import PictureSet
 
 
@@ -145,7 +146,7 @@ class SimulatedSet:
 
 
 def open_set(path: Path, count: int = 0) -> PictureSet:
-    """Open a data set, or a bulk set with the same interface.
+    """Open a data set, rendered or measured, or a bulk set, all with the same interface.
 
     Parameters
     ----------
@@ -162,4 +163,4 @@ def open_set(path: Path, count: int = 0) -> PictureSet:
         return SimulatedSet(Bulk.open(path), count)
     if count:
         raise NlosError(f"{path}: is no simulated set (nlos-generate bulk), of which a number could be taken")
-    return Dataset.open(path)
+    return MeasuredSet.open(path) if MeasuredSet.exists(path) else Dataset.open(path)

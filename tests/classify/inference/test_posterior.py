@@ -8,6 +8,7 @@ from classify_helpers import colour, make_bulk
 from scipy import stats
 
 from classify.inference import atlas_build, atlas_file, posterior, unknown_object
+from classify.inference.misfit import Misfits
 from classify.pictures.sensor import Sensor
 from generator.model.errors import NlosError
 
@@ -49,6 +50,29 @@ def test_an_empty_scene_has_a_code_of_unit_noise(tmp_path, measured):
     low, high = stats.chi2.interval(0.999, codes.size)
     assert low < (codes**2).sum() < high
     assert np.abs(codes.mean(axis=0)).max() < 4.5 / np.sqrt(len(codes))
+
+
+def test_noise_that_pixels_share_is_part_of_the_codes_noise(tmp_path):
+    """Rows, columns, flicker, and what lens and dark charge do: unit noise still, also with fewer frames."""
+    import worlds
+
+    floor = worlds.quad((-2.0, 0.0, -1.0), (4.0, 0.0, 0.0), (0.0, 3.0, 0.0), 0.5)
+    found = make_bulk(tmp_path / "set", pictures=64, room=(floor,))
+    rough = {"row_noise": 20.0, "column_noise": 10.0, "flicker": 0.01, "vignetting": 0.3, "blur": 0.7}
+    sensor = Sensor(frames=8, background_frames=8, dark_current=100.0, exposure_time=1.0, **rough)
+    made = atlas_build.build(found, sensor, lamp_drift=1e-9)
+    for frames in (8, 2):
+        atlas, rng, codes, chances = made.at(frames), np.random.default_rng(1), [], []
+        test = Misfits(atlas)
+        for _ in range(300):
+            before = atlas.sensor.measure(found.background, rng, frames=8)
+            difference = atlas.difference(atlas.sensor.measure(found.background, rng), before)
+            codes.append(atlas.code_of(difference))
+            chances.append(test(difference, codes[-1]).pixels)
+        low, high = stats.chi2.interval(0.999, np.size(codes))
+        assert low < (np.array(codes) ** 2).sum() < high
+        assert np.linalg.norm(np.cov(np.array(codes).T), 2) < (1.0 + np.sqrt(len(codes[0]) / 300)) ** 2 * 1.15
+        assert stats.kstest(chances, "uniform").pvalue > 1e-3
 
 
 DIM = Sensor(full_well=40.0, bits=8)

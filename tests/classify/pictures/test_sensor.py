@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from classify_helpers import make_dataset
@@ -114,6 +116,12 @@ def test_noise_is_that_of_what_a_set_shows_and_not_of_its_scene_file(tmp_path):
         ({"bits": 40}, "sensor.bits: 40 must be from 1 to 32"),
         ({"bits": 1, "read_noise": 1e4}, "sensor.bits: 1 are too few"),
         ({"drift": -1.0}, "sensor.drift: -1 must be above -1"),
+        ({"dark_current": -1.0}, "sensor.dark_current: -1 must not be negative"),
+        ({"dark_current": 2e4, "exposure_time": 1.0}, "20000 electrons a second fill the well of 10500"),
+        ({"vignetting": 1.0}, "sensor.vignetting: 1 must be from 0 to below 1"),
+        ({"nonlinearity": 0.6}, "sensor.nonlinearity: 0.6 must lie between -0.45 and 0.45"),
+        ({"quantum_efficiency": 1.2}, "sensor.quantum_efficiency: 1.2 must be at most 1"),
+        ({"bits": 8, "black_level": 300.0}, "sensor.bits: 8 are too few"),
     ],
 )
 def test_what_no_sensor_has_is_one_sentence(fields, words):
@@ -159,3 +167,153 @@ def test_two_data_sets_share_no_noise(tmp_path):
         assert np.array_equal(camera.picture(record), again.picture(record))
         noise.append((camera.picture(record) - one.picture(record)).mean(axis=2).ravel())
     assert abs(np.corrcoef(*noise)[0, 1]) < 4.0 / np.sqrt(len(noise[0]))
+
+
+def seen(sensor, picture, count=200, seed=1):
+    """Measurements, (count, height, width)."""
+    rng = np.random.default_rng(seed)
+    return np.stack([sensor.measure(picture, rng)[..., 0] for _ in range(count)]).astype(float)
+
+
+EVERYTHING = {
+    "dark_current": 40.0,
+    "exposure_time": 2.0,
+    "gain": 0.3,
+    "black_level": 61.5,
+    "nonlinearity": 0.04,
+    "row_noise": 3.0,
+    "column_noise": 2.0,
+    "vignetting": 0.4,
+    "flicker": 0.01,
+}
+
+
+CASES = {
+    **{
+        name: {name: EVERYTHING[name]} for name in ("gain", "nonlinearity", "row_noise", "column_noise", "vignetting")
+    },
+    "flicker": {"flicker": EVERYTHING["flicker"]},
+    "dark charge": {name: EVERYTHING[name] for name in ("dark_current", "exposure_time")},
+    "all": EVERYTHING,
+}
+
+
+@pytest.mark.parametrize("fields", CASES.values(), ids=CASES)
+def test_mean_and_variance_hold_with_every_further_term(fields):
+    """What is known of a camera is undone, and what cannot be is in the variance."""
+    sensor = Sensor(exposure=8000.0, **fields)
+    pictures = seen(sensor, flat(0.6, 24), 400)
+    shared = 0.25 if "flicker" in fields else 0.03  # 400 draws of it, and not one for each pixel
+    assert pictures.mean() == pytest.approx(0.6, rel=5e-3 if "flicker" in fields else 1e-3)
+    ratio = pictures.var(axis=0, ddof=1).mean() / sensor.variance(flat(0.6, 24)).mean()
+    assert ratio == pytest.approx(1.0, abs=shared)
+
+
+def test_frames_are_what_a_converter_gives_and_stand_for_their_radiance():
+    """Whole numbers in its range, whose mean gives back the light."""
+    sensor = Sensor(exposure=8000.0, bits=12, **EVERYTHING)
+    picture = flat(0.5, 48)
+    rng = np.random.default_rng(3)
+    frames = np.stack([sensor.frame(picture, rng) for _ in range(100)])
+    assert np.array_equal(frames, np.rint(frames))
+    assert frames.min() >= 0
+    assert frames.max() <= 4095
+    assert sensor.radiance(frames.mean(axis=0)).mean() == pytest.approx(0.5, rel=3e-3)
+    dark = np.stack([sensor.frame(flat(0.0, 48), rng) for _ in range(100)])
+    assert dark.mean() == pytest.approx(61.5 + 0.3 * 80.0, abs=0.1)  # black level, and the gain times the dark charge
+
+
+def test_the_black_level_of_a_gain_leaves_room_for_the_noise():
+    """Eight standard deviations of it, in grey levels."""
+    dark = Sensor(gain=0.4, read_noise=5.0, exposure=1.0).frame(flat(0.0), np.random.default_rng(0))
+    assert dark.mean() == pytest.approx(16.0, abs=0.15)
+    assert dark.min() > 0
+
+
+def test_rows_share_noise():
+    """The variance of a row's mean is the row noise's, and little of the pixels'."""
+    sensor = Sensor(row_noise=6.0, exposure=8000.0)
+    pictures = seen(sensor, flat(0.1))
+    rows = pictures.mean(axis=2).var(axis=0, ddof=1).mean()
+    pixels = Sensor(exposure=8000.0).variance(flat(0.1)).mean() / 64
+    assert rows == pytest.approx((6.0 / 8000.0) ** 2 + pixels, rel=0.05)
+    columns = pictures.mean(axis=1).var(axis=0, ddof=1).mean()
+    assert columns == pytest.approx((6.0 / 8000.0) ** 2 / 64 + pixels, rel=0.1)
+
+
+def test_shared_noise_is_the_covariance_that_measurements_have():
+    """Patterns and single pixels together explain how pixels vary together."""
+    sensor = Sensor(row_noise=8.0, column_noise=5.0, flicker=0.02, exposure=8000.0, vignetting=0.3)
+    picture = np.linspace(0.05, 0.5, 5 * 4).reshape(5, 4)[..., None].repeat(3, axis=2).astype(np.float32)
+    pictures = seen(sensor, picture, 20_000).reshape(-1, 20)
+    shared = sensor.shared(picture).reshape(-1, 20)
+    assert len(shared) == sensor.shared_count((5, 4)) == 10
+    alone = Sensor(exposure=8000.0, vignetting=0.3).variance(picture).ravel()
+    expected = shared.T @ shared + np.diag(alone)
+    scale = np.sqrt(np.outer(np.diag(expected), np.diag(expected)))
+    assert np.abs(np.cov(pictures.T) - expected).max() < 5.0 / np.sqrt(20_000) * scale.max()
+    assert Sensor(exposure=1.0).shared(picture).shape == (0, 5, 4)
+
+
+def test_vignetting_darkens_corners_and_is_undone_at_the_cost_of_noise():
+    """Corners keep their radiance, and get the noise of what is left of the light."""
+    sensor = Sensor(vignetting=0.5, exposure=8000.0)
+    picture = flat(0.8, 33)
+    assert sensor.electrons(picture)[0, 0] == pytest.approx(0.5 * 8000.0 * 0.8)
+    assert sensor.electrons(picture)[16, 16] == pytest.approx(8000.0 * 0.8)
+    pictures = seen(sensor, picture, 500)
+    assert pictures[:, 0, 0].mean() == pytest.approx(0.8, abs=4.0 * pictures[:, 0, 0].std() / np.sqrt(500))
+    ratio = sensor.variance(picture)[0, 0] / sensor.variance(picture)[16, 16]
+    assert ratio == pytest.approx(2.0, rel=0.01)
+    dim = sensor.exposed([picture]).electrons(picture).max()
+    assert replace(sensor, exposure=0.0).exposed([picture]).electrons(picture).max() == pytest.approx(0.8 * 10_500.0)
+    assert dim <= 8000.0
+
+
+def test_blur_spreads_a_point_and_loses_no_light():
+    """A Gaussian of the stated deviation."""
+    sensor = Sensor(blur=1.2, exposure=1.0)
+    picture = np.zeros((31, 31, 3), dtype=np.float32)
+    picture[15, 15] = 1000.0
+    electrons = sensor.electrons(picture)
+    y = np.arange(31) - 15
+    assert electrons.sum() == pytest.approx(1000.0, rel=1e-4)
+    assert np.sqrt((electrons.sum(axis=1) * y**2).sum() / electrons.sum()) == pytest.approx(1.2, rel=0.02)
+    stabilised = sensor.stabilised_mean(picture)
+    assert np.allclose(stabilised, Sensor(exposure=1.0).stabilised_mean(electrons[..., None]))
+    assert np.allclose(stabilised, sensor.stabilised_mean(electrons[..., None], measured=True))
+
+
+def test_flicker_changes_whole_frames():
+    """All pixels of a frame together, by the stated share."""
+    sensor = Sensor(flicker=0.05, exposure=8000.0)
+    levels = seen(sensor, flat(0.5), 2000).mean(axis=(1, 2))
+    low, high = stats.chi2.interval(0.999, 1999)
+    assert low <= 1999 * levels.var(ddof=1) / (0.05 * 0.5) ** 2 <= high * 1.01
+
+
+def test_dark_charge_adds_noise_and_stabilised_light_knows_it():
+    """Unit noise about the stated mean, with dark charge and vignetting."""
+    sensor = Sensor(exposure=1.0, frames=2, dark_current=30.0, exposure_time=1.5, vignetting=0.3)
+    rng = np.random.default_rng(8)
+    for electrons in (0.0, 40.0, 4000.0):
+        taken = np.array([sensor.stabilised(sensor.measure(flat(electrons), rng)) for _ in range(10)])
+        taken -= sensor.stabilised_mean(flat(electrons))
+        assert taken.mean() == pytest.approx(0.0, abs=0.012 + 3.29 / np.sqrt(taken.size))
+        assert taken.var() == pytest.approx(1.0, abs=0.05)
+
+
+def test_the_exposure_follows_from_the_optics():
+    """Of a wall of 1 W/m^2/sr: electrons counted by hand, with Planck's constant and the speed of light of the SI."""
+    optics = {"quantum_efficiency": 0.6, "pixel_size": 5e-6, "f_number": 2.0, "exposure_time": 0.01}
+    sensor = Sensor(**optics, wavelength=600e-9).exposed([])
+    joules = np.pi / 17.0 * 25e-12 * 0.01
+    photons = joules / (6.62607015e-34 * 299_792_458.0 / 600e-9)
+    assert sensor.exposure == pytest.approx(0.6 * photons, rel=1e-6)
+
+
+def test_the_slope_is_the_derivative_of_the_stabilised_mean():
+    """By a difference quotient, which the bias of the root changes a little."""
+    sensor = Sensor(exposure=8000.0, vignetting=0.3, dark_current=10.0, exposure_time=1.0)
+    low, high = (sensor.stabilised_mean(flat(0.3 + step)) for step in (-1e-3, 1e-3))
+    assert np.allclose((high - low) / 2e-3, sensor.stabilised_slope(flat(0.3)), rtol=2e-3)
