@@ -9,18 +9,18 @@ from __future__ import annotations
 
 import argparse
 import time
+from concurrent.futures import ProcessPoolExecutor
 from dataclasses import replace
+from multiprocessing import get_context
 from pathlib import Path
 
 import numpy as np
 import results
 from scipy.stats import kstest
 
-import generator
 from classify.calibration.fit import Calibration, fit
 from classify.calibration.predicted import Placed, Predicted
 from classify.pictures.sensor import Sensor
-from generator.blender.engines import survey
 from generator.model.errors import NlosError
 from generator.model.grid import VoxelGrid
 from generator.model.scene import Camera, Partition, Room, Scene, Spot, Target, Wall
@@ -56,8 +56,12 @@ BEFORE = {
 _FRAMES = 100
 
 
-def room(rng: np.random.Generator) -> World:
+def room(seed: int) -> World:
     """Return a random room of the shape of the preset ``room``, with a sphere."""
+    import generator  # processes that are started from one with Blender cannot load it again
+    from generator.blender.engines import survey
+
+    rng = np.random.default_rng([seed, 25])
     x, y = (-rng.uniform(2.0, 3.0), rng.uniform(2.4, 3.2)), (0.0, rng.uniform(3.2, 4.5))
     z = (0.0, rng.uniform(2.4, 3.0))
     left = rng.uniform(-1.0, -0.9)
@@ -92,9 +96,9 @@ class Case:
     measured : ndarray of shape (4, height, width)
     """
 
-    def __init__(self, seed: int, accuracy: float, order: int = 3) -> None:
+    def __init__(self, seed: int, world: World, accuracy: float, order: int = 3) -> None:
         rng = np.random.default_rng([seed, 26])
-        self.world = room(rng)
+        self.world = world
         self.places = [Placed(tuple(rng.uniform((0.9, 0.6, 0.6), (2.0, 1.8, 1.9)))) for _ in range(3)]
         while True:
             self.off = {name: deviation * rng.normal() for name, deviation in BEFORE.items()}
@@ -103,7 +107,8 @@ class Case:
                 break
             except NlosError:  # an albedo above 1
                 continue
-        engine = Transport(replace(truth, order=order), accuracy=accuracy / 10.0)
+        finer = accuracy / 10.0 if order == 3 else accuracy
+        engine = Transport(replace(truth, order=order), accuracy=finer)
         empty = engine.background()
         pictures = [empty]
         for k, place in enumerate(self.places, start=1):
@@ -132,6 +137,14 @@ class Case:
         return found, time.perf_counter() - start
 
 
+def calibrated(case: tuple[int, World, float, int]) -> tuple[dict[str, float], Calibration, float]:
+    """Fit the room of a seed, a world, an accuracy and reflections; return also what is off, and the seconds."""
+    room_of = Case(*case)
+    found, took = room_of.fitted(case[2])
+    print(f"room {case[0]}: {took:.1f} s, {found.steps} slopes, p {found.verdict.p:.3g}", flush=True)
+    return room_of.off, found, took
+
+
 def main() -> None:
     """Calibrate rooms, and write the two tables."""
     parser = argparse.ArgumentParser(description=__doc__)
@@ -139,19 +152,20 @@ def main() -> None:
     parser.add_argument("--accuracy", type=float, default=1e-3, help="of the fit's engine; a tenth for truth")
     parser.add_argument("--unmodelled", type=int, default=5, help="rooms of all reflections, fitted with three")
     parser.add_argument("-o", "--output", type=Path, required=True)
+    parser.add_argument("--jobs", type=int, default=1, help="processes")
     options = parser.parse_args()
     fits, seconds, z = [], [], {name: [] for name in BEFORE}
     errors: dict[str, list[float]] = {name: [] for name in BEFORE}
-    for seed in range(options.rooms):
-        case = Case(seed, options.accuracy)
-        found, took = case.fitted(options.accuracy)
+    with ProcessPoolExecutor(options.jobs, mp_context=get_context("spawn")) as pool:
+        cases = [(seed, room(seed), options.accuracy, 3) for seed in range(options.rooms)]
+        cases += [(seed, room(seed), options.accuracy, 12) for seed in range(1000, 1000 + options.unmodelled)]
+        results_of = list(pool.map(calibrated, cases))
+    for off, found, took in results_of[: options.rooms]:
         fits.append(found)
         seconds.append(took)
         for name, deviation in zip(found.names, found.deviations, strict=True):
-            errors[name].append(found.value(name) - case.off[name])
+            errors[name].append(found.value(name) - off[name])
             z[name].append(errors[name][-1] / deviation)
-        rms = np.sqrt(np.mean([values[-1] ** 2 for values in z.values()]))
-        print(f"room {seed}: {took:.1f} s, {found.steps} slopes, p {found.verdict.p:.3g}, z {rms:.2f}", flush=True)
     rows = []
     for number, name in enumerate(BEFORE):
         stated = float(np.median([found.deviations[number] for found in fits]))
@@ -161,9 +175,8 @@ def main() -> None:
     results.write(options.output, "calibration", RESULTS["calibration"], rows)
     told = [_told("three reflections", fits, seconds)]
     if options.unmodelled:
-        cases = [Case(1000 + k, options.accuracy, order=12) for k in range(options.unmodelled)]
-        wrong = [case.fitted(options.accuracy) for case in cases]
-        told.append(_told("twelve reflections", [found for found, _ in wrong], [took for _, took in wrong]))
+        wrong = results_of[options.rooms :]
+        told.append(_told("twelve reflections", [found for _, found, _ in wrong], [took for *_, took in wrong]))
     results.write(options.output, "calibration-fits", RESULTS["calibration-fits"], told)
 
 

@@ -26,6 +26,8 @@ _NEAR = 1.0
 """Slopes count as those of the fit where the fit is no farther from where they were computed, in the same unit."""
 UNDETERMINED = 0.9
 """A value is called undetermined where its deviation is still this share of what it was beforehand."""
+_TOGETHER = 0.7
+"""Correlation from which on two values are said to be known together only."""
 _BLOCKS = 4
 """Parts along each side of a picture, whose means tell of errors of large scale."""
 _LEFT = 0.1
@@ -129,6 +131,16 @@ class Calibration:
         """Names of what the pictures hardly say anything about."""
         left = self.deviations > UNDETERMINED * self.before
         return tuple(name for name, is_left in zip(self.names, left, strict=True) if is_left)
+
+    def bound_together(self) -> list[str]:
+        """Return sentences on pairs of values that the pictures know better together than each alone."""
+        correlation = self.covariance / np.outer(self.deviations, self.deviations)
+        told = []
+        for j, k in zip(*np.triu_indices(len(self.names), 1), strict=True):
+            if abs(correlation[j, k]) > _TOGETHER:
+                how = "the less" if correlation[j, k] < 0 else "the more"
+                told.append(f"the more {self.names[j]}, {how} {self.names[k]} (correlation {correlation[j, k]:.2f})")
+        return told
 
     def value(self, name: str) -> float:
         """Return what is off by a name; 0 if it was not fitted."""

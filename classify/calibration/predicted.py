@@ -20,8 +20,6 @@ the middle."""
 
 _STEP = 0.5
 """Steps of central differences, in standard deviations of what is known beforehand."""
-_NUDGE = 0.01
-"""Steps of central differences by the object's place, metres."""
 _KEPT = 100
 """Pictures whose light is remembered."""
 _ENGINES = 3
@@ -79,14 +77,14 @@ class Predicted:
         width, height = world.watched.resolution
         u, v = np.meshgrid((np.arange(width) + 0.5) / width - 0.5, (np.arange(height) + 0.5) / height - 0.5)
         self._outwards = ((u * width) ** 2 + (v * height) ** 2) / (0.25 * (width**2 + height**2))
-        self._mean = float(self._pictured({}, world, 0).mean())
+        self._mean = float(self._pictured({}, (1.0, 1.0, 1.0), 0).mean())
 
     @property
     def names(self) -> tuple[str, ...]:
         """Names of all that may be off: of the scene, the camera, and the objects' places (``place.1.x``)."""
         missing = {"ambient"} if self.world.ambient is None else set()
         missing |= set() if mean_albedo(self.world.room) else {"room.albedo"}
-        missing |= set() if self.places else {"target.albedo", "target.size"}
+        missing |= {"target.albedo"} if self.world.is_glossy else set()
         scene = [name for name in OFFSETS if name not in missing]
         return (*scene, *CAMERA, *(f"place.{k + 1}.{axis}" for k in range(len(self.places)) for axis in "xyz"))
 
@@ -102,29 +100,22 @@ class Predicted:
         NlosError
             The scene cannot be so (`with_parameters`), or the object cannot stand there.
         """
-        world = self.changed(offsets)
-        seen = np.stack([self._pictured(offsets, world, k) for k in range(1 + len(self.places))])
+        factors = self._albedos(self.changed(offsets))
+        seen = np.stack([self._pictured(offsets, factors, k) for k in range(1 + len(self.places))])
         made: Array = self._shade(offsets) * seen + offsets.get("black", 0.0) * self._mean
         return made
 
     def slopes(self, offsets: Offsets, deviations: Mapping[str, float]) -> Array:
         """Return the derivatives of all pictures, (names, n, height, width), by the names of ``deviations``.
 
-        They are central differences of the engine over a part of each deviation; of the objects' places the engine
-        has exact ones, unless something stands in the way.
+        They are central differences over a part of each deviation: pictures of the engine are free of noise, and
+        take less time than its own derivatives, which it has of unhindered objects only.
         """
         base = self.pictures(offsets)
         found = np.zeros((len(deviations), *base.shape))
-        names = list(deviations)
-        for picture in range(1, len(base)):
-            rows = {name: k for k, name in enumerate(names) if name.startswith(f"place.{picture}.")}
-            if rows:
-                by_place = self._by_place(offsets, picture)
-                for name, row in rows.items():
-                    found[row, picture] = by_place["xyz".index(name[-1])]
-        for row, name in enumerate(names):
-            if name not in _OUTSIDE and not name.startswith("place."):
-                found[row] = self._difference(offsets, name, _STEP * deviations[name], base)
+        for row, (name, deviation) in enumerate(deviations.items()):
+            if name not in _OUTSIDE:
+                found[row] = self._difference(offsets, name, _STEP * deviation, base)
         return found
 
     def _difference(self, offsets: Offsets, name: str, step: float, base: Array) -> Array:
@@ -140,23 +131,6 @@ class Predicted:
         slope: Array = (above - below) / (high - low)
         return slope
 
-    def _by_place(self, offsets: Offsets, picture: int) -> Array:
-        """Return the derivatives of a picture by its object's place, (3, height, width), per metre."""
-        place = self._place(offsets, picture)
-        try:
-            engine = self._engine_of(self._used(offsets, 1, all_of=True))
-            slopes = engine.render(place.position, place.rotation, derivatives=True).derivatives
-            assert slopes is not None
-            by_place: Array = slopes[:3].mean(axis=-1)
-        except NlosError:  # known only where nothing is in the way
-            world, ends = self.changed(offsets), []
-            for name in (f"place.{picture}.{axis}" for axis in "xyz"):
-                here = offsets.get(name, 0.0)
-                high, low = (self._pictured({**offsets, name: here + x}, world, picture) for x in (_NUDGE, -_NUDGE))
-                ends.append((high - low) / (2.0 * _NUDGE))
-            by_place = np.stack(ends)
-        return self._shade(offsets) * by_place
-
     def _shade(self, offsets: Offsets) -> Array:
         """Return the camera's factor on each pixel, (height, width)."""
         shade: Array = (1.0 + offsets.get("level", 0.0)) * (1.0 - offsets.get("vignetting", 0.0) * self._outwards)
@@ -169,25 +143,27 @@ class Predicted:
         )
         return replace(self.places[picture - 1], position=(x, y, z))
 
-    def _used(self, offsets: Offsets, picture: int, *, all_of: bool = False) -> dict[str, float]:
+    def _used(self, offsets: Offsets, picture: int) -> dict[str, float]:
         """Return what a picture's light must be computed for anew: the rest are factors on its parts."""
-        unused = {*_OUTSIDE, *(() if all_of else (*self._factors, *self._strengths))}
+        unused = {*_OUTSIDE, *self._factors, *self._strengths}
         unused |= set() if picture else {"target.albedo", "target.size"}
         return {name: x for name, x in offsets.items() if name in OFFSETS and name not in unused and x}
 
-    def _pictured(self, offsets: Offsets, world: World, picture: int) -> Array:
+    def _albedos(self, world: World) -> tuple[float, float, float]:
+        """Return the factors of a world on the albedos of wall, room and target; 1 where light is computed anew."""
+        if not self._factors:
+            return 1.0, 1.0, 1.0
+        base = self.world
+        pairs = ((world.room, base.room), (world.target, base.target))
+        room, target = (mean_albedo(now) / mean_albedo(then) if mean_albedo(then) else 1.0 for now, then in pairs)
+        return float(world.watched.albedo.mean() / base.watched.albedo.mean()), room, target
+
+    def _pictured(self, offsets: Offsets, factors: tuple[float, float, float], picture: int) -> Array:
         """Return a picture as the scene gives it, without the camera's part, (height, width)."""
-        light, base = self._light(offsets, picture), self.world
+        light, (wall, room, target) = self._light(offsets, picture), factors
         power, ambient = (
             1.0 + offsets.get(name, 0.0) if name in self._strengths else 1.0 for name in ("spot.power", "ambient")
         )
-        wall = room = target = 1.0
-        if self._factors:
-            wall = float(world.watched.albedo.mean() / base.watched.albedo.mean())
-            room, target = (
-                mean_albedo(now) / mean_albedo(then) if mean_albedo(then) else 1.0
-                for now, then in ((world.room, base.room), (world.target, base.target))
-            )
         lamp = wall * light.direct + wall**2 * (room * light.room + target * light.target)
         return power * lamp + ambient * light.sky
 
@@ -209,7 +185,7 @@ class Predicted:
             sky = (everything - without_sky).mean(axis=2)
             if not self._factors:
                 return _Light(without_sky.mean(axis=2), dark, dark, sky)
-            direct = Transport(replace(engine.world, order=1), accuracy=self._accuracy).background().mean(axis=2)
+            direct = engine.directly_lit().mean(axis=2)
             return _Light(direct, everything.mean(axis=2) - direct, dark, dark)
         empty = self._light(used, 0)
         if self._factors:
