@@ -135,21 +135,20 @@ def whole_rules(patch: Patch) -> Floats:
         points = centre + s.reshape(-1, 1) * major + reach.reshape(-1, 1) * minor
         weights = area * (np.pi / (k + 1) * np.sin(alpha) ** 2)[:, None] * weight
         rules[k, 0, : k * k], rules[k, 1, : k * k] = points.T
-        rules[k, 2, : k * k] = weights.ravel()
-    rules[:, 2] *= _radiances(rules[:, 0], rules[:, 1], patch)
+        rules[k, 2, : k * k] = weights.ravel() * _sent(points, patch)
     return rules
 
 
-def _radiances(p: Floats, q: Floats, patch: Patch) -> Floats:
-    """NumPy form of `radiance`: sets in which the lamp moves make these rules anew for each picture."""
-    u, v, w = p - patch.lamp_x, q - patch.lamp_y, -patch.height
+def _sent(points: Floats, patch: Patch) -> Floats:
+    """Return what `radiance` does, of all points (n, 2) at once: a set of many lamps makes the rules of each."""
+    u, v, w = points[:, 0] - patch.lamp_x, points[:, 1] - patch.lamp_y, -patch.height
     far = np.sqrt(u * u + v * v + w * w)
     ratio = patch.height / far
-    values = ratio * ratio * ratio
+    values: Floats = ratio * ratio * ratio
     if patch.cos_width > 0.0:
         cosine = (u * patch.axis_x + v * patch.axis_y + w * patch.axis_z) / far
         step = np.clip((cosine - patch.cos_outer) / patch.cos_width, 0.0, 1.0)
-        values *= step * step * (3.0 - 2.0 * step)
+        values = values * (step * step * (3.0 - 2.0 * step))
     return values
 
 
