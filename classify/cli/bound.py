@@ -88,10 +88,12 @@ def run_bound(options: argparse.Namespace) -> Answer:
     atlas, simulated = loaded(options), Bulk.open(options.simulated)
     if atlas.about.get("fingerprints") != [simulated.meta["fingerprint"]]:
         raise NlosError(f"{options.atlas}: is not an atlas of {options.simulated}; make it anew")
-    # The bound of Cramer and Rao needs a known object and the derivatives of its pictures.
-    single = not simulated.plan.unknown
+    # The bound of Cramer and Rao needs a known object and scene and the derivatives of its pictures.
+    single = not (simulated.plan.unknown or simulated.plan.uncertain)
     if options.map and not single:
-        raise NlosError(f"--map: draws what can be known of one object, and {options.simulated} is of many")
+        raise NlosError(
+            f"--map: draws what can be known of one object in a known scene, and {options.simulated} is of many"
+        )
     with progress_bar("asking", "pictures") as progress:
         best = bound.reachable(
             atlas,

@@ -197,14 +197,14 @@ def _asked(request: Any) -> dict[str, Any]:
 
 def _prior(options: argparse.Namespace, scene: dict[str, Any], predicted: Predicted) -> Uncertainty:
     """Return what is known beforehand of the scene."""
-    from generator.files.toml import from_dict, read_toml
+    from generator.files.uncertainty_file import read_uncertainty
     from generator.model.uncertainty import Uncertainty
 
     if options.prior is None:
         names = tuple(name for name in DEFAULT if name in predicted.names)
         return Uncertainty(names=names, deviation=tuple(DEFAULT[name] for name in names))
+    prior = read_uncertainty(options.prior)
     try:
-        prior: Uncertainty = from_dict(Uncertainty, read_toml(options.prior))
         prior.check(scene)
     except NlosError as error:
         raise NlosError(f"{options.prior}: {error}") from None

@@ -64,7 +64,8 @@ def run_features(options: argparse.Namespace) -> Answer:
 
     names = ("set", "input", "tone", "floor", "ceiling", "size")
     settings = FeatureSettings(**{n: getattr(options, n) for n in names if getattr(options, n) is not None})
-    sensor = None if options.sensor is None and options.frames is None else sensor_of(options)
+    unnamed = options.sensor is None and options.frames is None and options.exposure_time is None
+    sensor = None if unnamed else sensor_of(options)
     if sensor is None and options.seed is not None:
         raise NlosError("--seed: is of the sensor's noise; name a sensor with --sensor, or leave it out")
     idle = ("tone", "ceiling") if settings.set == "physics" else ("floor",) if settings.tone == "linear" else ()

@@ -147,9 +147,9 @@ def run_import(options: argparse.Namespace) -> Answer:
         labels=options.labels,
         mask=options.mask,
     )
-    electrons, read_noise = _of_sensor(options)
+    electrons, read_noise, black = _of_sensor(options)
     treatment = importing.Treatment(
-        black=options.black,
+        black=black,
         white=options.white,
         gamma=options.gamma,
         weights=tuple(options.weights or (1.0, 1.0, 1.0)),
@@ -185,19 +185,20 @@ def run_import(options: argparse.Namespace) -> Answer:
     return Answer(values, [*(f"note: {note}" for note in made.notes), line])
 
 
-def _of_sensor(options: argparse.Namespace) -> tuple[float | None, float]:
-    """Electrons per unit and read noise, as given or as a sensor has them."""
+def _of_sensor(options: argparse.Namespace) -> tuple[float | None, float, float | None]:
+    """Electrons per unit, read noise and black level, as given or as a sensor has them."""
     if options.sensor is None:
         if options.read_noise is not None and options.electrons is None:
             raise NlosError("--read-noise: means nothing without --electrons")
-        return options.electrons, options.read_noise or 0.0
+        return options.electrons, options.read_noise or 0.0, options.black
     from classify.cli.options import sensor_of
 
     sensor = sensor_of(argparse.Namespace(sensor=options.sensor, frames=None))
     if options.electrons is None and not sensor.bits:
         raise NlosError(f"{options.sensor}: has no bits, so its electrons per unit are unknown; state --electrons")
     electrons = options.electrons if options.electrons is not None else sensor.electrons_per_level
-    return electrons, sensor.read_noise if options.read_noise is None else options.read_noise
+    black = sensor.black_level or None if options.black is None and not options.dark else options.black
+    return electrons, sensor.read_noise if options.read_noise is None else options.read_noise, black
 
 
 def _geometry(options: argparse.Namespace, like: Description | None) -> Geometry:

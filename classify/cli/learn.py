@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+from collections.abc import Callable, Iterable
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -18,6 +19,7 @@ from generator.model.errors import NlosError
 
 if TYPE_CHECKING:
     from classify.classifiers.evaluate import Result
+    from classify.classifiers.models import Model
     from generator.files.pictures import Picture
 
 
@@ -113,7 +115,9 @@ def _add_predict(commands: Commands) -> None:
         epilog="example:\n  nlos-classify predict sheet.skops sheet/E/0007.exr --json",
     )
     parser.add_argument("model", type=Path, metavar="FILE.skops")
-    parser.add_argument("pictures", type=Path, nargs="+", metavar="PICTURE.exr")
+    parser.add_argument(
+        "pictures", type=Path, nargs="+", metavar="PICTURE.exr|SET", help="pictures, or one data set of them"
+    )
     parser.add_argument(
         "--background",
         type=Path,
@@ -363,6 +367,32 @@ def run_train(options: argparse.Namespace) -> Answer:
     return Answer(values, [line, *accuracy])
 
 
+def _pictures(
+    paths: list[Path], read: Callable[[Path], Picture], model: Model
+) -> tuple[Iterable[tuple[Path, Picture]], Picture | None]:
+    """Return pictures with their names, and the empty scene if they are a data set."""
+    if not any(path.is_dir() for path in paths):
+        return ((path, read(path)) for path in paths), None
+    if len(paths) > 1:
+        raise NlosError(f"predict: takes pictures, or one data set; {len(paths)} were named")
+    import numpy as np
+
+    from classify.pictures.taken import level_of
+    from generator.sets.measured import has_own_noise
+    from generator.sets.readable import check_colours
+    from generator.sets.simulated import open_set
+
+    dataset = open_set(paths[0])
+    if dataset.own_backgrounds:
+        raise NlosError(f"{paths[0]}: has a background a picture; name pictures and a --background")
+    empty, level = dataset.background(), np.float32(1.0)
+    check_colours(paths[0], dataset.colour_space, model.colour_space, "the model")
+    if has_own_noise(dataset):
+        level = np.float32(level_of(*(p.mean(axis=2, dtype=np.float64) for p in (empty, model.background)))[0])
+    pictures = ((dataset.path / record.file, dataset.picture(record) * level) for record in dataset.records)
+    return pictures, empty * level
+
+
 def run_predict(options: argparse.Namespace) -> Answer:
     """Print the voxel that a model predicts for each picture."""
     import numpy as np
@@ -379,13 +409,14 @@ def run_predict(options: argparse.Namespace) -> Answer:
         check_colours(path, header.get("colour_space", COLOUR_SPACE), model.colour_space, str(options.model))
         return pixels
 
-    background = read(options.background) if options.background else None
+    pictures, background = _pictures(options.pictures, read, model)
+    background = read(options.background) if options.background else background
     if background is not None and model.settings.input == "raw":
         console.complain("note: --background: means nothing to this model, whose features are of the raw picture")
     doubts = [] if background is None else models.doubts(model, background)
     found, lines = [], []
-    for path in options.pictures:
-        voxels, misfit = model.judged(read(path), background=background, name=str(path))
+    for path, picture in pictures:
+        voxels, misfit = model.judged(picture, background=background, name=str(path))
         likely = sorted(voxels.items(), key=lambda item: -item[1])
         found.append(Prediction(picture=str(path), label=likely[0][0], probability=voxels, misfit=misfit))
         shown = "  ".join(f"{voxel} {p:.1%}" for voxel, p in likely if p >= 5e-4)

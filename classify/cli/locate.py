@@ -26,7 +26,10 @@ from generator.model.errors import NlosError
 
 if TYPE_CHECKING:
     from classify.inference.evaluation import Evaluation
+    from classify.inference.photographs import Answers
+    from classify.inference.photographs import Tracked as Followed
     from classify.inference.tracker import Step
+    from generator.model.poses import PoseRecord
 
 
 def add_parsers(commands: Commands) -> None:
@@ -61,6 +64,19 @@ def _add_locate(commands: Commands) -> None:
         help="take the first N pictures of a simulated set (default: all)",
     )
     parser.add_argument("-o", "--output", type=Path, metavar="FOLDER", help="for report.html and answers.csv")
+    parser.add_argument(
+        "--watch",
+        type=Path,
+        metavar="FOLDER",
+        help="in place of the set's pictures, answer those that a camera puts into this folder, treated as those of "
+        "the set were by nlos-classify import",
+    )
+    parser.add_argument(
+        "--patience",
+        type=float,
+        metavar="S",
+        help="with --watch: end when nothing has come for S seconds (default: when interrupted)",
+    )
     add_seed(parser, "of the sensor's noise")
     add_false_alarm(parser)
     add_atlas_options(parser, voxels=True)
@@ -294,7 +310,7 @@ def run_locate(options: argparse.Namespace) -> Answer:
     from classify.inference import evaluation
     from classify.report import page
     from generator.files.writing import write_text
-    from generator.sets.measured import has_own_noise
+    from generator.sets.measured import MeasuredSet
     from generator.sets.simulated import open_set
 
     models.check_seed(options.seed)
@@ -302,8 +318,10 @@ def run_locate(options: argparse.Namespace) -> Answer:
         check_output(options.output, folder=True)
     atlas = loaded(options)
     dataset = open_set(options.dataset, options.count)
-    if has_own_noise(dataset):
-        return photographs.locate(options, atlas, dataset)
+    if MeasuredSet.exists(options.dataset):
+        return _of_photographs(photographs.locate(options, atlas, dataset))
+    if options.watch is not None:
+        raise NlosError(f"--watch: {options.dataset} was not made by nlos-classify import, which says how")
     with progress_bar("locating", "pictures") as progress:
         answers = evaluation.run(
             atlas,
@@ -356,6 +374,72 @@ def run_locate(options: argparse.Namespace) -> Answer:
         files=files,
     )
     return Answer(values, text)
+
+
+def _of_photographs(told: photographs.Told[Answers]) -> Answer:
+    answers = told.answers
+    values = Located(
+        quality=[],
+        accuracy=_or_none(answers.accuracy()),
+        error=_or_none(answers.error()),
+        covered=_or_none(answers.covered()),
+        false_alarms=None,
+        seconds=float(np.median([found.seconds for found in answers.found])),
+        level=answers.level,
+        mismatch=answers.mismatch,
+        doubts=list(answers.doubts),
+        answers=[
+            Location(
+                file=record.file,
+                truth=record.label or None,
+                label=answers.labels[found.place.voxels.argmax()],
+                probability=float(found.place.voxels.max()),
+                true_position=list(record.position) if record.placed else None,
+                position=found.place.position.tolist(),
+                deviation=np.sqrt(np.diag(found.place.covariance)).tolist(),
+                evidence=found.evidence,
+                detected=found.detected,
+                misfit=found.misfit,
+            )
+            for record, found in zip(answers.records, answers.found, strict=True)
+        ],
+        files=told.files,
+    )
+    return Answer(values, told.lines, 1 if answers.doubts else 0)
+
+
+def _of_walk(told: photographs.Told[Followed], labels: Sequence[str]) -> Answer:
+    tracked = told.answers
+    errors = tracked.errors
+    values = Tracked(
+        frames=[
+            Frame(
+                frame=record.index,
+                there=None,
+                presence=step.presence,
+                label=labels[int(step.voxels.argmax())],
+                position=step.position.tolist(),
+                deviation=np.sqrt(np.diag(step.covariance)).tolist(),
+                covariance=step.covariance.tolist(),
+                true_position=list(record.position) if record.placed else None,
+            )
+            for record, step in zip(tracked.records, tracked.steps, strict=True)
+        ],
+        error=None,
+        trajectory_error=float(np.sqrt((errors**2).mean())) if len(errors) else None,
+        accuracy=None,
+        covered=None,
+        presence=None,
+        found_again=[],
+        atlas_covered=None,
+        words=told.lines,
+        files=told.files,
+    )
+    return Answer(values, told.lines, 1 if tracked.doubts else 0)
+
+
+def _or_none(value: object) -> Interval | None:
+    return None if value is None else interval(value)
 
 
 def _quality(answers: Evaluation) -> list[Quality]:
@@ -444,7 +528,7 @@ def run_track(options: argparse.Namespace) -> Answer:
     from classify.report import page
     from generator.files.writing import write_text
     from generator.sets.dataset import Dataset
-    from generator.sets.measured import MeasuredSet, has_own_noise
+    from generator.sets.measured import MeasuredSet
 
     models.check_seed(options.seed)
     gaps = [_gap(text) for text in options.gap]
@@ -456,8 +540,13 @@ def run_track(options: argparse.Namespace) -> Answer:
         print(frame_words(record.index, step, atlas.grid.labels), flush=True)
 
     atlas = loaded(options)
-    if MeasuredSet.exists(options.dataset) and has_own_noise(measured := MeasuredSet.open(options.dataset)):
-        return photographs.track(options, atlas, measured)
+    if MeasuredSet.exists(options.dataset):
+
+        def report_one(record: PoseRecord, step: Step) -> None:
+            print(frame_words(record.index, step, atlas.grid.labels), flush=True)
+
+        measured = MeasuredSet.open(options.dataset)
+        return _of_walk(photographs.track(options, atlas, measured, report_one), atlas.grid.labels)
     dataset = Dataset.open(options.dataset)
     for first, last in gaps:
         if first >= dataset.planned:

@@ -19,19 +19,23 @@ if TYPE_CHECKING:
     from classify.inference.atlas import Atlas
     from classify.pictures.sensor import Sensor
 
-SENSORS = ("full_well", "read_noise", "bits", "exposure", "fill", "frames", "background_frames", "gain_spread")
-
 
 def add_sensor_options(parser: argparse.ArgumentParser, otherwise: str = "by the default sensor") -> None:
     """Add the options for the camera's sensor and its frames."""
     parser.add_argument(
         "--sensor",
         metavar="default|FILE.toml",
-        help=f"see the pictures through a camera's sensor; a file may name {', '.join(SENSORS)}, offset_spread and "
-        "drift. The default has a full well of 10,500 electrons, the brightest pixel at 80 %% of it, a read noise of "
-        f"2.5, 12 bits (without it: {otherwise})",
+        help="see the pictures through a camera's sensor; the file is one of nlos-classify sensor, or names some of "
+        "the fields of classify.Sensor. The default has a full well of 10,500 electrons, the brightest pixel at "
+        f"80 %% of it, a read noise of 2.5, 12 bits (without it: {otherwise})",
     )
     parser.add_argument("--frames", type=int, metavar="N", help="that the sensor averages for a picture (default: 1)")
+    parser.add_argument(
+        "--exposure-time",
+        type=float,
+        metavar="S",
+        help="of a frame, seconds, in which dark charge collects (default: 0)",
+    )
 
 
 def add_atlas_options(parser: argparse.ArgumentParser, *, voxels: bool = False) -> None:
@@ -65,17 +69,14 @@ def sensor_of(options: argparse.Namespace) -> Sensor:
     """Return the sensor that the options ask for."""
     from dataclasses import replace
 
+    from classify.pictures import sensor_file
     from classify.pictures.sensor import Sensor
-    from generator.files.toml import from_dict, read_toml
 
     sensor = Sensor()
     if options.sensor not in (None, "default"):
-        given = read_toml(Path(options.sensor))
-        try:
-            sensor = from_dict(Sensor, given)
-        except NlosError as error:
-            raise NlosError(f"{options.sensor}: {error}") from None
-    return sensor if options.frames is None else replace(sensor, frames=options.frames)
+        sensor = sensor_file.read(Path(options.sensor))
+    own = {name: getattr(options, name, None) for name in ("frames", "exposure_time")}
+    return replace(sensor, **{name: value for name, value in own.items() if value is not None})
 
 
 def check_output(path: Path, *, folder: bool = False) -> None:

@@ -3,31 +3,48 @@
 from __future__ import annotations
 
 import argparse
+from collections.abc import Callable
+from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Generic, TypeVar
 
 import numpy as np
 
 from classify.cli.options import progress_bar
-from generator.cli.answer import Answer, Interval, interval
+from generator.cli import console
 from generator.model.errors import NlosError
 
 if TYPE_CHECKING:
     from classify.inference.atlas import Atlas
+    from classify.inference.photographs import Answers, Tracked
     from classify.inference.tracker import Step
     from generator.model.poses import PoseRecord
     from generator.sets.readable import PictureSet
+
+T = TypeVar("T")
+
+
+@dataclass(frozen=True)
+class Told(Generic[T]):
+    """Answers, the lines that tell them, and the files that were written."""
+
+    answers: T
+    lines: list[str]
+    files: list[Path]
+
 
 _FEW = 20
 """Pictures up to which each gets a line."""
 
 
-def locate(options: argparse.Namespace, atlas: Atlas, dataset: PictureSet) -> Answer:
+def locate(options: argparse.Namespace, atlas: Atlas, dataset: PictureSet) -> Told[Answers]:
     """Answer each picture, and say how often answers are right as far as that is known."""
-    from classify.cli.locate import Located, Location
     from classify.inference import photographs
-    from generator.files.writing import write_text
 
+    if options.watch is not None:
+        return _watch(options, atlas, dataset)
+    if options.patience is not None:
+        raise NlosError("--patience: means nothing without --watch")
     with progress_bar("locating", "pictures") as progress:
         answers = photographs.answers(
             atlas,
@@ -36,8 +53,41 @@ def locate(options: argparse.Namespace, atlas: Atlas, dataset: PictureSet) -> An
             seed=options.seed,
             progress=lambda done, total: progress(done, total, ""),
         )
+    return _told(options, answers, answers.lines() if len(answers.found) <= _FEW else [])
+
+
+def _watch(options: argparse.Namespace, atlas: Atlas, dataset: PictureSet) -> Told[Answers]:
+    """Answer pictures as they come into a folder."""
+    from classify.inference import photographs
+    from classify.pictures import arrivals
+    from classify.pictures.recipe import FILE, Recipe
+
+    if options.patience is not None and not options.patience > 0.0:
+        raise NlosError(f"--patience {options.patience:g}: must be positive, seconds")
+    recipe = Recipe.load(dataset.path / FILE)
+
+    def told(name: str, found: photographs.Found) -> None:
+        print(f"{name}: {found.words(atlas.grid.labels)}", flush=True)
+
+    answers = photographs.live(
+        atlas,
+        dataset,
+        recipe,
+        arrivals.come(options.watch, options.patience, complain=console.complain),
+        false_alarm=options.false_alarm,
+        seed=options.seed,
+        told=told,
+        complain=console.complain,
+    )
+    if not answers.found:
+        raise NlosError(f"{options.watch}: no picture came")
+    return _told(options, answers, [])
+
+
+def _told(options: argparse.Namespace, answers: Answers, lines: list[str]) -> Told[Answers]:
+    from generator.files.writing import write_text
+
     seconds = float(np.median([found.seconds for found in answers.found]))
-    lines = answers.lines() if len(answers.found) <= _FEW else []
     lines.append(f"something is found in {answers.detected().percent()} of {len(answers.found)} pictures")
     if accuracy := answers.accuracy():
         lines.append(f"right voxel in {accuracy.percent()} of those whose voxel is known")
@@ -50,50 +100,23 @@ def locate(options: argparse.Namespace, atlas: Atlas, dataset: PictureSet) -> An
         files = [options.output / "answers.csv"]
         write_text(files[0], answers.csv())
         lines.append(str(files[0]))
-    values = Located(
-        quality=[],
-        accuracy=_or_none(accuracy),
-        error=_or_none(error),
-        covered=_or_none(covered),
-        false_alarms=None,
-        seconds=seconds,
-        level=answers.level,
-        mismatch=answers.mismatch,
-        doubts=list(answers.doubts),
-        answers=[
-            Location(
-                file=record.file,
-                truth=record.label or None,
-                label=answers.labels[found.place.voxels.argmax()],
-                probability=float(found.place.voxels.max()),
-                true_position=list(record.position) if record.placed else None,
-                position=found.place.position.tolist(),
-                deviation=np.sqrt(np.diag(found.place.covariance)).tolist(),
-                evidence=found.evidence,
-                detected=found.detected,
-                misfit=found.misfit,
-            )
-            for record, found in zip(answers.records, answers.found, strict=True)
-        ],
-        files=files,
-    )
-    return Answer(values, lines, 1 if answers.doubts else 0)
+    return Told(answers, lines, files)
 
 
-def track(options: argparse.Namespace, atlas: Atlas, dataset: PictureSet) -> Answer:
+def track(
+    options: argparse.Namespace,
+    atlas: Atlas,
+    dataset: PictureSet,
+    report: Callable[[PoseRecord, Step], None],
+) -> Told[Tracked]:
     """Follow the object from picture to picture."""
-    from classify.cli.locate import Frame, frame_words
-    from classify.cli.locate import Tracked as Values
     from classify.inference import photographs
     from generator.files.writing import write_text
 
     if options.gap or options.follow:
         raise NlosError("--gap and --follow: are for rendered trajectories, and these pictures were taken")
 
-    def report(record: PoseRecord, step: Step) -> None:
-        print(frame_words(record.index, step, atlas.grid.labels), flush=True)
-
-    tracked = photographs.track(atlas, dataset, step=options.step, told=report)
+    tracked = photographs.track(atlas, dataset, step=options.step, seed=options.seed, told=report)
     found = sum(step.found for step in tracked.steps)
     lines = [f"something is there in {found} of {len(tracked.steps)} frames"]
     errors = tracked.errors
@@ -105,32 +128,4 @@ def track(options: argparse.Namespace, atlas: Atlas, dataset: PictureSet) -> Ans
     if options.output:
         files = [options.output / "track.csv"]
         write_text(files[0], tracked.csv())
-    values = Values(
-        frames=[
-            Frame(
-                frame=record.index,
-                there=None,
-                presence=step.presence,
-                label=atlas.grid.labels[step.voxels.argmax()],
-                position=step.position.tolist(),
-                deviation=np.sqrt(np.diag(step.covariance)).tolist(),
-                covariance=step.covariance.tolist(),
-                true_position=list(record.position) if record.placed else None,
-            )
-            for record, step in zip(tracked.records, tracked.steps, strict=True)
-        ],
-        error=None,
-        trajectory_error=float(np.sqrt((errors**2).mean())) if len(errors) else None,
-        accuracy=None,
-        covered=None,
-        presence=None,
-        found_again=[],
-        atlas_covered=None,
-        words=lines,
-        files=files,
-    )
-    return Answer(values, [*lines, *map(str, files)], 1 if tracked.doubts else 0)
-
-
-def _or_none(value: object) -> Interval | None:
-    return None if value is None else interval(value)
+    return Told(tracked, [*lines, *map(str, files)], files)

@@ -19,9 +19,9 @@ from classify.classifiers import models
 from classify.inference import atlas_file
 from classify.inference.atlas import Atlas
 from classify.inference.evaluation import doubts
-from classify.inference.misfit import Misfits
+from classify.inference.misfit import Misfits, doubt_of_backgrounds
 from classify.inference.posterior import Place, locate
-from classify.pictures.sensor import Sensor, level_between
+from classify.pictures.sensor import Sensor, factor_between, level_between
 from generator.files.pictures import Picture
 from generator.files.toml import from_dict
 from generator.model.arrays import Array
@@ -137,7 +137,7 @@ class Answerer(ABC):
         check_colours(Path("the look"), seen.colour_space, self._colour_space, str(self._path.name))
         self._clean = self._resized(seen.background)
         grey = self._clean.mean(axis=2, dtype=np.float64)
-        level, mismatch = level_between(grey, self._empty)
+        level, mismatch = self._difference(grey)
         self._level = self._taken_level(level)
         self.doubts = self._doubts(seen.target, level, mismatch)
         self._background = self._measured(self._clean, 0, background=True)
@@ -173,6 +173,10 @@ class Answerer(ABC):
         rng = np.random.default_rng([_SEED, stream])
         frames = self._sensor.background_frames if background else self._sensor.frames
         return self._sensor.measure(clean * np.float32(self._level), rng, frames=frames, pattern=_SEED)
+
+    def _difference(self, empty: Array) -> tuple[float, float]:
+        """Return in level and shape how an empty scene differs from the one that it is made for (`level_between`)."""
+        return level_between(empty, self._empty)
 
     def _taken_level(self, level: float) -> float:
         """Return the factor on the exposure."""
@@ -227,21 +231,34 @@ class ByAtlas(Answerer):
 
     def __init__(self, path: Path, atlas: Atlas) -> None:
         self._atlas, self._misfits = atlas, Misfits(atlas)
+        self._given: tuple[Picture, Atlas] | None = None
         super().__init__(path, atlas.grid, atlas.background, atlas.colour_space, atlas.sensor)
 
     def measured_answer(self, picture: Picture, background: Picture) -> _Measured:
         """Return the probability of each voxel, the place, and the misfit."""
         difference = self._atlas.difference(picture, background, name="the look")
         code = self._atlas.code_of(difference)
-        place = locate(self._atlas, code, seed=_SEED)
+        if self._given is None or self._given[0] is not background:
+            self._given = background, self._atlas.given(background)
+        given = self._given[1]
+        place = locate(given, code, seed=_SEED)
         probability = dict(zip(self._atlas.grid.labels, map(float, place.voxels), strict=True))
-        return probability, place, self._misfits(difference, code).probability
+        return probability, place, self._misfits(difference, code, given).probability
+
+    def _difference(self, empty: Array) -> tuple[float, float]:
+        if self._atlas.uncertain is None:
+            return super()._difference(empty)
+        return factor_between(empty, self._empty), 0.0  # its backgrounds were made as bright
 
     def _taken_level(self, level: float) -> float:
         return level
 
     def _doubts(self, target: str, level: float, mismatch: float) -> list[str]:
-        return doubts(self._atlas, target, level=level, mismatch=mismatch)
+        if self._atlas.uncertain is None:
+            return doubts(self._atlas, target, level=level, mismatch=mismatch)
+        shift = self._atlas.shift(self._clean * np.float32(level))
+        strange = doubt_of_backgrounds(np.array([self._atlas.uncertain.misfit(shift)]))
+        return [*([strange] if strange else []), *doubts(self._atlas, target, level=1.0, mismatch=0.0)]
 
 
 def opened(path: Path) -> Answerer:

@@ -18,6 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from classify.inference import unknown_object
+from classify.inference.uncertain import Uncertain
 from classify.inference.unknown_object import AmplitudePrior
 from classify.pictures.sensor import Sensor
 from generator.files.pictures import COLOUR_SPACE, Picture
@@ -73,6 +74,8 @@ class Atlas:
     hiding : ndarray of shape (n, k), float32, optional
         Codes of the light that a black object would hide at the same poses. If given, the object's size and albedo
         count as unknown (`classify.inference.unknown_object`).
+    uncertain : Uncertain, optional
+        How codes differ and scatter where the scene is not known exactly; `given` takes a measured background.
     """
 
     codes: NDArray[np.float32]
@@ -89,6 +92,7 @@ class Atlas:
     left_out: float
     about: dict[str, Any]
     hiding: NDArray[np.float32] | None = None
+    uncertain: Uncertain | None = None
 
     @cached_property
     def empty(self) -> Array:
@@ -120,6 +124,11 @@ class Atlas:
         assert self.hiding is not None
         return AmplitudePrior.of(self.added, self.hiding)
 
+    @cached_property
+    def _products(self) -> NDArray[np.float32]:
+        assert self.uncertain is not None
+        return self.uncertain.products(self.codes)
+
     def logs(self, codes: NDArray[np.float32]) -> NDArray[np.float32]:
         """Return the log-likelihood ratio of each pose to an empty scene, given pictures, (..., n).
 
@@ -129,7 +138,8 @@ class Atlas:
             Codes of the pictures.
         """
         if self.hiding is None:
-            return codes @ self.codes.T - self._half_squares
+            logs: NDArray[np.float32] = codes @ self.codes.T - self._half_squares
+            return logs if self.uncertain is None else logs + self.uncertain.gains(codes, self._products)
         return self._strengths.logs(codes @ self.added.T, codes @ self.hiding.T)
 
     @property
@@ -138,11 +148,14 @@ class Atlas:
         return self.sensor.shared_count(self.background.shape)
 
     def example(self, pose: int, rng: np.random.Generator) -> Array:
-        """Return the noiseless code (k,) of the object at a pose; if size and albedo are unknown, of random ones."""
+        """Return the noiseless code (k,) of the object at a pose; of a random scene if it is uncertain."""
         code: Array = self.codes[pose].astype(np.float64)
         if self.hiding is not None:
             added, hidden = rng.multivariate_normal(unknown_object.MEAN, unknown_object.COVARIANCE)
             code = added * self.added[pose].astype(np.float64) + hidden * self.hiding[pose]
+        if self.uncertain is not None:
+            scatter = self.uncertain.scatter[pose].astype(np.float64)
+            code = code + rng.normal(size=len(scatter)) @ scatter
         return code
 
     def at(self, frames: int) -> Atlas:
@@ -183,8 +196,15 @@ class Atlas:
         NlosError
             Its noise is distributed otherwise, or it collects so much light that the atlas leaves out too much.
         """
+        if sensor.shared_count(self.background.shape):
+            raise NlosError(
+                "the atlas: cannot take on noise of rows or columns, or flicker; make it with this camera's: "
+                "nlos-classify atlas SET -o FILE.atlas --sensor FILE.toml"
+            )
+        # Pictures of a camera are resized, so that the atlas' rows and columns are not the camera's.
+        alone = replace(self.sensor, row_noise=0.0, column_noise=0.0, flicker=0.0)
         light = np.maximum(self.background, 0.0)[..., None]
-        ratio = np.sqrt(self.sensor.variance(light) / sensor.variance(light))
+        ratio = np.sqrt(alone.variance(light) / sensor.variance(light))
         scale = float(np.sqrt((ratio**2).mean()))
         if float(np.abs(ratio / scale - 1.0).max()) > _SAME_NOISE:
             raise NlosError(
@@ -203,16 +223,18 @@ class Atlas:
         """Return the atlas for a sensor by which codes are ``scale`` times as long before their noise is 1."""
         old_factor = np.linalg.cholesky(noise_of(self.spread, self.nuisances))
         # Noise that pixels share grows in the code as other noise does; a drift grows with the code.
-        drifts = len(self.nuisances) - self.shared
-        grown = np.where(np.arange(len(self.nuisances)) < drifts, scale, math.sqrt(spread / self.spread)).astype(
-            np.float32
-        )[:, None]
-        new_factor = np.linalg.cholesky(noise_of(spread, grown * self.nuisances))
+        drifts, shared = len(self.nuisances) - self.shared, sensor.shared_count(self.background.shape)
+        factors = np.array([scale] * drifts + [math.sqrt(spread / self.spread)] * shared, dtype=np.float32)
+        nuisances = factors[:, None] * self.nuisances[: drifts + shared]
+        new_factor = np.linalg.cholesky(noise_of(spread, nuisances))
         change = np.linalg.solve(new_factor, old_factor)
         codes = (scale * self.codes @ change.T).astype(np.float32)
         hiding = None if self.hiding is None else (scale * self.hiding @ change.T).astype(np.float32)
         basis = (change @ self.basis).astype(np.float32)
         components = codes if hiding is None else np.concatenate([codes - hiding, hiding])
+        if self.uncertain is not None:
+            scattered = scale * self.uncertain.scatter @ change.T
+            components = np.sqrt(codes**2 + (scattered**2).sum(axis=1))
         residual = np.sqrt(np.cumsum(np.mean(components**2, axis=0)[::-1])[::-1])
         kept = max(1, int((residual > LEFT_OUT).sum()))
         # Ordered by strength, and Cholesky's factor is triangular: dropping the last directions changes no others.
@@ -221,7 +243,8 @@ class Atlas:
             codes=np.ascontiguousarray(codes[:, :kept]),
             hiding=None if hiding is None else np.ascontiguousarray(hiding[:, :kept]),
             basis=basis[:kept],
-            nuisances=grown * self.nuisances[:, :kept],
+            uncertain=None if self.uncertain is None else self.uncertain.scaled(scale, change, kept),
+            nuisances=nuisances[:, :kept],
             spread=spread,
             sensor=sensor,
             left_out=math.hypot(scale * self.left_out, float(residual[kept]) if kept < len(residual) else 0.0),
@@ -235,7 +258,22 @@ class Atlas:
     def take(self, some: Any) -> Atlas:
         """Return the atlas of some of its poses, given by their indices or a slice."""
         fields = {name: getattr(self, name)[some] for name in ("codes", "positions", "rotations", "voxels", "kinds")}
-        return replace(self, **fields, hiding=None if self.hiding is None else self.hiding[some])
+        hiding = None if self.hiding is None else self.hiding[some]
+        uncertain = None if self.uncertain is None else self.uncertain.take(some)
+        return replace(self, **fields, hiding=hiding, uncertain=uncertain)
+
+    def given(self, background: Picture | None) -> Atlas:
+        """Return the atlas of what is left uncertain, given a measured background (as of `difference`)."""
+        if self.uncertain is None or background is None:
+            return self
+        places = self.uncertain.told(self.shift(background)).astype(np.float32)
+        return replace(self, codes=self.codes + np.tensordot(self.uncertain.slopes, places, axes=(1, 0)))
+
+    def shift(self, background: Picture) -> Array:
+        """Return how a measured background differs from the atlas', on the scale of unit noise, (height * width,)."""
+        self._check(background, "background")
+        shift: Array = (self.sensor.stabilised_mean(background, measured=True) - self.empty).ravel()
+        return shift
 
     def code(
         self, picture: Picture, background: Picture | None = None, *, name: str = "picture"
@@ -266,6 +304,8 @@ class Atlas:
             If the picture has another size than the atlas, or holds NaN or infinite pixels.
         """
         empty = self.empty
+        if background is None and self.uncertain is not None:
+            raise NlosError(f"{name}: the atlas is of an uncertain scene, so its measured background is needed too")
         if background is not None:
             self._check(background, f"{name}: its background")
             empty = self.sensor.stabilised_mean(

@@ -10,8 +10,10 @@ from numpy.typing import NDArray
 from sklearn.utils.extmath import randomized_svd
 
 from classify.inference.atlas import LEFT_OUT, Atlas, noise_of
-from classify.pictures.sensor import Sensor
+from classify.inference.uncertain import Backgrounds, fitted
+from classify.pictures.sensor import Sensor, factor_between
 from generator.files.pictures import Picture
+from generator.files.toml import to_dict
 from generator.jobs.bulk import Engine
 from generator.model.arrays import Array
 from generator.model.errors import NlosError
@@ -66,6 +68,8 @@ def build(
     _check_alike(bulks)
     if crowds := [b for b in bulks if b.plan.targets > 1]:
         raise NlosError(f"{crowds[0].path}: shows {crowds[0].plan.targets} objects at once, and an atlas is of one")
+    if any(b.plan.uncertain for b in bulks):
+        return _of_uncertain(bulks, sensor, lamp_drift, ambient_drift, measured_background, unknown, progress)
     if own := [b for b in bulks if b.backgrounds is not None]:
         raise NlosError(f"{own[0].path}: has a background a picture, and an atlas has one; vary the target alone")
     background = bulk.background
@@ -106,6 +110,91 @@ def build(
         left_out=left_out,
         about=_about(bulks) | {"lamp_drift": lamp_drift, "ambient_drift": ambient_drift},
         hiding=hiding,
+    )
+
+
+def _of_uncertain(
+    bulks: list[Bulk],
+    sensor: Sensor,
+    lamp_drift: float,
+    ambient_drift: float,
+    measured_background: bool,
+    unknown: bool,
+    progress: Callable[[int, int], None],
+) -> Atlas:
+    """Build an atlas of a set whose scene is drawn at every pose (`classify.inference.uncertain`)."""
+    bulk, plan = bulks[0], bulks[0].plan
+    if len(bulks) > 1:
+        raise NlosError(f"{bulk.path}: is of an uncertain scene, and an atlas takes one such set; leave others out")
+    if unknown:
+        raise NlosError("--unknown: a set of an uncertain scene says itself how size and albedo vary; leave it out")
+    if lamp_drift or ambient_drift:
+        raise NlosError("--lamp-drift, --ambient-drift: are of scenes that are known; leave them out")
+    if not measured_background:
+        raise NlosError(f"{bulk.path}: is of an uncertain scene, whose background has to be measured")
+    if sensor.shared_count(bulk.background.shape[:2]):
+        raise NlosError(
+            f"{bulk.path}: is of an uncertain scene, for which noise of rows and columns and flicker are not "
+            "modelled; leave row_noise, column_noise and flicker out of the sensor's file"
+        )
+    background = bulk.background
+    wanted = background.mean(axis=2, dtype=np.float64)
+    stated, backgrounds = Engine(bulk, as_stated=True), bulk.backgrounds
+    assert backgrounds is not None
+
+    def drawn(rows: NDArray[np.int64]) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
+        """Return pictures and backgrounds of drawn scenes, exposed so that all backgrounds are as bright."""
+        pictures, empty = _colour(bulk.pictures[rows]), _colour(backgrounds[rows])
+        levels = [factor_between(one.mean(axis=2, dtype=np.float64), wanted) for one in empty]
+        factors = np.array(levels, dtype=np.float32)[:, None, None, None]
+        return pictures * factors, empty * factors
+
+    def as_stated(rows: NDArray[np.int64]) -> NDArray[np.float32]:
+        return stated.pictures(rows, bulk.positions[rows], bulk.rotations[rows])
+
+    rows = np.unique(np.linspace(0, bulk.planned - 1, min(bulk.planned, _FOR_BASIS // 2)).astype(np.int64))
+    pictures, empty = drawn(rows)
+    difference = _Difference(sensor.exposed([background, *pictures]), background)
+    sensor = difference.sensor
+    shifts = difference(empty).astype(np.float64)
+    directions = Backgrounds.of(shifts, sensor.frames / sensor.background_frames)
+    basis, left_out = _basis(np.concatenate([difference(pictures) - difference(empty), difference(as_stated(rows))]))
+    spread = 1.0 + sensor.frames / sensor.background_frames
+    nuisances = np.zeros((0, len(basis)), np.float32)
+    whitened = np.linalg.solve(np.linalg.cholesky(noise_of(spread, nuisances)), basis).astype(np.float32)
+    codes, changes, places = [], [], []
+    for start in range(0, bulk.planned, _BLOCK):
+        block = np.arange(start, min(start + _BLOCK, bulk.planned))
+        pictures, empty = drawn(block)
+        shift = difference(empty)
+        codes.append(difference(as_stated(block)) @ whitened.T)
+        changes.append((difference(pictures) - shift) @ whitened.T - codes[-1])
+        places.append(shift @ directions.basis.T)
+        progress(len(block) + start, 2 * bulk.planned)
+    mean, uncertain = fitted(
+        np.concatenate(changes).astype(np.float64),
+        bulk.positions,
+        bulk.values,
+        np.concatenate(places).astype(np.float64),
+        directions,
+        lambda done, total: progress(bulk.planned + done * bulk.planned // total, 2 * bulk.planned),
+    )
+    assert plan.uncertain is not None
+    return Atlas(
+        codes=np.concatenate(codes) + mean,
+        basis=whitened,
+        background=wanted,
+        nuisances=nuisances,
+        spread=spread,
+        positions=bulk.positions,
+        rotations=bulk.rotations,
+        voxels=bulk.voxels,
+        kinds=np.zeros(bulk.planned, dtype=np.int64),
+        grid=bulk.grid,
+        sensor=sensor,
+        left_out=left_out,
+        about=_about(bulks) | {"lamp_drift": 0.0, "ambient_drift": 0.0, "uncertain": to_dict(plan.uncertain)},
+        uncertain=uncertain,
     )
 
 

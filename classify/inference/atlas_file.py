@@ -12,13 +12,15 @@ import h5py
 import numpy as np
 
 from classify.inference.atlas import Atlas
+from classify.inference.uncertain import Uncertain
 from classify.pictures.feature_table import numbers, open_table
 from classify.pictures.sensor import Sensor
 from generator.files.toml import from_dict, to_dict
 from generator.files.writing import atomic
 from generator.model.grid import VoxelGrid
 
-FORMAT = 2
+FORMAT = 3
+"""Up to format 2, no scene was uncertain; such atlases are still written as 2, so that older versions read them."""
 
 _ABSURD = 1e15
 """Bound far above any number in an atlas, whose square is still finite."""
@@ -29,11 +31,17 @@ _ARRAYS: dict[str, type[Any]] = {
     **dict.fromkeys(("voxels", "kinds"), np.int64),
 }
 
+_UNCERTAIN: dict[str, type[Any]] = {
+    **dict.fromkeys(("slopes", "scatter", "basis"), np.float32),
+    "left": np.float64,
+}
+_OF_UNCERTAIN = "uncertain_"
+
 
 def save(path: Path, atlas: Atlas) -> None:
     """Write an atlas to a temporary HDF5 file, and rename it."""
     with atomic(path) as temporary, h5py.File(temporary, "w") as file:
-        file.attrs["format"] = FORMAT
+        file.attrs["format"] = 2 if atlas.uncertain is None else FORMAT
         file.attrs["kind"] = "atlas"
         file.attrs["grid"] = json.dumps(to_dict(atlas.grid))
         file.attrs["sensor"] = json.dumps(asdict(atlas.sensor))
@@ -44,6 +52,9 @@ def save(path: Path, atlas: Atlas) -> None:
             file[name] = getattr(atlas, name)
         if atlas.hiding is not None:
             file["hiding"] = atlas.hiding
+        if atlas.uncertain is not None:
+            for name in _UNCERTAIN:
+                file[f"{_OF_UNCERTAIN}{name}"] = getattr(atlas.uncertain, name)
         file["codes"].attrs["about"] = "difference pictures in units of the sensor's noise, projected on the basis"
         file["positions"].attrs["units"] = "m"
         file["rotations"].attrs["units"] = "degrees about x, y, z"
@@ -66,9 +77,14 @@ def load(path: Path) -> Atlas:
             spread=float(file.attrs["spread"]),
             about=json.loads(str(file.attrs["about"])),
             hiding=numbers(file, "hiding", np.float32) if "hiding" in file else None,
+            uncertain=_uncertain(file) if f"{_OF_UNCERTAIN}scatter" in file else None,
         )
         _check(atlas)
     return atlas
+
+
+def _uncertain(file: Any) -> Uncertain:
+    return Uncertain(**{name: numbers(file, f"{_OF_UNCERTAIN}{name}", kind) for name, kind in _UNCERTAIN.items()})
 
 
 def _check(atlas: Atlas) -> None:
@@ -82,6 +98,12 @@ def _check(atlas: Atlas) -> None:
     if atlas.hiding is not None and atlas.hiding.shape != (n, k):
         raise ValueError("its codes of light and of shadow differ in number")
     arrays = [getattr(atlas, name) for name in (*_ARRAYS, *["hiding"] * atlas.unknown)]
+    if (own := atlas.uncertain) is not None:
+        arrays += [getattr(own, name) for name in _UNCERTAIN]
+        p, r = (part.shape[1] if part.ndim == 3 else -1 for part in (own.slopes, own.scatter))
+        shapes = [own.slopes.shape, own.scatter.shape, own.basis.shape]
+        if shapes != [(n, p, k), (n, r, k), (p, atlas.background.size)] or own.left.ndim != 1 or len(own.left) < 20:
+            raise ValueError("what is uncertain of it differs in length")
     if not all((np.abs(array) < _ABSURD).all() for array in arrays):
         raise ValueError("it holds NaN, infinite or absurdly large values")
     targets = atlas.about["targets"]

@@ -14,11 +14,12 @@ from scipy.stats import chi2
 
 from classify.inference.atlas import Atlas
 from classify.inference.detect import Detector, evidence
-from classify.inference.misfit import Misfits, doubt
-from classify.inference.posterior import Place, holds, locate
+from classify.inference.misfit import Misfits, doubt, doubt_of_backgrounds
+from classify.inference.posterior import REACH, Place, holds, locate
 from classify.intervals import Interval, exceedance, median, share
 from classify.pictures.leak import refuse_shared
 from classify.pictures.sensor import Camera
+from generator.files.pictures import Picture
 from generator.files.writing import csv_text
 from generator.measure import figures
 from generator.model.arrays import Array
@@ -131,7 +132,8 @@ class Evaluation:
             [np.subtract(r.position, p.position) for p, r in zip(self.places, self.records, strict=True)]
         )
         inverse = np.array([np.linalg.pinv(p.covariance, hermitian=True) for p in self.places])
-        probabilities: Array = chi2.cdf(np.einsum("ni,nij,nj->n", offsets, inverse, offsets), 3)
+        wider = REACH / np.array([p.reach for p in self.places])
+        probabilities: Array = chi2.cdf(wider * np.einsum("ni,nij,nj->n", offsets, inverse, offsets), 3)
         return probabilities
 
     def calibration(self, levels: Array) -> Array:
@@ -257,6 +259,11 @@ def doubts(atlas: Atlas, kind: str, *, level: float, mismatch: float) -> list[st
     return sentences
 
 
+def _strange(atlas: Atlas, background: Picture) -> float:
+    """Return the probability that a background of the stated scene differs as much from the atlas'."""
+    return 1.0 if atlas.uncertain is None else atlas.uncertain.misfit(atlas.shift(background))
+
+
 def run(
     atlas: Atlas,
     dataset: PictureSet,
@@ -309,21 +316,27 @@ def run(
         raise NlosError(f"{dataset.path}: shows {1 + len(records[0].others)} objects at once; locate answers for one")
     positions = np.array([r.position for r in records])
     refuse_shared(atlas.positions, positions, "the atlas", str(dataset.path))
-    camera = Camera(dataset, atlas.sensor, seed, like=atlas.background)
+    uncertain = atlas.uncertain is not None
+    camera = Camera(dataset, atlas.sensor, seed, like=atlas.background, any_shape=uncertain)
     measured, clean = [camera.background(k) for k in range(min(backgrounds, len(records)))], camera.empty()
     draws, empty_draws = (np.arange(n) % len(measured) for n in (len(records), empty))
     if dataset.own_backgrounds:
         draws = np.arange(len(records))
     misfit, misfits = Misfits(atlas, seed=seed), []
     codes, places, seconds = [], [], []
+    shared = [] if dataset.own_backgrounds else measured
+    given, strange = [atlas.given(one) for one in shared], [_strange(atlas, one) for one in shared]
     for done, record in enumerate(records):
+        background = camera.background_of(record) if dataset.own_backgrounds else measured[draws[done]]
+        conditioned = given[draws[done]] if given else atlas.given(background)
+        if dataset.own_backgrounds:
+            strange.append(_strange(atlas, background))
         picture = camera.picture(record)
         start = time.perf_counter()
-        background = camera.background_of(record) if dataset.own_backgrounds else measured[draws[done]]
         difference = atlas.difference(picture, background, name=str(dataset.path / record.file))
         codes.append(atlas.code_of(difference))
-        places.append(locate(atlas, codes[-1], seed=seed))
-        misfits.append(misfit(difference, codes[-1]).probability)
+        places.append(locate(conditioned, codes[-1], seed=seed))
+        misfits.append(misfit(difference, codes[-1], conditioned).probability)
         seconds.append(time.perf_counter() - start)
         progress(done + 1, len(records))
     rng = np.random.default_rng([seed, 5])
@@ -348,7 +361,13 @@ def run(
             filter(
                 None,
                 [
-                    *doubts(atlas, dataset.target_kind, level=camera.level, mismatch=camera.mismatch),
+                    *doubts(
+                        atlas,
+                        dataset.target_kind,
+                        level=1.0 if uncertain else camera.level,
+                        mismatch=camera.mismatch,
+                    ),
+                    doubt_of_backgrounds(np.array(strange)),
                     doubt(np.array(misfits)),
                 ],
             )

@@ -7,7 +7,7 @@ in what the code leaves out. Two tests say how probable so much is for a picture
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -71,7 +71,8 @@ class Misfits:
         )
         known = np.concatenate([atlas.basis.astype(np.float64), shared.reshape(len(shared), atlas.background.size)])
         self._directions = np.linalg.qr(known.T)[0]
-        self._subset = atlas.take(slice(None, None, -(-len(atlas.codes) // _POSES)))
+        self._some = slice(None, None, -(-len(atlas.codes) // _POSES))
+        self._subset = atlas.take(self._some)
         free = int((np.ptp(np.concatenate([atlas.positions, atlas.rotations], axis=1), axis=0) > 0.0).sum())
         count, size = self._subset.codes.shape
         # Twice as many as the surface has, for it is curved; but most of the noise must be left over.
@@ -80,10 +81,11 @@ class Misfits:
         left_out = rng.integers(count, size=_DRAWS)
         noise = rng.normal(size=(_DRAWS, size))
         codes = np.array([self._subset.example(int(pose), rng) for pose in left_out]) + noise
-        own = [self._distance(code.astype(np.float32), int(pose)) for code, pose in zip(codes, left_out, strict=True)]
+        poses = zip(codes, left_out, strict=True)
+        own = [self._distance(code.astype(np.float32), self._subset, int(pose)) for code, pose in poses]
         self._tail = Tail(np.array(own))
 
-    def __call__(self, difference: Array, code: NDArray[np.float32]) -> Misfit:
+    def __call__(self, difference: Array, code: NDArray[np.float32], given: Atlas | None = None) -> Misfit:
         """Test a picture.
 
         Parameters
@@ -92,27 +94,32 @@ class Misfits:
             From `Atlas.difference`.
         code : ndarray of shape (k,)
             Its code.
+        given : Atlas, optional
+            The atlas, given the picture's background (`Atlas.given`).
         """
+        subset = self._subset
+        if given is not None and given is not self._atlas:  # what scatters does not depend on the background
+            subset = replace(subset, codes=given.codes[self._some])
         rest = difference - self._directions @ (difference @ self._directions)
         freedom = len(difference) - self._directions.shape[1]
         pixels = float(chi2.sf(rest @ rest / self._atlas.spread, freedom)) if freedom else 1.0
-        return Misfit(self._tail.exceeded(self._distance(code)), pixels)
+        return Misfit(self._tail.exceeded(self._distance(code, subset)), pixels)
 
-    def _distance(self, code: NDArray[np.float32], without: int | None = None) -> float:
+    def _distance(self, code: NDArray[np.float32], atlas: Atlas, without: int | None = None) -> float:
         """Squared distance of a code from the nearest, or from the plane through the nearest few if that is less.
 
         With unknown strengths: from the likeliest, on their average.
         """
-        logs = self._subset.logs(code)
+        logs = atlas.logs(code)
         if without is not None:
             logs[without] = -np.inf
         distance = float(code @ code) - 2.0 * max(0.0, float(logs.max()))
-        if not self._directions_between or self._subset.hiding is not None:
+        if not self._directions_between or atlas.hiding is not None or atlas.uncertain is not None:
             return distance
         # The codes of an object that moves lie on a curved surface, and the atlas knows points of it.
         near = np.argpartition(logs, -1 - self._directions_between)[-1 - self._directions_between :]
-        base = self._subset.codes[near[-1]].astype(np.float64)
-        sides = (self._subset.codes[near[:-1]] - base).T
+        base = atlas.codes[near[-1]].astype(np.float64)
+        sides = (atlas.codes[near[:-1]] - base).T
         rest = code - base
         rest = rest - sides @ np.linalg.lstsq(sides, rest, rcond=1e-6)[0]
         return min(distance, float(rest @ rest))
@@ -133,4 +140,21 @@ def doubt(probabilities: Array) -> str:
     return (
         f"{bad} of {count} pictures do not fit the atlas ({RARE:.0%} would by chance): scene, object or camera are "
         "other than it knows them, and stated probabilities and regions cannot be relied on"
+    )
+
+
+def doubt_of_backgrounds(probabilities: Array) -> str:
+    """Return a sentence if measured backgrounds are of no scene that an uncertain atlas allows; else an empty one.
+
+    Parameters
+    ----------
+    probabilities : ndarray of shape (n,)
+        `classify.inference.uncertain.Uncertain.misfit` of the backgrounds.
+    """
+    if not len(probabilities) or np.median(probabilities) >= _CHANCE:
+        return ""
+    return (
+        f"the measured background differs from the atlas' by more than what was stated as uncertain (p = "
+        f"{np.median(probabilities):.1g}): lamp, view or room are others, and stated probabilities and "
+        "regions cannot be relied on"
     )

@@ -2,20 +2,25 @@
 
 from __future__ import annotations
 
+import contextlib
 import math
 import time
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 
 from classify.inference.atlas import Atlas
 from classify.inference.detect import Detector, evidence
-from classify.inference.misfit import Misfits, doubt
+from classify.inference.evaluation import doubts as doubts_of
+from classify.inference.misfit import Misfits, doubt, doubt_of_backgrounds
 from classify.inference.posterior import Place, holds, locate
 from classify.inference.sequence import refuse_gaps
 from classify.inference.tracker import Filter, Step
 from classify.intervals import Interval, median, wilson
+from classify.pictures.frames import Frame
+from classify.pictures.recipe import Recipe
+from classify.pictures.sensor import Camera
 from classify.pictures.taken import Taken
 from classify.tail import RARE
 from generator.files.pictures import Picture
@@ -23,6 +28,7 @@ from generator.files.writing import csv_text
 from generator.model.arrays import Array
 from generator.model.errors import NlosError
 from generator.model.poses import PoseRecord
+from generator.sets.measured import has_own_noise
 from generator.sets.readable import PictureSet, check_colours
 
 _SAME_SHAPE = 0.02
@@ -86,6 +92,7 @@ class Answering:
     def __init__(self, atlas: Atlas, background: Picture, *, false_alarm: float = 0.01, seed: int = 0) -> None:
         self.atlas = atlas
         self._background, self._seed = background, seed
+        self._given = atlas.given(background)
         self._misfits = Misfits(atlas, seed=seed)
         self.detector = Detector.at(atlas, false_alarm, seed=seed)
 
@@ -94,9 +101,9 @@ class Answering:
         start = time.perf_counter()
         difference = self.atlas.difference(picture, self._background, name=name)
         code = self.atlas.code_of(difference)
-        place = locate(self.atlas, code, seed=self._seed)
+        place = locate(self._given, code, seed=self._seed)
         ratio = float(evidence(self.atlas, code[None])[0])
-        misfit = self._misfits(difference, code).probability
+        misfit = self._misfits(difference, code, self._given).probability
         return Found(place, ratio, ratio > self.detector.threshold, misfit, time.perf_counter() - start)
 
 
@@ -167,8 +174,10 @@ class Answers:
         return csv_text([*header, "evidence", "detected", "misfit"], rows)
 
 
-def prepared(atlas: Atlas, dataset: PictureSet) -> tuple[Taken, Atlas, list[str]]:
+def prepared(atlas: Atlas, dataset: PictureSet, seed: int = 0) -> tuple[Taken | Camera, Atlas, list[str]]:
     """Return a set's pictures at the atlas' level, the atlas for their camera, and what speaks against answers.
+
+    Pictures without noise of their own are seen by the atlas' sensor, whose noise ``seed`` draws.
 
     Raises
     ------
@@ -180,7 +189,14 @@ def prepared(atlas: Atlas, dataset: PictureSet) -> tuple[Taken, Atlas, list[str]
     if any((np.abs(end) > _SAME_PLACE * size).any() for end in ends):
         raise NlosError(f"{dataset.path}: has another voxel grid than the atlas; make both of one scene")
     check_colours(dataset.path, dataset.colour_space, atlas.colour_space, "the atlas")
+    if not has_own_noise(dataset):
+        camera = Camera(dataset, atlas.sensor, seed, like=atlas.background, any_shape=atlas.uncertain is not None)
+        return camera, atlas, doubts_of(atlas, dataset.target_kind, level=camera.level, mismatch=camera.mismatch)
     taken = Taken(dataset, atlas.background)
+    seen = atlas.seen_by(taken.sensor)
+    if seen.uncertain is not None:
+        strange = doubt_of_backgrounds(np.array([seen.uncertain.misfit(seen.shift(taken.background()))]))
+        return taken, seen, [strange] if strange else []
     doubts = []
     # Noise of the measured background is no difference of scenes.
     noise = math.sqrt(float(taken.sensor.variance(taken.background(), frames=taken.sensor.background_frames).mean()))
@@ -190,7 +206,7 @@ def prepared(atlas: Atlas, dataset: PictureSet) -> tuple[Taken, Atlas, list[str]
             f"do not rely on these answers: the empty scene differs from that of the atlas by {taken.mismatch:.1%} "
             "in shape, so room, lamp or view are others; make the atlas of this scene"
         )
-    return taken, atlas.seen_by(taken.sensor), doubts
+    return taken, seen, doubts
 
 
 def answers(
@@ -208,7 +224,7 @@ def answers(
     NlosError
         The pictures cannot be compared with the atlas (`prepared`).
     """
-    taken, atlas, doubts = prepared(atlas, dataset)
+    taken, atlas, doubts = prepared(atlas, dataset, seed)
     answering = Answering(atlas, taken.background(), false_alarm=false_alarm, seed=seed)
     found, records = [], dataset.records
     for record in records:
@@ -218,6 +234,61 @@ def answers(
         dataset.grid.shape != atlas.grid.shape
     ):  # the same volume, divided into other voxels: only positions tell which
         records = [_recut(record, atlas) for record in records]
+    doubts += filter(None, [doubt(np.array([f.misfit for f in found]))])
+    return Answers(records, found, tuple(atlas.grid.labels), taken.level, taken.mismatch, tuple(doubts))
+
+
+def live(
+    atlas: Atlas,
+    dataset: PictureSet,
+    recipe: Recipe,
+    coming: Iterable[Frame],
+    *,
+    false_alarm: float = 0.01,
+    seed: int = 0,
+    told: Callable[[str, Found], None] = lambda *_: None,
+    complain: Callable[[str], None] = lambda words: None,
+) -> Answers:
+    """Answer a camera's frames as they come.
+
+    Parameters
+    ----------
+    atlas : Atlas
+    dataset : PictureSet
+        Imported pictures of the same camera, of which the empty scene is taken.
+    recipe : Recipe
+        How these were made.
+    coming : iterable of Frame
+        Its end, or a keyboard interrupt, ends the answers.
+    false_alarm, seed
+        As for `Answering`.
+    told : callable
+        Called with the name of every picture and its answer.
+    complain : callable
+        Called with a sentence for a picture that cannot be answered.
+    """
+    taken, atlas, doubts = prepared(atlas, dataset, seed)
+    answering = Answering(atlas, taken.background(), false_alarm=false_alarm, seed=seed)
+    burst = taken.sensor.frames
+    found: list[Found] = []
+    records: list[PoseRecord] = []
+    group: list[Frame] = []
+    unknown = (math.nan, math.nan, math.nan)
+    with contextlib.suppress(KeyboardInterrupt):
+        for frame in coming:
+            group.append(frame)
+            if len(group) < burst:
+                continue
+            start = time.perf_counter()
+            frames, group = group, []
+            try:
+                answer = answering(recipe(frames) * np.float32(taken.level), frame.name)
+            except NlosError as error:
+                complain(f"warning: {error}")
+                continue
+            found.append(replace(answer, seconds=time.perf_counter() - start))
+            records.append(PoseRecord(len(records), -1, "", unknown, unknown, 0, file=frame.name))
+            told(frame.name, found[-1])
     doubts += filter(None, [doubt(np.array([f.misfit for f in found]))])
     return Answers(records, found, tuple(atlas.grid.labels), taken.level, taken.mismatch, tuple(doubts))
 
@@ -260,7 +331,12 @@ class Tracked:
 
 
 def track(
-    atlas: Atlas, dataset: PictureSet, *, step: float, told: Callable[[PoseRecord, Step], None] = lambda *_: None
+    atlas: Atlas,
+    dataset: PictureSet,
+    *,
+    step: float,
+    seed: int = 0,
+    told: Callable[[PoseRecord, Step], None] = lambda *_: None,
 ) -> Tracked:
     """Track an object through a set's pictures, in their order.
 
@@ -270,14 +346,17 @@ def track(
     dataset : PictureSet
     step : float
         Standard deviation of the walk, metres along each axis from picture to picture.
+    seed : int
+        Seed of noise that is added to pictures without any.
     told : callable
         Called with every picture and its answer.
     """
     refuse_gaps(atlas)
-    taken, atlas, doubts = prepared(atlas, dataset)
-    tracker, steps = Filter(atlas, step=step), []
+    taken, atlas, doubts = prepared(atlas, dataset, seed)
+    background = taken.background()
+    tracker, steps = Filter(atlas.given(background), step=step), []
     for record in dataset.records:
-        code = atlas.code(taken.picture(record), taken.background(), name=str(dataset.path / record.file))
+        code = atlas.code(taken.picture(record), background, name=str(dataset.path / record.file))
         steps.append(tracker.update(code))
         told(record, steps[-1])
     return Tracked(dataset.records, steps, doubts)

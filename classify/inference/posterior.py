@@ -31,6 +31,9 @@ ENOUGH = 200.0
 SURE = 0.95
 """Probability that a stated region holds the truth."""
 
+REACH = float(chi2.ppf(SURE, 3))
+"""Squared distance from the mean, in units of the covariance, that a normal variable keeps with that probability."""
+
 _NEAR = 256
 _DRAWS = 1500
 _ROUNDS = 2
@@ -58,6 +61,9 @@ class Place:
         Logarithm of how much more probable the picture is with the object somewhere than without (a Bayes factor).
     poses : float
         Effective number of the atlas' poses that explain the picture.
+    reach : float
+        Squared distance from the mean, in units of the covariance, within which the object is with the probability
+        `SURE`: of a normal posterior, and of an uncertain scene's that of its own shape.
     """
 
     voxels: Array
@@ -65,6 +71,7 @@ class Place:
     covariance: Array
     evidence: float
     poses: float
+    reach: float = REACH
 
 
 def locate(atlas: Atlas, code: NDArray[np.float32], *, seed: int = 0, without: int | None = None) -> Place:
@@ -89,17 +96,19 @@ def locate(atlas: Atlas, code: NDArray[np.float32], *, seed: int = 0, without: i
     by_voxel = np.bincount(atlas.voxels, weights, atlas.grid.n_voxels).astype(np.float64)
     total = float(by_voxel.sum())
     poses = total**2 / float(weights @ weights)
-    voxels = by_voxel / total
+    voxels, reach = by_voxel / total, REACH
     if poses >= ENOUGH:
         likely = np.flatnonzero(weights > weights.max() * 1e-7)
         position, covariance = _moments(atlas.positions[likely], weights[likely])
+        if atlas.uncertain is not None:
+            reach = _reach(atlas.positions[likely] - position, covariance, weights[likely])
     else:
         try:
             position, covariance, interpolated = _sharpened(atlas, code, logs, seed)
         except np.linalg.LinAlgError:
             raise NlosError("atlas: its poses and codes cannot be of one scene; make it anew") from None
         voxels = interpolated if interpolated is not None and poses < _ALONE else voxels
-    return Place(voxels, position, covariance, top + math.log(total / len(logs)), poses)
+    return Place(voxels, position, covariance, top + math.log(total / len(logs)), poses, reach)
 
 
 @dataclass(frozen=True)
@@ -250,7 +259,17 @@ def _turned(rotation: Array, by: Array) -> Array:
 def holds(place: Place | Step, position: Vector) -> bool:
     """Whether a position, metres, lies in the region that holds the object with the stated probability `SURE`."""
     offset = np.asarray(position) - place.position
-    return bool(offset @ np.linalg.pinv(place.covariance, hermitian=True) @ offset <= chi2.ppf(SURE, 3))
+    reach = place.reach if isinstance(place, Place) else REACH
+    return bool(offset @ np.linalg.pinv(place.covariance, hermitian=True) @ offset <= reach)
+
+
+def _reach(offsets: Array, covariance: Array, weights: Array) -> float:
+    """Return the squared distance, in units of the covariance, within which weighted offsets lie with `SURE`."""
+    inverse = np.linalg.pinv(covariance, hermitian=True)
+    distances = np.einsum("ni,ij,nj->n", offsets, inverse, offsets)
+    order = np.argsort(distances)
+    shares = np.cumsum(weights[order], dtype=np.float64)
+    return float(distances[order[np.searchsorted(shares, SURE * shares[-1])]])
 
 
 def _moments(points: Array, weights: Array) -> tuple[Array, Array]:
@@ -280,6 +299,10 @@ def _sharpened(
     terms = _quadratic((poses - centre) / scale)
     root_weights = np.sqrt(tempered)[:, None]
     codes = _parts(atlas, neighbours)
+    if atlas.uncertain is not None:  # what scatters is put on the scale of unit noise as well
+        factor = np.linalg.cholesky(atlas.uncertain.covariance(neighbours, tempered))
+        codes = [np.linalg.solve(factor, codes[0].T).T]
+        code = np.linalg.solve(factor, code.astype(np.float64)).astype(np.float32)
     surfaces = [np.linalg.lstsq(terms * root_weights, part * root_weights, rcond=None)[0] for part in codes]
     # The misfit of the surface adds to the noise.
     fitted_codes = [terms @ surface for surface in surfaces]

@@ -163,7 +163,8 @@ class Filter:
     Raises
     ------
     NlosError
-        If one of these is out of range, or the atlas is of an object of unknown size and albedo.
+        If one of these is out of range, or the atlas is of an object of unknown size and albedo, or of an uncertain
+        scene.
     """
 
     def __init__(self, atlas: Atlas, *, step: float, appear: float = 0.02, vanish: float = 0.02) -> None:
@@ -175,6 +176,11 @@ class Filter:
         if atlas.unknown:
             raise NlosError(
                 "atlas: is of an object of unknown size and albedo; track follows one made without --unknown"
+            )
+        if atlas.uncertain is not None:
+            raise NlosError(
+                "atlas: is of an uncertain scene, whose error all frames share; track follows one of a known scene "
+                "(nlos-generate bulk without --uncertain)"
             )
         self.atlas = atlas
         self._power = 1.0 / (1.0 + (AT_REST - 1) * (1.0 - 1.0 / atlas.spread))

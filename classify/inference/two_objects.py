@@ -64,11 +64,13 @@ def locate_two(atlas: Atlas, code: NDArray[np.float32], *, poses: int = _POSES, 
     Raises
     ------
     NlosError
-        If the object's size and albedo are unknown, or it is so bright relative to the empty scene that the
-        noise depends on it.
+        If the object's size and albedo are unknown, the scene is uncertain, or the object is so bright relative to
+        the empty scene that the noise depends on it.
     """
     if atlas.unknown:
         raise NlosError("two objects: are told apart by an atlas of a known object only (without --unknown)")
+    if atlas.uncertain is not None:
+        raise NlosError("two objects: are told apart in a known scene only (bulk without --uncertain)")
     strongest = atlas.codes[np.argmax((atlas.codes**2).sum(axis=1))]
     change = np.abs(np.linalg.pinv(atlas.basis) @ strongest)
     if (change > _FAINT * np.abs(atlas.empty.ravel()).mean()).any():

@@ -25,6 +25,7 @@ from generator.model.errors import NlosError
 from generator.model.grid import VoxelGrid
 from generator.model.poses import PoseRecord
 from generator.model.scene import Scene
+from generator.sets.measured import has_own_noise
 from generator.sets.readable import PictureSet, check_colours
 
 FORMAT = 1
@@ -134,6 +135,13 @@ def extract(
     records = dataset.records
     if not records:
         raise NlosError(f"{dataset.path}: holds no finished picture yet")
+    if sensor is not None and has_own_noise(dataset):
+        raise NlosError(f"{dataset.path}: its pictures have noise of their own; leave out --sensor and --frames")
+    if unknown := [record.file for record in records if not record.label]:
+        raise NlosError(
+            f"{dataset.path / unknown[0]}: it is not known where the object stood, so nothing can be learnt from it; "
+            "give the set to nlos-classify predict"
+        )
     if len(records) < dataset.planned and not partial:
         raise NlosError(
             f"{dataset.path}: only {len(records)} of {dataset.planned} pictures are rendered; finish the sweep, or "

@@ -126,6 +126,8 @@ def read(path: Path) -> Iterator[Frame]:
             yield _raw(path)
         else:
             yield from _video(path)
+    except NlosError:
+        raise
     except OSError as error:
         raise NlosError(f"{path}: cannot be read ({error.strerror or error})") from None
     except (struct.error, IndexError, ValueError, cv2.error) as error:
@@ -304,16 +306,17 @@ def _raw(path: Path) -> Frame:
             raise NlosError(f"{path}: its sensor has no Bayer mosaic of red, green and blue")
         else:
             values = _binned(mosaic, raw.raw_colors_visible[:2, :2], raw.color_desc)
-        black = {int(level) for level in raw.black_level_per_channel[:3]}
-        if len(black) > 1:
-            raise NlosError(f"{path}: states black levels {sorted(black)}, one a colour; give --black or --dark")
-        white, [level] = float(raw.white_level or np.iinfo(mosaic.dtype).max), black
+        black = np.array(raw.black_level_per_channel[: values.shape[2]], dtype=np.float32)
+        level = float(black.mean())
+        values = values - (black - level)  # one level for all colours
+        white = float(raw.white_level or np.iinfo(mosaic.dtype).max)
     except rawpy.LibRawError as error:
         raise NlosError(f"{path}: is no raw file that LibRaw can read ({error})") from None
     finally:
         raw.close()
-    head = path.open("rb").read(2**20)
-    return Frame(path.name, values, white, black=float(level), exposure=_exposure(head))
+    with path.open("rb") as file:
+        head = file.read(2**20)
+    return Frame(path.name, values, white, black=level, exposure=_exposure(head))
 
 
 def _binned(mosaic: Values, colours: Values, names: bytes) -> Values:

@@ -299,8 +299,8 @@ class _Work:
         marks = self.geometry.marks or rectify.whole((height, width), self.geometry.x, self.geometry.z)
         resolution = self.geometry.resolution
         weights = rectify.areas((height, width), marks, self.geometry.x, self.geometry.z, resolution)
-        weights = without(weights, masked, resolution)
         self.masked = int(masked.ravel()[np.unique(weights.indices)].sum())
+        weights = without(weights, masked, resolution)
         even = self._even(flat, dark, weights)
         matrix = self._coloured(weights, even)
         plain = Recipe(
@@ -638,7 +638,14 @@ def _between(photons: Array, readout: Array, *groups: Sequence[Array]) -> tuple[
     return 1.0 / inverse, left, slope
 
 
-def _table(path: Path) -> list[dict[str, str]]:
+def read_table(path: Path) -> list[dict[str, str]]:
+    """Read a table, comma-separated, with a line of headings.
+
+    Raises
+    ------
+    NlosError
+        It cannot be read, or is no such table.
+    """
     try:
         if path.stat().st_size > 2**26:
             raise NlosError(f"{path}: is larger than a table of pictures")
@@ -650,15 +657,10 @@ def _table(path: Path) -> list[dict[str, str]]:
         raise NlosError(f"{path}: is not a CSV file ({error})") from None
 
 
-def read_table(path: Path) -> list[dict[str, str]]:
-    """Read a table, comma-separated, with a line of headings."""
-    return _table(path)
-
-
 def _exposures(path: Path | None) -> dict[str, float]:
     """Exposures by file name that a table of labels states."""
     found: dict[str, float] = {}
-    for line, row in enumerate(_table(path) if path else [], start=2):
+    for line, row in enumerate(read_table(path) if path else [], start=2):
         if text := row.get("exposure", "").strip():
             try:
                 value = float(text)
@@ -680,7 +682,7 @@ def _labels(sources: Sources, files: Sequence[Path], grid: VoxelGrid | None) -> 
         in_folders = grid is not None and names <= set(grid.labels)
         return {path: {"label": path.parent.name} if in_folders else {} for path in files}
     rows: dict[str, Mapping[str, str]] = {}
-    for line, row in enumerate(_table(sources.labels), start=2):
+    for line, row in enumerate(read_table(sources.labels), start=2):
         unknown = [name for name in row if name not in _KNOWN]
         if unknown or "file" not in row:
             raise NlosError(f"{sources.labels}: its columns must be file and some of {', '.join(_KNOWN[1:])}")

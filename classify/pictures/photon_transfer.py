@@ -8,7 +8,7 @@ differs from the standard where that asks for a laboratory:
 - Light may change from frame to frame: each frame is scaled to the burst's mean, and deviations that the pixels of a
   row or a column share are set apart from those of single pixels, by an analysis of variance, before the variance is
   taken. The standard subtracts the square of the difference of two frames' means.
-- The full well is where the signal stops, not where its variance is highest: that depends on how close the levels are.
+- The full well is where the signal stops, not where its variance is highest, which depends on how close levels are.
 - The gain is that of a dark sensor: where the response bends, its slope enters the variance.
 """
 
@@ -24,6 +24,7 @@ from scipy import stats
 
 from classify.intervals import Interval
 from classify.pictures.burst import Burst
+from classify.pictures.burst_levels import Level, level
 from classify.pictures.sensor import Sensor
 from generator.model.arrays import Array
 from generator.model.errors import NlosError
@@ -40,59 +41,13 @@ _UNDERFLOW = 0.005
 _CLIPPED = 0.001
 _TRANSFER, _LINEAR = 0.7, (0.05, 0.95)
 """Shares of saturation up to which the gain, and within which the linearity, is taken (EMVA 1288)."""
+_FLICKER = 5e-4
+"""Relative change of the light from frame to frame that is told: less costs no answer anything."""
+_DROP, _FLAT = 0.85, 0.1
 _CORRELATED, _MOSAIC, _CURVED, _ROUGH = 0.05, 0.02, 0.35, 1.5
 _SECOND_1D, _SECOND_2D = 35.0 / 18.0, (35.0 / 18.0) ** 2
 """Sum of the squared autocorrelations of second differences of white noise, along one axis and along both."""
 _Z = 1.959964
-
-
-@dataclass(frozen=True, kw_only=True)
-class Level:
-    """What is kept of a burst.
-
-    Attributes
-    ----------
-    name : str
-    frames : int
-    time, irradiance : float
-        As of `Burst`.
-    mean : ndarray of shape (height, width)
-        Mean grey level of each pixel.
-    variance : ndarray of shape (height, width)
-        Temporal variance of each pixel, without what pixels share.
-    means : ndarray of shape (n,)
-        Mean grey level of each frame.
-    row, column : float
-        Mean squares of rows and columns of the frames: a pixel's variance, and that of rows times their length.
-    alike : float
-        Correlation of the temporal noise of neighbours.
-    zero, top : float
-        Shares of values that are zero, and that are the highest of all bursts.
-    """
-
-    name: str
-    frames: int
-    time: float
-    irradiance: float
-    mean: Array
-    variance: Array
-    means: Array
-    row: float
-    column: float
-    alike: float
-    zero: float
-    top: float
-
-    @property
-    def pixel(self) -> float:
-        """Mean of the pixels' temporal variance."""
-        return float(self.variance.mean())
-
-    @property
-    def shared(self) -> tuple[float, float]:
-        """Temporal variance of rows, and of columns."""
-        height, width = self.mean.shape
-        return (self.row - self.pixel) / width, (self.column - self.pixel) / height
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -164,62 +119,6 @@ def _scaled(value: float, error: float, relative: float) -> Interval:
     return Interval(value, value - half, value + half)
 
 
-def level(burst: Burst, offset: float, *, unit: float, top: float) -> Level:
-    """Return what is kept of a burst.
-
-    Parameters
-    ----------
-    burst : Burst
-    offset : float
-        Mean grey level without light: frames are scaled about it to one brightness; NaN in the dark, where they are
-        moved.
-    unit : float
-        Step between grey levels in the files.
-    top : float
-        Highest grey level of all bursts.
-    """
-    count, height, width = burst.frames.shape
-    means = burst.frames.mean(axis=(1, 2), dtype=np.float64) / unit
-    middle = float(means.mean())
-    factors = np.ones(count) if math.isnan(offset) else (middle - offset) / (means - offset)
-
-    def one(k: int) -> Array:
-        frame: Array = burst.frames[k].astype(np.float64) / unit
-        if math.isnan(offset):
-            return frame + (middle - means[k])
-        frame = offset + (frame - offset) * factors[k]
-        return frame
-
-    mean = np.zeros((height, width))
-    for k in range(count):
-        mean += one(k) / count
-    total, rows, columns, products = np.zeros((height, width)), 0.0, 0.0, 0.0
-    for k in range(count):
-        apart = one(k) - mean
-        row, column = apart.mean(axis=1), apart.mean(axis=0)
-        both = apart.mean()
-        rows += float(((row - both) ** 2).sum()) * width
-        columns += float(((column - both) ** 2).sum()) * height
-        rest = apart - row[:, None] - column + both
-        total += rest**2
-        products += float((rest[:, 1:] * rest[:, :-1]).sum() + (rest[1:] * rest[:-1]).sum()) / 2.0
-    free = count - 1
-    return Level(
-        name=burst.name,
-        frames=count,
-        time=burst.time,
-        irradiance=burst.irradiance,
-        mean=mean,
-        variance=total / (free * (1.0 - 1.0 / height) * (1.0 - 1.0 / width)),
-        means=means,
-        row=rows / (free * (height - 1)),
-        column=columns / (free * (width - 1)),
-        alike=products / float(total.sum()) if total.any() else 0.0,
-        zero=float((burst.frames <= 0).mean()),
-        top=float((burst.frames >= top * unit).mean()),
-    )
-
-
 def measure(
     light: Sequence[Burst],
     dark: Sequence[Burst],
@@ -263,7 +162,7 @@ def _check(light: Sequence[Burst], dark: Sequence[Burst]) -> None:
         raise NlosError("--dark: name one or more bursts with the lens covered; without them no offset is known")
     if len(light) < _FEWEST_LEVELS:
         raise NlosError(
-            f"{len(light)} levels of light are too few; take {_FEWEST_LEVELS} or more bursts of different exposure times"
+            f"{len(light)} levels of light are too few; take {_FEWEST_LEVELS} or more, of different exposure times"
         )
     shape = light[0].frames.shape[1:]
     for burst in [*light, *dark]:
@@ -273,7 +172,7 @@ def _check(light: Sequence[Burst], dark: Sequence[Burst]) -> None:
             raise NlosError(f"{burst.name}: has frames of another size than {light[0].name}")
         if (burst.frames == burst.frames[0]).all() and burst in dark:
             raise NlosError(
-                f"{burst.name}: all its frames are the same; dark noise is hidden by rounding or removed by the camera"
+                f"{burst.name}: all its frames are the same, so rounding or the camera itself removes the dark noise"
             )
     if min(shape) < _FEWEST_PIXELS:
         raise NlosError(f"{light[0].name}: {shape[1]} x {shape[0]} pixels are too few; take {_FEWEST_PIXELS} or more")
@@ -295,11 +194,11 @@ class _Darkness:
         for one in levels:
             if whole and one.zero > _UNDERFLOW:
                 raise NlosError(
-                    f"{one.name}: {one.zero:.1%} of its values are zero, so darkness is clipped, and noise and offset "
-                    "cannot be told; raise the camera's black level (offset, brightness)"
+                    f"{one.name}: {one.zero:.1%} of its values are zero, so darkness is clipped, and its noise and "
+                    "offset cannot be told; raise the camera's black level (offset, brightness)"
                 )
         self.free = sum(one.frames - 1 for one in levels)
-        excess = sum((one.frames - 1) * (float(one.means.var(ddof=1)) - _noise(one)) for one in levels) / self.free
+        excess = sum((one.frames - 1) * (float(one.means.var(ddof=1)) - one.noise) for one in levels) / self.free
         self.excess = max(0.0, excess)
         """Variance of the whole frame's level, more than its pixels explain."""
         self.rate, self.rate_error, self.straight = 0.0, math.nan, True
@@ -312,7 +211,7 @@ class _Darkness:
         if len(np.unique(times)) < 2:
             return
         means = np.array([one.mean.mean() for one in known])
-        weights = 1.0 / np.array([(_noise(one) + self.excess) / one.frames for one in known])
+        weights = 1.0 / np.array([(one.noise + self.excess) / one.frames for one in known])
         value, covariance = _fit(np.stack([np.ones_like(times), times], axis=1), means, weights)
         self.offset, self.rate = float(value[0]), float(value[1])
         free = len(times) - 2
@@ -339,13 +238,6 @@ class _Darkness:
         return pattern
 
 
-def _noise(one: Level) -> float:
-    """Variance of a frame's mean that follows from its pixels, rows and columns."""
-    height, width = one.mean.shape
-    row, column = one.shared
-    return one.pixel / one.mean.size + max(0.0, row) / height + max(0.0, column) / width
-
-
 def _fit(design: Array, values: Array, weights: Array) -> tuple[Array, Array]:
     """Weighted least squares: the solution, and its covariance if the weights are inverse variances."""
     scale = np.abs(design).max(axis=0)
@@ -365,6 +257,17 @@ def _tiles(values: Array) -> Array:
     height, width = values.shape
     starts = [np.arange(_TILES) * size // _TILES for size in (height, width)]
     return np.add.reduceat(np.add.reduceat(values, starts[0], axis=0), starts[1], axis=1).ravel()
+
+
+def _rough(differences: Array) -> bool:
+    """Whether few values are far larger than most, as differences across edges are."""
+    return math.sqrt(float((differences**2).mean())) > _ROUGH * 1.4826 * float(np.median(np.abs(differences)))
+
+
+def _flat(one: Level, signal: float) -> bool:
+    """Whether all pixels have the same level, as if they are saturated."""
+    low, high = np.quantile(one.mean, (0.01, 0.99))
+    return bool(high - low < _FLAT * signal)
 
 
 class _Transfer:
@@ -407,32 +310,32 @@ class _Transfer:
         share = variance / np.maximum(dark + slope * self.signal, 1e-12)
         high = self.signal >= 0.9 * self.signal[-1]
         clipped = np.array([one.top for one in self.light]) > _CLIPPED
-        self.clipped = clipped | ((share < 0.85) & (self.signal > 0.5 * self.signal[-1]))
-        full = (share < 0.5) & high
-        self.digital = bool(clipped.any())
-        """Whether values pile up at one grey level, the converter's highest."""
-        if self.digital:
-            self.saturation = self.top - self.darkness.offset
-        else:
-            self.saturation = (
-                float(self.signal[full].max()) + self._charge(self.light[int(np.argmax(self.signal * full))])
-                if full.any()
-                else 0.0
-            )
-        self.reached = self.digital or bool(full.any())
+        partly = np.array([self._partly(one, dark, slope) for one in self.light])
+        self.clipped = clipped | partly | ((share < _DROP) & (self.signal > 0.5 * self.signal[-1]))
+        full = (share < 0.5) & high & np.array([_flat(one, float(self.signal[-1])) for one in self.light])
+        means = np.array([float(one.mean.mean()) for one in self.light])
+        highest = float(means[full].max()) if full.any() else self.top
+        self.reached, self.saturation = bool(full.any() or clipped.any()), highest - self.darkness.offset
         most = self.saturation if self.reached else float(self.signal[~self.clipped].max(initial=0.0))
         bright = variance >= QUANTISED if self.whole else np.ones(len(variance), dtype=bool)
         self.used = ~self.clipped & bright & (self.signal > 0.0)
-        self.linear = ~self.clipped & (self.signal >= _LINEAR[0] * most) & (self.signal <= _LINEAR[1] * most)
-        if not self.reached:
-            self.linear = ~self.clipped & (self.signal >= _LINEAR[0] * most)
-        else:
+        self.linear = ~self.clipped & (self.signal >= _LINEAR[0] * most)
+        if self.reached:
             self.used &= self.signal <= _TRANSFER * most
+            self.linear &= self.signal <= _LINEAR[1] * most
         if self.used.sum() < _FEWEST_LEVELS:
             raise NlosError(
                 f"{self.used.sum()} levels of light lie above the noise of rounding and below "
                 f"{_TRANSFER:.0%} of saturation; the photon transfer takes {_FEWEST_LEVELS} or more"
             )
+
+    def _partly(self, one: Level, dark: float, slope: float) -> bool:
+        """Whether the brightest tiles of a burst vary less than their signal has it: some pixels are saturated."""
+        counts = _tiles(np.ones(one.mean.shape))
+        signal = _tiles(one.mean - self.darkness.pattern(one.time)) / counts
+        share = _tiles(one.variance) / counts / np.maximum(dark + slope * signal, 1e-12)
+        chance = 5.0 * math.sqrt(2.0 / ((one.frames - 1) * float(counts.min())))
+        return bool((share[signal > 0.5 * self.signal[-1]] < min(_DROP, 1.0 - chance)).any())
 
     def _charge(self, one: Level) -> float:
         """Mean dark charge of a burst, grey levels."""
@@ -446,8 +349,8 @@ class _Transfer:
         uneven = (max(phases) - min(phases)) / max(float(np.mean(phases)), 1e-12)
         if uneven > _MOSAIC:
             raise NlosError(
-                f"{one.name}: every second pixel differs by {uneven:.0%}, as with a mosaic of colour filters; take one "
-                "pixel of each four (--mosaic)"
+                f"{one.name}: every second pixel differs by {uneven:.0%}, as with a mosaic of colour filters; take "
+                "one pixel of each four (--mosaic)"
             )
         chance = 4.0 / math.sqrt(2.0 * one.mean.size * (one.frames - 1))
         if abs(one.alike) > _CORRELATED + chance:
@@ -470,8 +373,8 @@ class _Transfer:
         error = math.sqrt(covariance[2, 2]) * most / abs(self.gain)
         if self.gain <= 0.0 or abs(curved) > _CURVED + 4.0 * error:
             raise NlosError(
-                "the variance of the noise does not grow in line with the signal, as photons' does: the pictures have a "
-                "gamma or were compressed, or the scene changed; take raw or linear frames of a steady scene"
+                "the variance of the noise does not grow in line with the signal, as photons' does: the pictures "
+                "have a gamma or were compressed, or the scene changed; take raw or linear frames of a steady scene"
             )
 
     def _points(self, bend: float) -> tuple[Array, Array, Array]:
@@ -485,7 +388,7 @@ class _Transfer:
         return design, variance, freedom / expected**2 / 2.0
 
     def _sums(self, bend: float) -> tuple[Array, Array]:
-        """Sums over tiles of charge, as it enters the variance, and of variance, (2, levels, tiles); and pixels of tiles."""
+        """Sums over tiles of charge as it enters the variance, and of variance, (2, levels, tiles); tiles' pixels."""
         shape = self.light[0].mean.shape
         dark = [one for one in self.darkness.levels if one.pixel >= QUANTISED or not self.whole]
         light = [one for one, used in zip(self.light, self.used, strict=True) if used]
@@ -517,7 +420,7 @@ class _Transfer:
             if not clipped and signal > 0.2 * self.signal[~self.clipped].max():
                 own = one.frames - 1.0
                 free, found = free + own, found + own * float(one.means.var(ddof=1)) / signal**2
-                noise += own * (_noise(one) + self.darkness.excess) / signal**2
+                noise += own * (one.noise + self.darkness.excess) / signal**2
         return squares([(1.0, found / free, free), (-1.0, noise / free, 1e9)])
 
     def _exposures(self) -> Array:
@@ -531,8 +434,8 @@ class _Transfer:
         errors = []
         for one, signal in zip(self.light, self.signal, strict=True):
             dark = self.darkness.near(one.time)
-            own = (_noise(one) + self.darkness.excess + max(0.0, self.flicker.value) * signal**2) / one.frames
-            errors.append(math.sqrt(own + (_noise(dark) + self.darkness.excess) / dark.frames))
+            own = (one.noise + self.darkness.excess + max(0.0, self.flicker.value) * signal**2) / one.frames
+            errors.append(math.sqrt(own + (dark.noise + self.darkness.excess) / dark.frames))
         return np.array(errors)
 
     def _bend(self) -> tuple[float, float, Interval | None]:
@@ -601,7 +504,11 @@ class _Transfer:
     def _sensor(self, found: dict[str, Interval], bits: int, pixel_size: float, wavelength: float) -> Sensor:
         """Sensor of the figures; those that may be zero are."""
         own = {"nonlinearity", "row_noise", "column_noise", "dark_current", "flicker", "offset_spread", "gain_spread"}
-        fields = {name: one.value for name, one in found.items() if name in own and not one.low <= 0.0 <= one.high}
+        fields: dict[str, Any] = {
+            name: one.value for name, one in found.items() if name in own and not one.low <= 0.0 <= one.high
+        }
+        if fields.get("flicker", 0.0) <= _FLICKER:
+            fields.pop("flicker", None)
         if "quantum_efficiency" in found:
             fields |= {"quantum_efficiency": found["quantum_efficiency"].value}
             fields |= {"pixel_size": pixel_size, "wavelength": wavelength}
@@ -640,18 +547,18 @@ class _Transfer:
         noise = {"row_noise": _root(row, scale, relative), "column_noise": _root(column, scale, relative)}
         if self.whole and least < QUANTISED:
             self.doubts.append(
-                f"the dark noise of {math.sqrt(least):.2f} grey levels is hidden by rounding (EMVA 1288: a variance below "
-                f"{QUANTISED}), so read_noise is its upper limit; more gain or bits would show it"
+                f"the dark noise of {math.sqrt(least):.2f} grey levels is hidden by rounding (EMVA 1288: a variance "
+                f"below {QUANTISED}), so read_noise is its upper limit; more gain or bits would show it"
             )
             limit = Interval(LIMIT * scale, 0.0, LIMIT * scale * (1.0 + _Z * relative))
             return noise | {"read_noise": limit, "temporal_dark_noise": limit}
         variance = self.zero - rounding
         error = self._error(lambda line: (line[..., 0] - rounding) / line[..., 1] ** 2)
         pixel_noise = _scaled(variance * scale**2, error, 0.0)
-        parts = [pixel_noise, *(Interval(*(v * scale**2 for v in (i.value, i.low, i.high))) for i in (row, column))]
-        total = sum(one.value for one in parts)
-        below = math.sqrt(sum((one.value - one.low) ** 2 for one in parts))
-        above = math.sqrt(sum((one.high - one.value) ** 2 for one in parts))
+        each = [pixel_noise, *(Interval(*(v * scale**2 for v in (i.value, i.low, i.high))) for i in (row, column))]
+        total = sum(one.value for one in each)
+        below = math.sqrt(sum((one.value - one.low) ** 2 for one in each))
+        above = math.sqrt(sum((one.high - one.value) ** 2 for one in each))
         return noise | {
             "read_noise": _root(pixel_noise, 1.0, 0.0),
             "temporal_dark_noise": _root(Interval(total, total - below, total + above), 1.0, 0.0),
@@ -717,17 +624,17 @@ class _Transfer:
         both = np.diff(np.diff(logs, 2, axis=0), 2, axis=1)
         pixel = float((both**2).mean()) / 36.0, both.size / _SECOND_2D
         many = (one.frames - 1.0) * signal.size
-        parts = {"pixel": [(1.0, *pixel), (-1.0, noise, many)]}
+        parts, rough = {"pixel": [(1.0, *pixel), (-1.0, noise, many)]}, _rough(both)
         for axis, (name, length) in enumerate({"row": width, "column": height}.items()):
             second = np.diff(logs.mean(axis=1 - axis), 2)
             own = float((second**2).mean()) / 6.0, len(second) / _SECOND_1D
             temporal = float(shared[axis]), (one.frames - 1.0) * (len(second) + 1)
             parts[name] = [(1.0, *own), (-1.0 / length, *pixel), (-1.0, *temporal)]
-        middle = 1.4826 * float(np.median(np.abs(both)))
-        if math.sqrt(float((both**2).mean())) > _ROUGH * middle:
+            rough |= _rough(second)
+        if rough:
             self.doubts.append(
-                f"{one.name}: some pixels differ from their neighbours far more than most do; if the scene has edges or "
-                "dust, they count as spread of the gain: take an even surface, out of focus"
+                f"{one.name}: some pixels differ from their neighbours far more than most do; if the scene has edges "
+                "or dust, they count as spread of the gain: take an even surface, out of focus"
             )
         shares = 1.0 - 1.0 / width - 1.0 / height
         total = [(shares, *pixel), (-1.0, noise, many)]
@@ -749,22 +656,27 @@ class _Transfer:
     def _doubt(self, found: dict[str, Interval]) -> None:
         if self.response is None:
             self.doubts.append(
-                "linearity is not measured: it needs three levels or more of known exposure (--times, or a time in the "
-                "names), from 5 to 95 % of saturation"
+                "linearity is not measured: it needs three levels or more of known exposure (--times, or a time in "
+                "the names), from 5 to 95 % of saturation"
             )
         elif found["linearity_error"].low > 0.05:
             self.doubts.append(
-                f"the signal is {found['linearity_error'].value:.0%} off a line against the exposure: the light changed, "
-                "exposure times are not as stated, or the pictures have a gamma"
+                f"the signal is {found['linearity_error'].value:.0%} off a line against the exposure: the light "
+                "changed, exposure times are not as stated, or the pictures have a gamma"
             )
         if not self.darkness.straight:
             self.doubts.append(
                 "darkness does not grow in line with the exposure time: the chip warmed up, or corrects it"
             )
-        if found["flicker"].low > 0.0:
+        if not math.isfinite(self.darkness.rate_error):
             self.doubts.append(
-                f"the light changed by {found['flicker'].value:.2%} from frame to frame; each frame was scaled to one "
-                "brightness, and the file says so as flicker: delete that line if another lamp lights the scene"
+                "dark current is not measured: it needs --dark at two or more known exposure times; until then its "
+                "charge counts as light, and its noise as read noise"
+            )
+        if found["flicker"].low > 0.0 and found["flicker"].value > _FLICKER:
+            self.doubts.append(
+                f"the light changed by {found['flicker'].value:.2%} from frame to frame; each frame was scaled to "
+                "one brightness, and the file says so as flicker: delete that line if another lamp lights the scene"
             )
         last = int(np.flatnonzero(self.used)[-1])
         one = self.light[last]
@@ -772,8 +684,9 @@ class _Transfer:
         free = (one.frames - 1.0) * (one.mean.shape[0] - 1.0)
         bands = squares([(1.0 / one.mean.shape[1], one.row, free), (-1.0 / one.mean.shape[1], one.pixel, 1e9)])
         if bands.low > max(usual, 0.0) * 1.5 and bands.low > 4e-8 * self.signal[last] ** 2:
+            share = math.sqrt(bands.value - max(usual, 0.0)) / self.signal[last]
             self.doubts.append(
-                f"{one.name}: rows differ from frame to frame by {math.sqrt(bands.value - max(usual, 0.0)) / self.signal[last]:.2%}"
-                " more than in the dark: the light flickers while rows are read out; use exposure times that are "
+                f"{one.name}: rows differ from frame to frame by {share:.2%} more than in the dark: the "
+                "light flickers while rows are read out; use exposure times that are "
                 "multiples of half a period of the mains, or a lamp on direct current"
             )

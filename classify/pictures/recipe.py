@@ -128,6 +128,11 @@ class Recipe:
             raise NlosError(f"{frame.name}: has {have}, and the others {want}")
         if frame.values.dtype.kind == "f" and not np.isfinite(frame.values).all():
             raise NlosError(f"{frame.name}: holds NaN or infinite values")
+        if bool(self.exposure) != bool(frame.exposure):
+            raise NlosError(
+                f"{frame.name}: states {'an' if frame.exposure else 'no'} exposure, and the first picture "
+                f"{'none' if frame.exposure else 'one'}; state all in the column exposure of --labels"
+            )
         if count := len(self.saturated(frame.values)):
             raise NlosError(
                 f"{frame.name}: {count} of its values on the patch are saturated ({self.white:g} or more); expose "
@@ -210,6 +215,8 @@ class Recipe:
                 exposure=float(about["exposure"]),
                 sensor=None if told is None else from_dict(Sensor, told, "sensor."),
             )
+        except NlosError as error:
+            raise NlosError(f"{path}: {error}") from None
         except (OSError, ValueError, KeyError, TypeError, AttributeError, zipfile.BadZipFile, EOFError) as error:
             raise NlosError(f"{path}: is no recipe of this software ({error})") from None
 

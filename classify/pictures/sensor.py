@@ -40,22 +40,12 @@ _SAME_SHAPE = 0.02
 """Relative RMS difference, after scaling to one level, below which two pictures differ in the level alone."""
 _SAME_LEVEL = 0.01
 """Relative difference below which two levels count as equal: lamps drift by as much."""
-
-
 _STEEPEST = 0.45
 """Largest non-linearity; at a half the response ends flat."""
 _NOT_NEGATIVE = (
-    *(
-        "read_noise",
-        "exposure",
-        "gain_spread",
-        "offset_spread",
-        "gain",
-        "black_level",
-        "dark_current",
-        "exposure_time",
-    ),
-    *("row_noise", "column_noise", "blur", "flicker", "quantum_efficiency", "pixel_size", "f_number"),
+    *("read_noise", "exposure", "gain_spread", "offset_spread", "gain", "black_level", "dark_current"),
+    *("exposure_time", "row_noise", "column_noise", "blur", "flicker"),
+    *("quantum_efficiency", "pixel_size", "f_number"),
 )
 
 
@@ -193,11 +183,11 @@ class Sensor:
         if collected := self._collected():
             return replace(self, exposure=collected)
         brightest = max((float(self._seen(p).max()) for p in pictures), default=0.0)
-        if not (brightest > 0.0 and math.isfinite(self.fill * self.full_well / brightest)):
+        if not (brightest > 0.0 and math.isfinite(self.fill * self._capacity / brightest)):
             raise NlosError(
                 "sensor.exposure: cannot follow from pictures without light; give it in electrons per W/m^2/sr"
             )
-        return replace(self, exposure=self.fill * self.full_well / brightest)
+        return replace(self, exposure=self.fill * self._capacity / brightest)
 
     def electrons(self, picture: Picture | Array) -> Array:
         """Return the electrons expected in a frame, (height, width), for radiance (height, width, 3), W/m^2/sr."""
@@ -517,6 +507,9 @@ class Camera:
     like : ndarray of shape (height, width), optional
         Background, W/m^2/sr. If the data set's own background differs from it only by a factor (another albedo of the
         wall, a stronger lamp), the exposure makes up for it: all light that meets the wall twice has that factor.
+    any_shape : bool
+        Whether the exposure makes every background as bright as ``like``, also those that a set has for each pose and
+        those of other shape: for an atlas of an uncertain scene, whose backgrounds were made so.
 
     Attributes
     ----------
@@ -534,7 +527,15 @@ class Camera:
         If the data set has no light, a picture is broken, or ambient light drifts where each pose has a background.
     """
 
-    def __init__(self, dataset: PictureSet, sensor: Sensor, seed: int = 0, *, like: Array | None = None) -> None:
+    def __init__(
+        self,
+        dataset: PictureSet,
+        sensor: Sensor,
+        seed: int = 0,
+        *,
+        like: Array | None = None,
+        any_shape: bool = False,
+    ) -> None:
         if sensor.drift and dataset.own_backgrounds:
             raise NlosError(
                 f"{dataset.path}: has a background a pose, for which drift is not modelled; leave --drift out"
@@ -542,10 +543,19 @@ class Camera:
         self._dataset = dataset
         self._seed = seed
         background = dataset.background()
+        self._like = like if any_shape else None
         self.level, self.mismatch = (1.0, 0.0) if like is None else level_between(_grey(background), like)
+        if self._like is not None:
+            self.level, self.mismatch = factor_between(_grey(background), self._like), 0.0
         self._set = _identity(dataset, background)
         pictures = itertools.chain([background], map(dataset.picture, dataset.records))
         self.sensor = sensor.exposed(pictures)
+
+    def _level_of(self, record: PoseRecord) -> float:
+        """Return the factor on the radiance of a pose's picture."""
+        if self._like is None or not self._dataset.own_backgrounds:
+            return self.level
+        return factor_between(_grey(self._dataset.background_of(record)), self._like)
 
     def background(self, draw: int = 0) -> Picture:
         """Return a measured background, (height, width, 3), W/m^2/sr; each ``draw`` has noise of its own."""
@@ -562,14 +572,20 @@ class Camera:
     def background_of(self, record: PoseRecord) -> Picture:
         """Return the measured background of a pose of a set in which each has its own."""
         rng = np.random.default_rng([self._seed, 2, self._set, record.voxel, record.index])
-        clean = self._dataset.background_of(record) * np.float32(self.level)
+        clean = self._dataset.background_of(record) * np.float32(self._level_of(record))
         return self.sensor.measure(clean, rng, frames=self.sensor.background_frames, pattern=self._seed)
 
     def picture(self, record: PoseRecord) -> Picture:
         """Return a measured picture, (height, width, 3), W/m^2/sr."""
         rng = np.random.default_rng([self._seed, 1, self._set, record.voxel, record.index])
-        clean = self._dataset.picture(record) * np.float32(self.level)
+        clean = self._dataset.picture(record) * np.float32(self._level_of(record))
         return self.sensor.measure(clean, rng, pattern=self._seed)
+
+
+def factor_between(own: Array, wanted: Array) -> float:
+    """Return the factor by which a picture (height, width) is as bright as another, by least squares."""
+    square = float((own * own).sum())
+    return float((own * wanted).sum()) / square if square > 0.0 else 1.0
 
 
 def level_between(own: Array, wanted: Array) -> tuple[float, float]:
@@ -589,7 +605,7 @@ def level_between(own: Array, wanted: Array) -> tuple[float, float]:
     """
     if own.shape != wanted.shape or not (own.any() and wanted.any()):
         return 1.0, 0.0
-    factor = float((own * wanted).sum() / (own * own).sum())
+    factor = factor_between(own, wanted)
     error = float(np.sqrt(((factor * own - wanted) ** 2).mean() / (wanted**2).mean()))
     if error >= _SAME_SHAPE:
         return 1.0, error

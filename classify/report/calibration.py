@@ -11,8 +11,7 @@ from matplotlib.figure import Figure
 from classify.calibration.fit import Calibration
 from classify.calibration.measured import Measured
 from generator.files.pictures import write_picture
-from generator.files.toml import dump_toml, to_dict
-from generator.files.writing import write_text
+from generator.files.uncertainty_file import write_uncertainty
 from generator.measure import figures
 from generator.model.uncertainty import RELATIVE, Furniture, Uncertainty
 from generator.transport.parameters import OFFSETS
@@ -38,7 +37,7 @@ def write(folder: Path, found: Calibration, seen: Measured, furniture: Furniture
     if kept:
         uncertainty = replace(Uncertainty.of_covariance(names, covariance), furniture=furniture)
         written.append(folder / "uncertainty.toml")
-        write_text(written[-1], dump_toml(to_dict(uncertainty)))
+        write_uncertainty(written[-1], uncertainty)
     for number, (measured, expected) in enumerate(zip(seen.pictures, found.expected, strict=True)):
         written.append(folder / ("residual-empty.exr" if number == 0 else f"residual-{number}.exr"))
         left = np.repeat((measured - expected)[..., None], 3, axis=2).astype(np.float32)

@@ -32,32 +32,44 @@ def _transfer(axis: Axes, measured: Measured) -> None:
     axis.loglog(measured.signal[used], variance[used], "o", color=figures.BLUE, ms=4.5, label="used for the gain")
     rest = ~used & seen & (variance > 0.0)
     if rest.any():
-        axis.loglog(measured.signal[rest], variance[rest], "o", mfc="none", color=figures.BLUE, ms=4.5, label="not used")
+        axis.loglog(
+            measured.signal[rest], variance[rest], "o", mfc="none", color=figures.BLUE, ms=4.5, label="not used"
+        )
     line = np.geomspace(measured.signal[seen].min(), measured.signal.max(), 100)
-    axis.loglog(line, zero + gain * line, color=figures.VERMILION, lw=1.2, label=f"gain {gain:.4g} grey levels/electron")
+    axis.loglog(
+        line, zero + gain * line, color=figures.VERMILION, lw=1.2, label=f"gain {gain:.4g} grey levels/electron"
+    )
     axis.axhline(max(zero, 1e-3), color=figures.GREY, lw=1.0, ls=":", label="without light")
     axis.set_xlabel("signal, grey levels")
     axis.set_ylabel("temporal variance, grey levels squared")
     axis.set_title("Photon transfer")
-    axis.legend(loc="upper left")
+    axis.legend(loc="best")
 
 
 def _response(response: Axes, deviation: Axes, measured: Measured) -> None:
     linear = np.array(measured.linear)
     exposure, signal = measured.exposure, measured.signal
-    slope, offset = np.polyfit(exposure[linear], signal[linear], 1, w=1.0 / signal[linear]) if linear.sum() > 1 else (0, 0)
+    slope, offset = (
+        np.polyfit(exposure[linear], signal[linear], 1, w=1.0 / signal[linear]) if linear.sum() > 1 else (0, 0)
+    )
     fitted = offset + slope * exposure
     response.plot(exposure, signal, "o", mfc="none", color=figures.BLUE, ms=4.5)
     response.plot(exposure[linear], signal[linear], "o", color=figures.BLUE, ms=4.5)
     ends = np.array([0.0, float(exposure.max())])
     response.plot(ends, offset + slope * ends, color=figures.VERMILION, lw=1.2)
     response.set_ylim(0.0, 1.15 * float(signal.max()))
-    unit = "exposure time, s" if np.isclose(exposure, [level.time for level in measured.light]).all() else "exposure, J/m²"
+    unit = (
+        "exposure time, s"
+        if np.isclose(exposure, [level.time for level in measured.light]).all()
+        else "exposure, J/m²"
+    )
     for axis in (response, deviation):
         axis.set_xlabel(unit)
     response.set_ylabel("signal, grey levels")
     response.set_title("Response")
-    deviation.plot(exposure[linear], 100.0 * (signal / fitted - 1.0)[linear], "o-", color=figures.BLUE, ms=4.5, lw=1.0)
+    deviation.plot(
+        exposure[linear], 100.0 * (signal / fitted - 1.0)[linear], "o-", color=figures.BLUE, ms=4.5, lw=1.0
+    )
     deviation.axhline(0.0, color=figures.GREY, lw=1.0, ls=":")
     deviation.set_ylabel("off the line, %")
     deviation.set_title("Linearity, 5 to 95 % of saturation")

@@ -91,6 +91,8 @@ def plan(
         )
     Varying(scene, settings.sweep.variations)  # raises now, and not later, if a value cannot vary
     _refuse_gains(scene, source, world, settings)
+    if settings.uncertain:
+        settings.uncertain.check(to_dict(described))
     doubts = misgivings.look(scene)
     if not force:
         misgivings.refuse(doubts)

@@ -23,6 +23,7 @@ from generator.cli.options import (
 from generator.cli.rendered import Rendered, report
 from generator.cli.terminal import progress_bar
 from generator.cli.volume import note
+from generator.files.uncertainty_file import plain_values, read_uncertainty
 from generator.jobs.request import BulkRequest
 from generator.model.quantities import fraction
 from generator.sets.bulk_settings import Settings
@@ -44,6 +45,7 @@ def add_parsers(commands: Commands) -> None:
     add_setting(poses, "pictures", Settings, default="none; needed for a new set", type=int, metavar="N")
     add_pose_options(parser)
     add_vary_option(parser)
+    add_setting(poses, "uncertain", Settings, default="none", type=Path, metavar="uncertainty.toml")
     add_setting(poses, "unknown", Settings)
     add_setting(poses, "stream", Settings, default="bulk")
     add_setting(group_of(parser, "rendering"), "accuracy", Settings, type=option(fraction), metavar="A")
@@ -63,6 +65,8 @@ def run_bulk(options: argparse.Namespace) -> Answer:
     """Make a bulk set, or what is missing of it."""
     from generator.jobs import bulk
 
+    if options.uncertain:
+        options.uncertain = plain_values(read_uncertainty(options.uncertain))
     request = BulkRequest(
         scene=options.scene,
         path=options.output,

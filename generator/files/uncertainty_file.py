@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import tomllib
 from pathlib import Path
+from typing import Any
 
 from generator.files.toml import dump_toml, from_dict, read_toml, to_dict
 from generator.files.writing import write_text
@@ -24,6 +26,12 @@ def read_uncertainty(path: Path) -> Uncertainty:
         words = str(error)
         raise NlosError(words if words.startswith(str(path)) else f"{path}: {words}") from None
     return read
+
+
+def plain_values(uncertainty: Uncertainty) -> dict[str, Any]:
+    """Return an uncertainty as TOML gives it back."""
+    plain: dict[str, Any] = tomllib.loads(dump_toml(to_dict(uncertainty)))
+    return plain
 
 
 def write_uncertainty(path: Path, uncertainty: Uncertainty) -> None:

@@ -17,14 +17,17 @@ from generator.jobs.workers import WorkerPool, planned_notes
 from generator.model.arrays import Array, rotation_matrix
 from generator.model.errors import NlosError
 from generator.model.quantities import Progress
+from generator.model.uncertainty import ATTEMPTS, SALT, offsets
 from generator.model.variation import VARIABLES, value_in
 from generator.sets import links
 from generator.sets.bulk_part import Pictures
 from generator.sets.bulk_set import Bulk, check_free
 from generator.sets.resume import check_same
+from generator.sets.unknown_furniture import unknown_furniture
 from generator.sets.unknown_objects import unknown_object
 from generator.transport.caching import compiling_words
-from generator.transport.world import Body, Sphere
+from generator.transport.parameters import with_parameters
+from generator.transport.world import Body, Sphere, World
 
 if TYPE_CHECKING:
     from generator.transport import Gains, Transport
@@ -147,9 +150,11 @@ class Engine:
     bulk : Bulk
     threads : int
         Threads of the engine; 0 takes all cores.
+    as_stated : bool
+        Whether `pictures` are of the scene as it is stated, although it is uncertain.
     """
 
-    def __init__(self, bulk: Bulk, *, threads: int = 0) -> None:
+    def __init__(self, bulk: Bulk, *, threads: int = 0, as_stated: bool = False) -> None:
         from generator.transport import Transport  # imported here: readers of sets need no compiler
 
         plan = bulk.plan
@@ -157,7 +162,8 @@ class Engine:
         self._varies = bool(bulk.plan.vary)
         self._make = partial(Transport, accuracy=plan.accuracy, threads=threads)
         self._world = bulk.world().seen_by(*plan.resolution)
-        self._known = None if plan.unknown or plan.targets > 1 else self._make(self._world)
+        several = plan.unknown or plan.targets > 1 or (plan.uncertain and not as_stated)
+        self._known = None if several else self._make(self._world)
         self._last: Transport | None = None
 
     def pictures(
@@ -193,6 +199,69 @@ class Engine:
         pictures, backgrounds = (np.concatenate(parts) for parts in zip(*batches, strict=True))
         return pictures, backgrounds
 
+    def uncertain(
+        self, numbers: NDArray[np.int64], positions: Array, rotations: Array
+    ) -> tuple[Pictures, Pictures, Array]:
+        """Return pictures and backgrounds of a set whose scene is uncertain, and the values (n, names) of each scene.
+
+        Raises
+        ------
+        NlosError
+            Hardly any scene that is drawn has room for a target.
+        """
+        width, height = self._bulk.plan.resolution
+        pictures, backgrounds = np.empty((2, len(numbers), height, width, 3), dtype=np.float32)
+        values = np.empty((len(numbers), len(self._bulk.plan.varying)))
+        for row, number in enumerate(numbers.tolist()):
+            pose = positions[row], rotations[row]
+            pictures[row], backgrounds[row], values[row] = self._drawn(number, *pose)
+        return pictures, backgrounds, values
+
+    def _drawn(self, number: int, position: Array, rotation: Array) -> tuple[Pictures, Pictures, list[float]]:
+        """Return the picture and the background of the first scene drawn for a pose that has room, and its values."""
+        bulk, (index, voxel) = self._bulk, divmod(number, self._bulk.grid.n_voxels)
+        refused: NlosError | None = None
+        for attempt in range(ATTEMPTS):
+            try:
+                transport = self._make(self.drawn_world(number, position, attempt))
+                picture = transport.pictures(position[None], rotation[None])[0]
+            except NlosError as error:
+                refused = refused or error
+                continue
+            values = [value for _, value in bulk.layout.values(voxel, index, attempt)]
+            return picture, transport.background().astype(np.float32), values
+        raise NlosError(f"{bulk.path}: none of {ATTEMPTS} scenes drawn for a pose can be; the first: {refused}")
+
+    def drawn_world(self, number: int, position: Array, attempt: int = 0) -> World:
+        """Return the world that is drawn for a picture of a set whose scene is uncertain.
+
+        Parameters
+        ----------
+        number : int
+            Number of the picture.
+        position : ndarray of shape (3,)
+            Position of the target, metres.
+        attempt : int
+            As for `generator.model.uncertainty.Uncertainty.draw`.
+
+        Raises
+        ------
+        NlosError
+            The drawn values are of no possible scene.
+        """
+        bulk, (index, voxel) = self._bulk, divmod(number, self._bulk.grid.n_voxels)
+        plan, scene, world = bulk.plan, bulk.meta["scene"], self._world
+        assert plan.uncertain is not None
+        if plan.unknown:
+            body = unknown_object(bulk.grid, plan.sweep, index, stream=plan.numbered_stream)
+            world = replace(world, target=(body,))
+        world = with_parameters(world, offsets(scene, bulk.layout.values(voxel, index, attempt)))
+        if plan.uncertain.furniture:
+            rng = np.random.default_rng([plan.seed, voxel, index, SALT + 1, plan.numbered_stream, attempt])
+            boxes = unknown_furniture(plan.uncertain.furniture, scene, world, position, rng)
+            world = replace(world, room=(*world.room, *boxes))
+        return world
+
     def _gains(self, numbers: NDArray[np.int64]) -> Gains:
         """Return how much stronger lamp and reflectors are than in the set's world, picture by picture."""
         from generator.transport import Gains
@@ -200,7 +269,7 @@ class Engine:
         bulk, factors = self._bulk, np.ones((len(VARIABLES), len(numbers)))
         for k, number in enumerate(numbers.tolist()):
             index, voxel = divmod(number, bulk.grid.n_voxels)
-            for name, value in bulk.plan.values(voxel, index):
+            for name, value in bulk.layout.values(voxel, index):
                 factors[VARIABLES.index(name), k] = value / value_in(bulk.meta["scene"], name)
         return Gains(**dict(zip(GAINS, factors, strict=True)))
 

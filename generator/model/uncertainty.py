@@ -35,8 +35,10 @@ NAMES = tuple(_PHYSICAL)
 ``camera.view.x``: the middle of the watched rectangle), ``spot.half_angle`` is in degrees, albedos are absolute; of
 `RELATIVE` values are factors."""
 
-_SALT = 2000
+SALT = 2000
 """Distinguishes the stream of these draws from those of `generator.model.variation` and of the poses."""
+ATTEMPTS = 100
+"""Most draws of a pose's scene until one has room for the target there, and lets lamp and camera see the wall."""
 _TRIES = 10_000
 _ROUNDING = 1e-6
 
@@ -129,7 +131,9 @@ class Uncertainty:
         for name in self.names:
             mean_of(scene, name)
 
-    def draw(self, scene: Mapping[str, Any], seed: int, voxel: int, index: int, *, stream: int = 0) -> Values:
+    def draw(
+        self, scene: Mapping[str, Any], seed: int, voxel: int, index: int, *, stream: int = 0, attempt: int = 0
+    ) -> Values:
         """Return the values of a pose's scene; they follow from the set's seed, the voxel and the index in it.
 
         They are jointly normal about those of the scene; while one is not physical, all are drawn again.
@@ -142,6 +146,8 @@ class Uncertainty:
             The set's seed, the number of the voxel, and the index of the pose within it.
         stream : int
             As `generator.model.poses.Sampler` takes it.
+        attempt : int
+            Number of earlier draws for this pose that the scene had no room for.
 
         Raises
         ------
@@ -149,7 +155,7 @@ class Uncertainty:
             The scene lacks a value, or hardly any draw is physical.
         """
         means = [mean_of(scene, name) for name in self.names]
-        rng = np.random.default_rng([seed, voxel, index, _SALT, stream])
+        rng = np.random.default_rng([seed, voxel, index, SALT, stream, attempt])
         factor = _factor(self.covariance.tolist())
         for _ in range(_TRIES):
             normal = rng.standard_normal(len(means)).tolist()

@@ -54,7 +54,7 @@ class Master:
                 source = h5py.VirtualSource(layout.part_path(number).name, name, (len(rows), *shape), dtype)
                 table[rows.start : rows.stop] = source
             file.create_virtual_dataset(name, table, fillvalue=-1 if np.dtype(dtype).kind == "i" else np.nan)
-        describe_file(file, layout.plan.vary)
+        describe_file(file, layout.plan.varying)
         file["background"] = self.background
         file["background"].attrs["units"] = "W/m^2/sr"
         file.create_dataset("label", data=layout.grid.labels, dtype=h5py.string_dtype())

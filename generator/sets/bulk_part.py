@@ -17,6 +17,7 @@ from generator.model.arrays import Array, Vector
 from generator.model.errors import NlosError
 from generator.model.poses import Other, Pose
 from generator.model.quantities import NO_CHANGE
+from generator.model.uncertainty import ATTEMPTS
 from generator.sets.bulk_settings import Layout
 from generator.sets.hdf5 import VERSIONS, describe_file, short_size, write_image
 
@@ -41,6 +42,11 @@ class Renderer(Protocol):
 
     def varied(self, numbers: NDArray[np.int64], positions: Array, rotations: Array) -> tuple[Pictures, Pictures]:
         """Return pictures as `pictures` does, and the background of each, where more than the target varies."""
+
+    def uncertain(
+        self, numbers: NDArray[np.int64], positions: Array, rotations: Array
+    ) -> tuple[Pictures, Pictures, Array]:
+        """Return what `varied` does, and the values (n, names) that were drawn, where the scene is uncertain."""
 
 
 class Part:
@@ -157,6 +163,7 @@ class Part:
         position = np.array([p for p, _ in poses], dtype=np.float64)
         rotation = np.array([r for _, r in poses], dtype=np.float64)
         columns = {"position": position, "rotation": rotation, "voxel": voxel, "index": index, **self._values()}
+        drawn = columns.get("values", np.zeros((len(numbers), 0)))
         if draw_others:
             rows_of_others = [
                 draw_others(v, i, place)
@@ -183,7 +190,11 @@ class Part:
             for start in range(0, len(numbers), batch):
                 rows = slice(start, start + batch)
                 posed = (numbers[rows], position[rows], rotation[rows])
-                rendered = renderer.varied(*posed) if len(images) > 1 else (renderer.pictures(*posed),)
+                rendered: tuple[Pictures, ...]
+                if plan.uncertain:
+                    *rendered, drawn[rows] = renderer.uncertain(*posed)  # type: ignore[assignment]
+                else:
+                    rendered = renderer.varied(*posed) if len(images) > 1 else (renderer.pictures(*posed),)
                 for image, made in zip(images, rendered, strict=True):
                     checked = self._checked(made, numbers[rows])
                     digest.update(checked.tobytes())
@@ -192,7 +203,7 @@ class Part:
                 column = columns[name]
                 file.create_dataset(name, data=column, dtype=column.dtype.newbyteorder("<"))
                 digest.update(file[name][()].tobytes())
-            describe_file(file, layout.plan.vary)
+            describe_file(file, layout.plan.varying)
             file.attrs.update(
                 format=PART_FORMAT, fingerprint=layout.fingerprint, part=self._number, first=int(numbers[0])
             )
@@ -201,11 +212,23 @@ class Part:
 
     def _values(self) -> dict[str, Array]:
         """Return the column of what varies from pose to pose, (n, variations), if anything does."""
-        plan, (_, voxel, index) = self._layout.plan, self._columns()
-        if not plan.vary:
+        layout, (_, voxel, index) = self._layout, self._columns()
+        if not layout.plan.varying:
             return {}
-        drawn = [plan.values(v, i) for v, i in zip(voxel.tolist(), index.tolist(), strict=True)]
+        drawn = [layout.values(v, i) for v, i in zip(voxel.tolist(), index.tolist(), strict=True)]
         return {"values": np.array([[value for _, value in values] for values in drawn])}
+
+    def _drawn(self, file: Any) -> bool:
+        """Whether the seed draws the values of what varies that a part holds."""
+        for name, column in self._values().items():
+            there, (_, voxels, indices) = file[name][()], self._columns()
+            for row in np.flatnonzero((there != column).any(axis=1)):
+                place = int(voxels[row]), int(indices[row])
+                attempts = range(1, ATTEMPTS if self._layout.plan.uncertain else 1)
+                draws = (self._layout.values(*place, attempt) for attempt in attempts)
+                if not any(np.array_equal(there[row], [value for _, value in values]) for values in draws):
+                    return False
+        return True
 
     def _checked(self, made: Pictures, numbers: NDArray[np.int64]) -> NDArray[Any]:
         """Return pictures as they are stored; raise NlosError if they are not valid."""
@@ -245,7 +268,7 @@ class Part:
                     digest.update(file[name][()].tobytes())
                 in_order = np.array_equal(file["voxel"][()], voxels)
                 in_order &= np.array_equal(file["index"][()], indices)
-                drawn = all(np.array_equal(file[name][()], column) for name, column in self._values().items())
+                drawn = self._drawn(file)
                 placed = self._stand_right(file["position"][()], file["rotation"][()], voxels)
                 with limited(MUCH):
                     recorded = str(file.attrs.get("sha256"))

@@ -60,9 +60,10 @@ from generator.sets.readable import as_read
 from generator.transport.world import World
 from generator.transport.world_file import load_world, save_world, world_hash
 
-FORMAT = 4
+FORMAT = 5
 """Format 1 had no seal; up to format 2, the seed drew the poses of a sweep; up to format 3, nothing varied from pose
-to pose and there was one object. Such sets are still written as 3, so that older versions read them."""
+to pose and there was one object; up to format 4, no scene was uncertain. A set has the oldest format that holds it,
+so that older versions read it."""
 MANIFEST = "bulk.toml"
 WORLD = "world.npz"
 MASTER = "set.h5"
@@ -198,7 +199,7 @@ class Bulk:
             "world_sha256": world_hash(world),
         }
         full = {
-            "format": FORMAT if plan.vary or plan.targets > 1 else FORMAT - 1,
+            "format": 5 if plan.uncertain else 4 if plan.vary or plan.targets > 1 else 3,
             "fingerprint": fingerprint(settings),
             "channels": channels,
             **meta,
@@ -274,7 +275,8 @@ class Bulk:
     @cached_property
     def layout(self) -> Layout:
         """Layout of its parts."""
-        return Layout(self.path, self.meta["fingerprint"], self.plan, self.meta["channels"], self.grid)
+        meta = self.meta
+        return Layout(self.path, meta["fingerprint"], self.plan, meta["channels"], self.grid, meta["scene"])
 
     @property
     def parts(self) -> int:
@@ -327,9 +329,17 @@ class Bulk:
     @property
     def backgrounds(self) -> Rows | None:
         """The background of each picture, read as `pictures` are; None where all have the same, `background`."""
-        if not self.plan.sweep.own_backgrounds:
+        if not self.plan.own_backgrounds:
             return None
         return Rows(self, "backgrounds", self.picture_shape, np.dtype(np.float32))
+
+    @cached_property
+    def values(self) -> Array:
+        """What varies, (n, variations), in the order of `Settings.varying`; all are read at once."""
+        count = len(self.plan.varying)
+        if not count:
+            return np.zeros((self.planned, 0))
+        return np.asarray(Rows(self, "values", (count,), np.dtype(np.float64)))
 
     @cached_property
     def others(self) -> dict[str, NDArray[Any]]:

@@ -3,15 +3,17 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Literal
+from typing import Any, Literal
 
 from generator.model.arrays import Vector
 from generator.model.described import borrowed, check_ranges, described, documented
 from generator.model.errors import NlosError
 from generator.model.grid import VoxelGrid
 from generator.model.settings import Sweep
+from generator.model.uncertainty import Uncertainty
 from generator.model.variation import Values, draw
 
 _CHUNK = 64 * 1024
@@ -49,6 +51,11 @@ class Settings:
     )
     vary: tuple[str, ...] = borrowed(Sweep, "vary")
     targets: int = borrowed(Sweep, "targets")
+    uncertain: Uncertainty | None = described(
+        "file of what is not known exactly of the scene (uncertainty.toml); each pose draws a scene from it, with a "
+        "background of its own",
+        None,
+    )
 
     def __post_init__(self) -> None:
         check_ranges(self)
@@ -61,6 +68,9 @@ class Settings:
             raise NlosError(
                 "vary: target.albedo is drawn for every unknown object already; leave it or --unknown out"
             )
+        if self.uncertain and (names or self.targets > 1):
+            other = "vary" if names else "targets"
+            raise NlosError(f"uncertain: draws a scene for each pose already; leave --{other} out")
 
     @property
     def numbered_stream(self) -> int:
@@ -78,9 +88,15 @@ class Settings:
         names = ("seed", "resolution", "inside", "rotation", "vary", "targets")
         return Sweep(**{name: getattr(self, name) for name in names})
 
-    def values(self, voxel: int, index: int) -> Values:
-        """Return what varies at a pose."""
-        return draw(self.sweep.variations, self.seed, voxel, index, stream=self.numbered_stream)
+    @property
+    def own_backgrounds(self) -> bool:
+        """Whether each pose has a background picture of its own, since more than the target varies."""
+        return self.uncertain is not None or self.sweep.own_backgrounds
+
+    @property
+    def varying(self) -> tuple[str, ...]:
+        """What varies from pose to pose, a text for each value."""
+        return self.uncertain.names if self.uncertain else self.vary
 
     def chunk(self, channels: int) -> int:
         """Pictures per HDF5 chunk, which is read whole from disk for any of its pictures: about 64 KiB."""
@@ -118,6 +134,8 @@ class Layout:
     channels : int
         Number of channels of a stored picture, 1 or 3.
     grid : VoxelGrid
+    scene : mapping
+        The scene as plain tables.
     """
 
     path: Path
@@ -125,6 +143,14 @@ class Layout:
     plan: Settings
     channels: int
     grid: VoxelGrid
+    scene: Mapping[str, Any]
+
+    def values(self, voxel: int, index: int, attempt: int = 0) -> Values:
+        """Return what varies at a pose; ``attempt`` as for `generator.model.uncertainty.Uncertainty.draw`."""
+        plan, place = self.plan, (self.plan.seed, voxel, index)
+        if plan.uncertain:
+            return plan.uncertain.draw(self.scene, *place, stream=plan.numbered_stream, attempt=attempt)
+        return draw(plan.sweep.variations, *place, stream=plan.numbered_stream)
 
     @property
     def parts(self) -> int:
@@ -134,12 +160,12 @@ class Layout:
     @property
     def images(self) -> tuple[str, ...]:
         """Names of the datasets that hold pictures: there are backgrounds where more than the target varies."""
-        return ("pictures", "backgrounds") if self.plan.sweep.own_backgrounds else ("pictures",)
+        return ("pictures", "backgrounds") if self.plan.own_backgrounds else ("pictures",)
 
     @property
     def columns(self) -> dict[str, tuple[tuple[int, ...], str]]:
         """The other datasets: shape of a row, and type."""
-        varying = len(self.plan.vary)
+        varying = len(self.plan.varying)
         return {
             "position": ((3,), "<f8"),
             "rotation": ((3,), "<f8"),

@@ -30,7 +30,7 @@ def check_same(dataset: HasSettings, scene: Path, chosen: Mapping[str, Any]) -> 
 
     NlosError is also raised if files that its scene refers to have changed, or may not be read (`links.check`).
     """
-    older = {"device": Sweep.device, "denoise": Sweep.denoise, "stream": "sweep", "unknown": False}
+    older = {"device": Sweep.device, "denoise": Sweep.denoise, "stream": "sweep", "unknown": False, "uncertain": None}
     settings = {"vary": [], "targets": 1, "timeline": [], **older, **dataset.settings}  # older sets lack these
     width, height = settings["resolution"]
     differences = []

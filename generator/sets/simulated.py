@@ -94,11 +94,12 @@ class SimulatedSet:
         """Poses of the pictures, in order; the files that they name do not exist."""
         labels, n = self.grid.labels, self.grid.n_voxels
         records = []
+        names = [text.partition("=")[0] for text in self._bulk.plan.varying]
         poses = zip(self._bulk.positions[: self._count], self._bulk.rotations[: self._count], strict=True)
         for number, (position, rotation) in enumerate(poses):
             index, voxel = divmod(number, n)
             pose, file = (tuple(position), tuple(rotation)), f"{labels[voxel]}/{index:04d}"
-            values = self._bulk.plan.values(voxel, index)
+            values = tuple(zip(names, self._bulk.values[number].tolist(), strict=True))
             others = self._others_of(number)
             records.append(PoseRecord(index, voxel, labels[voxel], *pose, 0, file=file, values=values, others=others))
         return records

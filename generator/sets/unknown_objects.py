@@ -56,7 +56,7 @@ def unknown_object(grid: VoxelGrid, sweep: Sweep, index: int, *, stream: int = 0
             edges[rng.integers(2)] = 0.0
         turn = rotation_matrix(tuple(rng.uniform(-1.0, 1.0, 3) * sweep.rotation))
         albedo = rng.uniform(DARKEST, 1.0)
-        mesh = _box(edges, turn, albedo)
+        mesh = box(edges, turn, albedo)
         if sweep.inside == "centre" or (np.ptp(mesh.triangles.reshape(-1, 3), axis=0) < size).all():
             return mesh
     raise NlosError(
@@ -65,7 +65,8 @@ def unknown_object(grid: VoxelGrid, sweep: Sweep, index: int, *, stream: int = 0
     )
 
 
-def _box(edges: Array, turn: Array, albedo: float) -> Mesh:
+def box(edges: Array, turn: Array, albedo: float) -> Mesh:
+    """Return a box about the origin, or a sheet if an edge is 0; edges (3,) in metres, turn (3, 3)."""
     corners = np.array(list(itertools.product((-0.5, 0.5), repeat=3))) * edges @ turn.T
     quads = [face for face in _FACES if np.linalg.matrix_rank(corners[list(face)] - corners[face[0]], tol=1e-9) == 2]
     quads = quads[: 1 if len(quads) == 2 else None]  # a sheet's two sides are one surface, which reflects from both

@@ -1,66 +1,119 @@
-"""A camera that takes pictures of a wall: perspective, vignetting, black level, gain, noise and rounding.
-
-It shares no code with what imports its pictures: rays from points of its pixels find the wall's pixels.
-"""
+"""Bursts of cameras with known figures, drawn electron by electron, and by nothing that the estimator uses."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
 
-import cv2
 import numpy as np
 
-POINTS = 6
-"""Points along each edge of a pixel."""
+from classify.pictures.burst import Burst
+
+LEVELS = (0.03, 0.06, 0.1, 0.15, 0.2, 0.3, 0.4, 0.5, 0.6, 0.7, 0.85, 1.5)
+"""Exposure times of the bursts of light, in units of what fills the well."""
+DARK_TIMES = (0.001, 0.1, 1.0, 3.0)
 
 
-@dataclass
+@dataclass(frozen=True, kw_only=True)
 class Camera:
-    """Where a rectangle of the wall is in its picture, and how it turns light into grey levels."""
+    """A camera's figures; fields are named as those of `Sensor`, and `bend` is its non-linearity at full well."""
 
-    corners: np.ndarray
-    shape: tuple[int, int] = (180, 200)
-    exposure: float = 1.0
-    electrons: float = 2.0
+    gain: float = 0.2
     read_noise: float = 3.0
+    full_well: float = 18_000.0
+    dark_current: float = 30.0
+    gain_spread: float = 0.01
+    offset_spread: float = 4.0
+    bend: float = 0.01
+    row_noise: float = 1.0
+    column_noise: float = 0.0
+    bits: int = 12
     black: float = 64.0
-    top: int = 65535
-    fall: float = 0.4
 
-    def light(self, wall):
-        """Light (height, width) of a wall's pixels (rows, columns), of which the outer ones go on around."""
-        rows, columns = wall.shape
-        ends = np.float32([(0, 0), (columns, 0), (columns, rows), (0, rows)])
-        to_wall = cv2.getPerspectiveTransform(np.float32(self.corners), ends)
-        height, width = self.shape
-        offsets = (np.arange(POINTS) + 0.5) / POINTS - 0.5
-        total = np.zeros(self.shape)
-        v, u = np.mgrid[0:height, 0:width]
-        for down in offsets:
-            for across in offsets:
-                there = np.stack([u + across, v + down, np.ones_like(u)], axis=-1) @ to_wall.T
-                c, r = (np.floor(there[..., k] / there[..., 2]).astype(int) for k in (0, 1))
-                total += wall[np.clip(r, 0, rows - 1), np.clip(c, 0, columns - 1)]
-        return total / POINTS**2 * self.vignetting
+    @classmethod
+    def drawn(cls, rng):
+        """A camera at random, from a good phone's to a scientific one's."""
+        gain, well = 10.0 ** rng.uniform(-1.0, 0.3), 10.0 ** rng.uniform(3.5, 4.3)
+        read, offset = rng.uniform(1.5, 8.0), rng.uniform(1.0, 6.0)
+        black = 30.0 + 12.0 * gain * np.hypot(read, offset)
+        return cls(
+            gain=gain,
+            read_noise=read,
+            full_well=well,
+            dark_current=10.0 ** rng.uniform(0.0, 2.0),
+            gain_spread=rng.uniform(0.003, 0.02),
+            offset_spread=offset,
+            bend=rng.uniform(0.0, 0.04),
+            row_noise=rng.uniform(0.3, 2.0),
+            column_noise=rng.uniform(0.3, 2.0),
+            bits=int(np.ceil(np.log2(well * gain + black + 40.0 * gain))),
+            black=black,
+        )
 
-    @property
-    def vignetting(self):
-        """Share of the light that reaches each pixel."""
-        height, width = self.shape
-        v, u = np.mgrid[0:height, 0:width]
-        return 1.0 - self.fall * (((u - width / 2) / width) ** 2 + ((v - height / 2) / height) ** 2) * 2.0
 
-    def levels(self, light, rng):
-        """Grey levels (height, width) of a frame."""
-        charge = rng.poisson(np.maximum(light, 0.0) * self.exposure)
-        charge = charge + rng.normal(scale=self.read_noise, size=light.shape)
-        levels = np.clip(np.rint(self.black + charge / self.electrons), 0, self.top)
-        return levels.astype(np.uint16 if self.top > 255 else np.uint8)
+class Bench:
+    """A camera before a lamp.
 
-    def take(self, path, light, rng, count=1):
-        """Write frames as PNG files into a folder; return their paths."""
-        path.mkdir(parents=True, exist_ok=True)
-        paths = [path / f"{k}.png" for k in range(count)]
-        for file in paths:
-            assert cv2.imwrite(str(file), self.levels(light, rng))
-        return paths
+    Parameters
+    ----------
+    camera : Camera
+    rng : Generator
+    shape : (int, int)
+        Height and width of its frames.
+    light : ndarray of shape (height, width)
+        Of the scene, relative.
+    """
+
+    def __init__(self, camera, rng, shape=(96, 96), light=1.0):
+        self.camera, self.rng, self.shape = camera, rng, shape
+        self.gains = light * (1.0 + camera.gain_spread * rng.standard_normal(shape))
+        self.offsets = camera.offset_spread * rng.standard_normal(shape)
+
+    def frame(self, light, time):
+        """Grey levels of a frame that collects a number of electrons from the light."""
+        camera, rng, (height, width) = self.camera, self.rng, self.shape
+        electrons = rng.poisson(light * self.gains) + rng.poisson(camera.dark_current * time, size=self.shape)
+        held = np.minimum(electrons, camera.full_well)
+        volts = held * (1.0 - camera.bend * held / camera.full_well) + self.offsets
+        volts = volts + camera.read_noise * rng.standard_normal(self.shape)
+        volts = volts + camera.row_noise * rng.standard_normal((height, 1))
+        volts = volts + camera.column_noise * rng.standard_normal((1, width))
+        levels = np.floor(camera.gain * volts + camera.black + 0.5)
+        return np.clip(levels, 0, 2**camera.bits - 1).astype(np.uint8 if camera.bits <= 8 else np.uint16)
+
+    def light(self, count, levels=LEVELS, flicker=0.0):
+        """Bursts of light; the well fills in a tenth of a second."""
+        bursts = []
+        for level in levels:
+            bright = level * self.camera.full_well * (1.0 + flicker * self.rng.standard_normal(count))
+            frames = np.stack([self.frame(one, 0.1 * level) for one in bright])
+            bursts.append(Burst(name=f"light {level}", frames=frames, time=0.1 * level))
+        return bursts
+
+    def dark(self, count, times=DARK_TIMES):
+        """Bursts with the lens covered."""
+        return [
+            Burst(name=f"dark {time}", frames=np.stack([self.frame(0.0, time) for _ in range(count)]), time=time)
+            for time in times
+        ]
+
+
+def truth(camera, linear):
+    """What the figures of a camera should be, by name; ``linear`` are the levels that its linearity is taken from."""
+    level = np.array(linear)
+    signal = level * (1.0 - camera.bend * level)
+    weights = 1.0 / signal**2
+    lines = np.stack([np.ones_like(level), level], axis=1)
+    offset, slope = np.linalg.solve(lines.T @ (weights[:, None] * lines), lines.T @ (weights * signal))
+    return {
+        "gain": camera.gain,
+        "read_noise": camera.read_noise,
+        "temporal_dark_noise": float(np.sqrt(camera.read_noise**2 + camera.row_noise**2 + camera.column_noise**2)),
+        "full_well": camera.full_well,
+        "dark_current": camera.dark_current,
+        "gain_spread": camera.gain_spread,
+        "offset_spread": camera.offset_spread,
+        "row_noise": camera.row_noise,
+        "column_noise": camera.column_noise,
+        "nonlinearity": camera.bend,
+        "linearity_error": float(np.abs(signal / (offset + slope * level) - 1.0).mean()),
+    }

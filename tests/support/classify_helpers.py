@@ -100,6 +100,7 @@ def make_bulk(
     scale=1.0,
     ambient=0.0,
     wall=worlds.WALL,
+    uncertain=None,
 ):
     """Write a bulk set of a sphere before a bare wall (or a sheet, with radius 0), made by the engine itself."""
     target = Sphere(np.zeros(3), radius, np.full(3, albedo)) if radius else worlds.sheet(0.3)
@@ -111,7 +112,7 @@ def make_bulk(
     lo, hi = (tuple(scale * x for x in corner) for corner in ((0.3, 0.5, -0.4), (1.5, 1.7, 0.6)))
     grid = VoxelGrid(lo=lo, hi=hi, shape=shape)
     chosen = {"pictures": pictures, "resolution": resolution, "seed": seed, "rotation": rotation, "inside": inside}
-    plan = Settings(**chosen, accuracy=1e-3)
+    plan = Settings(**chosen, accuracy=1e-3, uncertain=uncertain)
     scene = {**to_dict(preset("room", "sphere" if radius else "sheet")), "grid": to_dict(grid)}
     transport = Transport(world, accuracy=1e-3)
     meta = {"scene": scene, "reference_radiance": 1.0, "software": {"blender": "none"}}
@@ -121,7 +122,7 @@ def make_bulk(
     reach = scale * (radius or 0.3 / np.sqrt(2.0))
     hull = np.concatenate([reach * np.eye(3), -reach * np.eye(3)])
     draw = poses.Sampler(grid, plan.sweep, hull).draw
-    engine = UnderLight(Engine(found), ambient)
+    engine = Engine(found) if uncertain else UnderLight(Engine(found), ambient)
     for number in found.missing():
         found.part(number).write(draw, engine)
     found.finish()
