@@ -224,7 +224,7 @@ def _change(engine: Transport, pose: tuple[Array, Array], seen: tuple[float, flo
 def _background(engine: Transport, seen: tuple[float, float]) -> float:
     dark = engine.background(ambient=False)
     sky = (engine.background() - dark)[..., 0].mean()
-    return float(seen[0] * (dark - engine._directly_lit())[..., 0].mean() + sky)
+    return float(seen[0] * (dark - engine.directly_lit())[..., 0].mean() + sky)
 
 
 def _cells(theirs: list[Array], ours: list[dict[int, float]]) -> list[str]:

@@ -26,6 +26,7 @@ ROOMS = (
     "classify.intervals",
     "classify.tail",
     "classify.pictures",
+    "classify.calibration",
     "classify.classifiers",
     "classify.inference",
     "classify.report",

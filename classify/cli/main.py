@@ -4,15 +4,15 @@ from __future__ import annotations
 
 import sys
 
-from classify.cli import atlas, bound, features, importing, learn, locate, sensor
+from classify.cli import atlas, bound, calibrate, features, importing, learn, locate, sensor
 from generator.cli.answer import give
 from generator.cli.parser import Parser, VerbParser, check_volume, command_parser
 from generator.cli.terminal import guarded
 
-VERBS = (sensor, importing, features, learn, atlas, locate, bound)
+VERBS = (sensor, importing, calibrate, features, learn, atlas, locate, bound)
 """Modules of the verbs."""
 GROUPS = {
-    "take pictures in": ("sensor", "import"),
+    "take pictures in": ("sensor", "import", "calibrate"),
     "describe pictures": ("features", "atlas"),
     "train and compare": ("train", "compare", "learning-curve"),
     "answer": ("predict", "locate", "track"),

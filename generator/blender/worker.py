@@ -11,7 +11,7 @@ from collections.abc import Callable, Mapping
 from dataclasses import asdict
 from typing import Any
 
-from generator.blender import assets, trial_render
+from generator.blender import assets, corrected, trial_render
 from generator.blender.check import check_scene
 from generator.blender.engines.settings import settled
 from generator.blender.measure import experiment
@@ -22,9 +22,11 @@ from generator.files.pictures import write_picture
 from generator.jobs import gpus
 from generator.jobs.protocol import (
     CheckScene,
+    CorrectScene,
     DrawExperiment,
     PlanSweep,
     ReadMesh,
+    ReadWorld,
     RenderSweep,
     RenderWall,
     Request,
@@ -98,6 +100,15 @@ def _write_assets(request: WriteAssets) -> None:
     answer(assets=assets.write(request.folder))
 
 
+def _read_world(request: ReadWorld) -> None:
+    answer(described=corrected.read(request.scene, request.file, request.resolution))
+
+
+def _correct(request: CorrectScene) -> None:
+    corrected.write(request.scene, request.file, request.offsets)
+    answer(corrected=True)
+
+
 Commands = Mapping[type[Request], Callable[[Any], None]]
 COMMANDS: Commands = {
     PlanSweep: _plan,
@@ -108,6 +119,8 @@ COMMANDS: Commands = {
     DrawExperiment: _draw,
     ReadMesh: _read_mesh,
     WriteAssets: _write_assets,
+    ReadWorld: _read_world,
+    CorrectScene: _correct,
 }
 
 

@@ -159,6 +159,42 @@ class ReadMesh(Request):
 
 
 @dataclass(frozen=True, kw_only=True)
+class ReadWorld(Request):
+    """Write what of a scene matters to its light to a file (`world_file.save_world`); answers ``described``.
+
+    Attributes
+    ----------
+    scene : Path
+        A ``.blend`` file, or a description, ``.toml``.
+    file : Path
+        Where the world is written.
+    resolution : sequence of int
+        Width and height of the pictures.
+    """
+
+    scene: Path
+    file: Path
+    resolution: Sequence[int]
+
+
+@dataclass(frozen=True, kw_only=True)
+class CorrectScene(Request):
+    """Write a scene with some values changed (`generator.transport.parameters`); answers ``corrected``.
+
+    Attributes
+    ----------
+    scene, file : Path
+        A ``.blend`` file, or a description, ``.toml``; and where the new one is written.
+    offsets : mapping
+        What is added to values.
+    """
+
+    scene: Path
+    file: Path
+    offsets: Mapping[str, float]
+
+
+@dataclass(frozen=True, kw_only=True)
 class Question:
     """What `DrawLook` is asked for a picture of.
 
@@ -270,6 +306,8 @@ REQUESTS = (
     DrawExperiment,
     ReadMesh,
     WriteAssets,
+    ReadWorld,
+    CorrectScene,
     PlanBulk,
     RenderBulk,
 )

@@ -162,7 +162,7 @@ class Transport:
             return self.background() - self._followed("sky")
         if self._background is None:
             compiled.limit_threads(self._threads)
-            self._background = self._directly_lit()
+            self._background = self.directly_lit()
             if self.world.order >= 3 and len(self._setting.room):
                 self._background = self._background + self._colour(self._fields.room())
             for name in self._field.sources if self._field else ():
@@ -315,7 +315,7 @@ class Transport:
         places, turns = np.asarray(positions, float).reshape(-1, 3), np.asarray(rotations, float).reshape(-1, 3)
         width, height = self.world.watched.resolution
         pictures, backgrounds = np.empty((2, len(places), height, width, 3), dtype=np.float32)
-        direct = self._directly_lit()
+        direct = self.directly_lit()
         indirect = self.background() - direct
         for start in range(0, len(places), _BATCH):
             rows = slice(start, start + _BATCH)
@@ -479,7 +479,7 @@ class Transport:
                 report["shadow_panels"] = int(count)
         return added, hidden, reports
 
-    def _directly_lit(self) -> Array:
+    def directly_lit(self) -> Array:
         """Return the picture of the lit patch itself, where the camera sees it: one reflection."""
         setting = self._setting
         relative = direct.draw(setting.to_wall, setting.patch, setting.resolution, self.accuracy)

@@ -1,0 +1,1 @@
+"""What nobody knows exactly of a room, fitted to measured pictures of it."""
