@@ -29,9 +29,9 @@ RESULTS = {
         "the truth differs by",
         "frames",
         "atlas",
-        "right voxel, %",
-        "within 95 % region, %",
-        "median error, cm",
+        "right voxel",
+        "within 95 % region",
+        "median error",
         "median stated probability, %",
         "misfit warned",
     )
