@@ -16,6 +16,7 @@ import time
 from collections.abc import Iterator
 from pathlib import Path
 
+import cv2
 import numpy as np
 import results
 
@@ -77,9 +78,14 @@ def generate(*words: object) -> None:
     subprocess.run([sys.executable, "-m", "generator", *map(str, words)], check=True, cwd=ROOT)
 
 
+def smooth(picture: np.ndarray) -> np.ndarray:
+    """Light of the wall, (height, width): what Cycles leaves of noise is no pattern on it, and is smoothed away."""
+    return cv2.GaussianBlur(picture.mean(axis=2, dtype=np.float64), (0, 0), FINER / 2, borderType=cv2.BORDER_REFLECT)
+
+
 def smaller(picture: np.ndarray) -> np.ndarray:
-    """Means over blocks of pixels, of a picture's mean over its channels."""
-    grey = picture.mean(axis=2, dtype=np.float64)
+    """Means over blocks of pixels of that light."""
+    grey = smooth(picture)
     height, width = grey.shape
     return grey.reshape(height // FINER, FINER, width // FINER, FINER).mean(axis=(1, 3))
 
@@ -87,8 +93,8 @@ def smaller(picture: np.ndarray) -> np.ndarray:
 def rows(folder: Path, atlas: Atlas, cycles: Path, pixels: int) -> list[tuple[object, ...]]:
     """Return the table's rows; the camera's files go into a folder."""
     rendered = Dataset.open(cycles)
-    empty = rendered.background().mean(axis=2, dtype=np.float64)
-    light = [rendered.picture(record).mean(axis=2, dtype=np.float64) for record in rendered.records]
+    empty = smooth(rendered.background())
+    light = [smooth(rendered.picture(record)) for record in rendered.records]
     table = []
     for name, kind in CAMERAS.items():
         camera = wall_camera.Camera(CORNERS, SHAPE, **kind)
@@ -184,14 +190,14 @@ def compared(path: Path, atlas: Atlas, rendered: Dataset) -> tuple[object, ...]:
 def live(folder: Path, atlas: Atlas, path: Path, cycles: Path) -> list[tuple[object, ...]]:
     """Return how fast frames are answered that come into a folder, of several sizes."""
     made, rendered, table = open_set(path), Dataset.open(cycles), []
-    picture = rendered.picture(rendered.records[0]).mean(axis=2, dtype=np.float64)
+    picture = smooth(rendered.picture(rendered.records[0]))
     for times in (1, 3):
         shape, corners = tuple(times * size for size in SHAPE), times * (CORNERS + 0.5) - 0.5
         camera = wall_camera.Camera(corners, shape, **CAMERAS["16-bit PNG"])
         camera.exposure = 0.8 * 8000.0 / picture.max()
         light, rng = camera.light(picture), np.random.default_rng(0)
         frames = [file.read_bytes() for file in camera.take(folder / f"source-{times}", light, rng, 10)]
-        empty = camera.light(rendered.background().mean(axis=2, dtype=np.float64))
+        empty = camera.light(smooth(rendered.background()))
         camera.take(folder / f"empty-{times}", empty, rng, 10)
         given = [f"{folder}/source-{times}", "--background", f"{folder}/empty-{times}", "--like", str(cycles)]
         given += ["--resolution", str(made.picture(made.records[0]).shape[1]), "--black", str(camera.black)]

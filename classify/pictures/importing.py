@@ -485,7 +485,10 @@ class _Work:
             return None
         wanted = self.description.background.mean(axis=2, dtype=np.float64)
         width, height = self.geometry.resolution
-        return wanted if wanted.shape == (height, width) else None
+        if wanted.shape[0] < height or wanted.shape[1] < width:
+            return None
+        smaller = cv2.resize(wanted, (width, height), interpolation=cv2.INTER_AREA)
+        return np.asarray(smaller, dtype=np.float64)
 
     def _refuse_gamma(self, empty: Array) -> None:
         """Raise NlosError if the empty scene is like that of the model only after a gamma is undone."""
