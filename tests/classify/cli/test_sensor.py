@@ -8,9 +8,10 @@ import json
 import numpy as np
 import pytest
 from cameras import Bench, Camera
+from classify_helpers import make_dataset
 
 from classify.cli.options import sensor_of
-from classify.pictures import sensor_file
+from classify.pictures import feature_table, sensor_file
 from generator.files.toml import read_toml
 from generator.model.errors import NlosError
 
@@ -51,6 +52,12 @@ def test_a_measured_camera_is_a_file_that_other_verbs_take(bursts, tmp_path, com
     assert sensor.dark_current == pytest.approx(30.0, rel=0.1)
     taken = sensor_of(argparse.Namespace(sensor=str(out), frames=7, exposure_time=0.5))
     assert (taken.frames, taken.exposure_time, taken.gain) == (7, 0.5, sensor.gain)
+    make_dataset(tmp_path / "set", n=1)
+    words = ["-o", tmp_path / "f.h5", "--sensor", out, "--exposure-time", 0.5]
+    done = command("classify", "features", tmp_path / "set", *words)
+    assert done.returncode == 0, done.stderr
+    seen = feature_table.read(tmp_path / "f.h5").provenance["sensor"]
+    assert (seen["gain"], seen["exposure_time"]) == (sensor.gain, 0.5)
 
 
 def test_a_part_of_the_frames_and_times_beside_the_names(bursts, tmp_path, command):
