@@ -15,7 +15,7 @@ sys.path.append(str(ROOT / "benchmarks"))
 import pictures
 
 FOLDER = ROOT / "docs" / "pictures"
-BY_COMMANDS = {"bound-sphere", "detect-sheet", "track", "tutorial-differences"}
+BY_COMMANDS = {"bound-sphere", "detect-sheet", "sensor", "track", "tutorial-differences"}
 """Drawn by a command from an atlas, a walk or a data set, which would be too large to keep."""
 DRAWN = sorted(pictures.PICTURES)
 in_sources = pytest.mark.skipif(not FOLDER.is_dir(), reason="a source distribution has no pictures")

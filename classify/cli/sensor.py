@@ -120,7 +120,7 @@ class Camera:
 
 def run_sensor(options: argparse.Namespace) -> Answer:
     """Measure a camera, and write its file."""
-    from classify.pictures import photon_transfer, sensor_file
+    from classify.pictures import burst, photon_transfer, sensor_file
     from classify.report import photon_transfer as drawing
     from generator.measure import figures
 
@@ -139,7 +139,8 @@ def run_sensor(options: argparse.Namespace) -> Answer:
         bursts: list[Burst] = []
         for path in paths:
             progress(len(bursts), len(paths), path.name)
-            bursts.append(_read(options, path))
+            mosaic, region = (part and tuple(part) for part in (options.mosaic, options.region))
+            bursts.append(burst.read(path, channel=options.channel, mosaic=mosaic, region=region))
     count = len(options.bursts)
     light = _known(bursts[:count], options.times, "--times", "time")
     light = _known(light, options.irradiance, "--irradiance", "irradiance")
@@ -171,20 +172,6 @@ def run_sensor(options: argparse.Namespace) -> Answer:
     return Answer(values, [table, *measured.doubts, *map(str, files)], 1 if measured.doubts else 0)
 
 
-def _read(options: argparse.Namespace, path: Path) -> Burst:
-    """Read a burst, and the part of it that is asked for."""
-    from classify.pictures import burst
-
-    found = burst.read(path, channel=options.channel, mosaic=options.mosaic and tuple(options.mosaic))
-    if options.region:
-        x, y, width, height = options.region
-        own_height, own_width = found.frames.shape[1:]
-        if min(x, y) < 0 or min(width, height) < 1 or x + width > own_width or y + height > own_height:
-            raise NlosError(f"--region: lies outside the {own_width} x {own_height} pixels of {path}")
-        found = replace(found, frames=found.frames[:, y : y + height, x : x + width])
-    return found
-
-
 def _known(bursts: list[Burst], numbers: list[float] | None, option: str, field: str) -> list[Burst]:
     """Bursts with what an option tells of each."""
     if numbers is None:
@@ -194,7 +181,7 @@ def _known(bursts: list[Burst], numbers: list[float] | None, option: str, field:
     if bad := [number for number in numbers if not (math.isfinite(number) and number >= 0.0)]:
         raise NlosError(f"{option} {bad[0]:g}: must not be negative")
     told: list[dict[str, Any]] = [{field: number} for number in numbers]
-    return [replace(burst, **one) for burst, one in zip(bursts, told, strict=True)]
+    return [replace(old, **one) for old, one in zip(bursts, told, strict=True)]
 
 
 def _number(value: float) -> str:

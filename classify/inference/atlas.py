@@ -196,8 +196,15 @@ class Atlas:
         NlosError
             Its noise is distributed otherwise, or it collects so much light that the atlas leaves out too much.
         """
+        if sensor.shared_count(self.background.shape):
+            raise NlosError(
+                "the atlas: cannot take on noise of rows or columns, or flicker; make it with this camera's: "
+                "nlos-classify atlas SET -o FILE.atlas --sensor FILE.toml"
+            )
+        # Pictures of a camera are resized, so that the atlas' rows and columns are not the camera's.
+        alone = replace(self.sensor, row_noise=0.0, column_noise=0.0, flicker=0.0)
         light = np.maximum(self.background, 0.0)[..., None]
-        ratio = np.sqrt(self.sensor.variance(light) / sensor.variance(light))
+        ratio = np.sqrt(alone.variance(light) / sensor.variance(light))
         scale = float(np.sqrt((ratio**2).mean()))
         if float(np.abs(ratio / scale - 1.0).max()) > _SAME_NOISE:
             raise NlosError(
@@ -216,11 +223,10 @@ class Atlas:
         """Return the atlas for a sensor by which codes are ``scale`` times as long before their noise is 1."""
         old_factor = np.linalg.cholesky(noise_of(self.spread, self.nuisances))
         # Noise that pixels share grows in the code as other noise does; a drift grows with the code.
-        drifts = len(self.nuisances) - self.shared
-        grown = np.where(np.arange(len(self.nuisances)) < drifts, scale, math.sqrt(spread / self.spread)).astype(
-            np.float32
-        )[:, None]
-        new_factor = np.linalg.cholesky(noise_of(spread, grown * self.nuisances))
+        drifts, shared = len(self.nuisances) - self.shared, sensor.shared_count(self.background.shape)
+        factors = np.array([scale] * drifts + [math.sqrt(spread / self.spread)] * shared, dtype=np.float32)
+        nuisances = factors[:, None] * self.nuisances[: drifts + shared]
+        new_factor = np.linalg.cholesky(noise_of(spread, nuisances))
         change = np.linalg.solve(new_factor, old_factor)
         codes = (scale * self.codes @ change.T).astype(np.float32)
         hiding = None if self.hiding is None else (scale * self.hiding @ change.T).astype(np.float32)
@@ -238,7 +244,7 @@ class Atlas:
             hiding=None if hiding is None else np.ascontiguousarray(hiding[:, :kept]),
             basis=basis[:kept],
             uncertain=None if self.uncertain is None else self.uncertain.scaled(scale, change, kept),
-            nuisances=grown * self.nuisances[:, :kept],
+            nuisances=nuisances[:, :kept],
             spread=spread,
             sensor=sensor,
             left_out=math.hypot(scale * self.left_out, float(residual[kept]) if kept < len(residual) else 0.0),
@@ -266,7 +272,7 @@ class Atlas:
     def shift(self, background: Picture) -> Array:
         """Return how a measured background differs from the atlas', on the scale of unit noise, (height * width,)."""
         self._check(background, "background")
-        shift: Array = (self.sensor.stabilised_mean(background) - self.empty).ravel()
+        shift: Array = (self.sensor.stabilised_mean(background, measured=True) - self.empty).ravel()
         return shift
 
     def code(

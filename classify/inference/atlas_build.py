@@ -132,6 +132,11 @@ def _of_uncertain(
         raise NlosError("--lamp-drift, --ambient-drift: are of scenes that are known; leave them out")
     if not measured_background:
         raise NlosError(f"{bulk.path}: is of an uncertain scene, whose background has to be measured")
+    if sensor.shared_count(bulk.background.shape[:2]):
+        raise NlosError(
+            f"{bulk.path}: is of an uncertain scene, for which noise of rows and columns and flicker are not "
+            "modelled; leave row_noise, column_noise and flicker out of the sensor's file"
+        )
     background = bulk.background
     wanted = background.mean(axis=2, dtype=np.float64)
     stated, backgrounds = Engine(bulk, as_stated=True), bulk.backgrounds
@@ -149,7 +154,7 @@ def _of_uncertain(
 
     rows = np.unique(np.linspace(0, bulk.planned - 1, min(bulk.planned, _FOR_BASIS // 2)).astype(np.int64))
     pictures, empty = drawn(rows)
-    difference = _Difference(sensor.exposed([background, pictures.reshape(-1, pictures.shape[-2], 3)]), background)
+    difference = _Difference(sensor.exposed([background, *pictures]), background)
     sensor = difference.sensor
     shifts = difference(empty).astype(np.float64)
     directions = Backgrounds.of(shifts, sensor.frames / sensor.background_frames)

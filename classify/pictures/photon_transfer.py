@@ -41,6 +41,8 @@ _UNDERFLOW = 0.005
 _CLIPPED = 0.001
 _TRANSFER, _LINEAR = 0.7, (0.05, 0.95)
 """Shares of saturation up to which the gain, and within which the linearity, is taken (EMVA 1288)."""
+_FLICKER = 5e-4
+"""Relative change of the light from frame to frame that is told: less costs no answer anything."""
 _DROP, _FLAT = 0.85, 0.1
 _CORRELATED, _MOSAIC, _CURVED, _ROUGH = 0.05, 0.02, 0.35, 1.5
 _SECOND_1D, _SECOND_2D = 35.0 / 18.0, (35.0 / 18.0) ** 2
@@ -505,6 +507,8 @@ class _Transfer:
         fields: dict[str, Any] = {
             name: one.value for name, one in found.items() if name in own and not one.low <= 0.0 <= one.high
         }
+        if fields.get("flicker", 0.0) <= _FLICKER:
+            fields.pop("flicker", None)
         if "quantum_efficiency" in found:
             fields |= {"quantum_efficiency": found["quantum_efficiency"].value}
             fields |= {"pixel_size": pixel_size, "wavelength": wavelength}
@@ -664,7 +668,12 @@ class _Transfer:
             self.doubts.append(
                 "darkness does not grow in line with the exposure time: the chip warmed up, or corrects it"
             )
-        if found["flicker"].low > 0.0:
+        if not math.isfinite(self.darkness.rate_error):
+            self.doubts.append(
+                "dark current is not measured: it needs --dark at two or more known exposure times; until then its "
+                "charge counts as light, and its noise as read noise"
+            )
+        if found["flicker"].low > 0.0 and found["flicker"].value > _FLICKER:
             self.doubts.append(
                 f"the light changed by {found['flicker'].value:.2%} from frame to frame; each frame was scaled to "
                 "one brightness, and the file says so as flicker: delete that line if another lamp lights the scene"

@@ -40,22 +40,12 @@ _SAME_SHAPE = 0.02
 """Relative RMS difference, after scaling to one level, below which two pictures differ in the level alone."""
 _SAME_LEVEL = 0.01
 """Relative difference below which two levels count as equal: lamps drift by as much."""
-
-
 _STEEPEST = 0.45
 """Largest non-linearity; at a half the response ends flat."""
 _NOT_NEGATIVE = (
-    *(
-        "read_noise",
-        "exposure",
-        "gain_spread",
-        "offset_spread",
-        "gain",
-        "black_level",
-        "dark_current",
-        "exposure_time",
-    ),
-    *("row_noise", "column_noise", "blur", "flicker", "quantum_efficiency", "pixel_size", "f_number"),
+    *("read_noise", "exposure", "gain_spread", "offset_spread", "gain", "black_level", "dark_current"),
+    *("exposure_time", "row_noise", "column_noise", "blur", "flicker"),
+    *("quantum_efficiency", "pixel_size", "f_number"),
 )
 
 
@@ -193,11 +183,11 @@ class Sensor:
         if collected := self._collected():
             return replace(self, exposure=collected)
         brightest = max((float(self._seen(p).max()) for p in pictures), default=0.0)
-        if not (brightest > 0.0 and math.isfinite(self.fill * self.full_well / brightest)):
+        if not (brightest > 0.0 and math.isfinite(self.fill * self._capacity / brightest)):
             raise NlosError(
                 "sensor.exposure: cannot follow from pictures without light; give it in electrons per W/m^2/sr"
             )
-        return replace(self, exposure=self.fill * self.full_well / brightest)
+        return replace(self, exposure=self.fill * self._capacity / brightest)
 
     def electrons(self, picture: Picture | Array) -> Array:
         """Return the electrons expected in a frame, (height, width), for radiance (height, width, 3), W/m^2/sr."""

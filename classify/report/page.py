@@ -71,7 +71,7 @@ def write(
 
 def of_atlas(atlas: Atlas) -> dict[str, object]:
     """Return the facts about an atlas that a report states."""
-    sensor = ", ".join(f"{name} {value:g}" for name, value in asdict(atlas.sensor).items())
+    sensor = ", ".join(f"{name} {value:g}" for name, value in asdict(atlas.sensor).items() if value)
     return {
         "simulated sets": ", ".join(atlas.about["sets"]),
         "objects looked for": ", ".join(atlas.about["targets"])

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from classify_helpers import colour, make_bulk
@@ -73,6 +75,20 @@ def test_noise_that_pixels_share_is_part_of_the_codes_noise(tmp_path):
         assert low < (np.array(codes) ** 2).sum() < high
         assert np.linalg.norm(np.cov(np.array(codes).T), 2) < (1.0 + np.sqrt(len(codes[0]) / 300)) ** 2 * 1.15
         assert stats.kstest(chances, "uniform").pvalue > 1e-3
+
+
+def test_a_camera_whose_pictures_share_no_noise_leaves_the_atlas_drifts(tmp_path):
+    """Resized pictures have no rows of the camera's: an atlas of noisy rows serves them as one without."""
+    found = make_bulk(tmp_path / "set", pictures=64)
+    sensor = Sensor(exposure=2e6, frames=4, background_frames=4)
+    rough = atlas_build.build(found, replace(sensor, row_noise=5.0, flicker=0.01), lamp_drift=0.01)
+    plain = atlas_build.build(found, sensor, lamp_drift=0.01)
+    seen = rough.seen_by(sensor)
+    assert len(seen.nuisances) == 1
+    products = [(one.codes @ one.codes.T) for one in (seen, plain)]
+    assert np.allclose(products[0], products[1], rtol=0.02, atol=0.02 * products[1].max())
+    with pytest.raises(NlosError, match="cannot take on noise of rows"):
+        plain.seen_by(replace(sensor, row_noise=1.0))
 
 
 DIM = Sensor(full_well=40.0, bits=8)

@@ -192,6 +192,8 @@ def test_features_of_what_a_sensor_saw(tmp_path, command):
     with pytest.raises(NlosError, match="were seen by different sensors"):
         feature_table.check_comparable(noisy, many, ("a.h5", "b.h5"))
     feature_table.check_comparable(noisy, again, ("a.h5", "b.h5"))
+    del again.provenance["sensor"]["dark_current"]  # a file from before there was one
+    feature_table.check_comparable(noisy, again, ("a.h5", "b.h5"))
     done = command("classify", "features", tmp_path / "d", "-o", tmp_path / "f.h5", "--sensor", "default")
     assert done.returncode == 0, done.stderr
     assert feature_table.read(tmp_path / "f.h5").provenance["sensor"]["frames"] == 1
@@ -204,7 +206,8 @@ def test_features_of_what_a_sensor_saw(tmp_path, command):
     ("text", "words"),
     [
         ("frame = 9", "frame: no such field; "),
-        ("[sensor]\nframes = 9", "sensor: no such field; "),
+        ("[sensors]\nframes = 9", "sensors: no such field; "),
+        ("[sensor]\nframe = 9", "frame: no such field; "),
         ("bits = 12.5", "bits: 12.5 must be a whole number"),
         ("bits = 99", "sensor.bits: 99 must be from 1 to 32"),
     ],

@@ -317,3 +317,26 @@ def test_the_slope_is_the_derivative_of_the_stabilised_mean():
     sensor = Sensor(exposure=8000.0, vignetting=0.3, dark_current=10.0, exposure_time=1.0)
     low, high = (sensor.stabilised_mean(flat(0.3 + step)) for step in (-1e-3, 1e-3))
     assert np.allclose((high - low) / 2e-3, sensor.stabilised_slope(flat(0.3)), rtol=2e-3)
+
+
+@pytest.mark.parametrize("bits", [0, 12])
+def test_terms_that_are_left_out_change_no_bit(bits):
+    """The camera as it was before there were further terms, written out: sets that were seen keep their noise."""
+    sensor = Sensor(exposure=8000.0, frames=3, offset_spread=4.0, bits=bits)
+    picture = np.random.default_rng(0).uniform(-0.01, 1.0, size=(9, 7, 3)).astype(np.float32)
+    rng, total = np.random.default_rng(5), np.zeros((9, 7))
+    gain, offset = np.random.default_rng([2, 1288]).normal(size=(2, 9, 7))
+    expected = np.maximum(np.asarray(picture, dtype=np.float64).mean(axis=2), 0.0) * 8000.0
+    expected = expected * np.maximum(1.0 + 0.0 * gain, 0.0)
+    noise = np.hypot(2.5, 4.0)
+    black = np.ceil(8.0 * noise * 4095.0 / (10_500.0 + 8.0 * noise))
+    step = 10_500.0 / (4095.0 - black)
+    for _ in range(3):
+        electrons = np.minimum(rng.poisson(expected), 10_500.0) + 4.0 * offset + rng.normal(scale=2.5, size=(9, 7))
+        levels = np.clip(np.rint(electrons / step + black), 0.0, 4095.0)
+        total += (levels - black) * step if bits else electrons
+    seen = sensor.measure(picture, np.random.default_rng(5), pattern=2)
+    assert np.array_equal(seen, (total / 3 / 8000.0)[..., None].repeat(3, axis=2).astype(np.float32))
+    light = np.maximum(np.asarray(picture, dtype=np.float64).mean(axis=2), 0.0) * 8000.0
+    variance = (light + 2.5**2 + (step if bits else 0.0) ** 2 / 12.0) / 3 / 8000.0**2
+    assert np.array_equal(sensor.variance(picture), variance)
