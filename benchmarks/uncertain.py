@@ -29,9 +29,9 @@ RESULTS = {
         "the truth differs by",
         "frames",
         "atlas",
-        "right voxel, %",
-        "within 95 % region, %",
-        "median error, cm",
+        "right voxel",
+        "within 95 % region",
+        "median error",
         "median stated probability, %",
         "misfit warned",
     )
@@ -67,6 +67,7 @@ def main() -> None:
     parser.add_argument("-o", "--output", type=Path, required=True)
     parser.add_argument("--poses", type=int, default=5000, help="of each atlas")
     parser.add_argument("--count", type=int, default=900, help="pictures of each test set")
+    parser.add_argument("--ask", type=int, default=450, help="pictures of each that are answered")
     parser.add_argument("--frames", type=int, nargs="+", default=[1, 10, 100])
     options = parser.parse_args()
     folder = options.folder
@@ -86,7 +87,7 @@ def main() -> None:
         atlases = {"as stated": _atlas(folder, known, sensor), "--uncertain": _atlas(folder, drawn, sensor)}
         for name, bulk in tests.items():
             for kind, atlas in atlases.items():
-                row = (name, frames, kind, *_answered(atlas, bulk))
+                row = (name, frames, kind, *_answered(atlas, bulk, options.ask))
                 print(*row, sep="; ", flush=True)
                 table.append(row)
     results.write(options.output, "uncertain", RESULTS["uncertain"], table)
@@ -113,9 +114,9 @@ def _atlas(folder: Path, bulk: Bulk, sensor: Sensor) -> Atlas:
     return atlas_file.load(path)
 
 
-def _answered(atlas: Atlas, bulk: Bulk) -> tuple[str, ...]:
+def _answered(atlas: Atlas, bulk: Bulk, count: int) -> tuple[str, ...]:
     """Return how good the answers to a test set are, as text."""
-    answers = evaluation.run(atlas, SimulatedSet(bulk), empty=0)
+    answers = evaluation.run(atlas, SimulatedSet(bulk, count), empty=0)
     *_, (_, _, right, error, held, _) = answers.by_voxel()
     sure = 100.0 * float(np.median([place.voxels.max() for place in answers.places]))
     doubt = "yes" if any("do not fit" in words or "do not rely" in words for words in answers.doubts) else "no"

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import shutil
-from dataclasses import replace
 
 import h5py
 import numpy as np
@@ -13,17 +12,15 @@ from classify_helpers import make_bulk
 
 from generator.jobs.bulk import Engine
 from generator.model.errors import NlosError
-from generator.model.uncertainty import Furniture, Uncertainty, offsets
+from generator.model.uncertainty import Uncertainty, offsets
 from generator.sets.bulk_set import Bulk
 from generator.sets.bulk_settings import Settings
 from generator.sets.simulated import SimulatedSet
-from generator.sets.unknown_furniture import unknown_furniture
-from generator.transport import Sphere, Transport, World
+from generator.transport import Transport
 from generator.transport.parameters import with_parameters
 
 FLOOR = worlds.quad((-2.0, 0.0, -1.0), (4.0, 0.0, 0.0), (0.0, 3.0, 0.0), 0.5)
 NAMES = ("spot.aim.x", "camera.view.z", "wall.albedo", "room.albedo", "target.albedo", "target.size")
-ROOM = {"room": {"x": [-2.0, 2.0], "y": [0.0, 4.0], "z": [-1.4, 1.8]}}
 STATED = Uncertainty(names=NAMES, deviation=(0.02, 0.01, 0.05, 0.1, 0.2, 0.1))
 
 
@@ -84,41 +81,24 @@ def test_what_a_drawn_scene_does_not_go_with_is_refused(more, words):
         Settings(pictures=9, uncertain=STATED, **more)
 
 
-def test_furniture_stands_in_the_room_and_leaves_lamp_camera_and_target_free():
-    scene, place, world = ROOM, np.array([1.0, 1.2, -0.5]), _room_world()
-    room = scene["room"]
-    for seed in range(40):
-        boxes = unknown_furniture(Furniture(boxes=(2, 4)), scene, world, place, np.random.default_rng(seed))
-        assert 2 <= len(boxes) <= 4
-        corners = np.concatenate([box.triangles.reshape(-1, 3) for box in boxes])
-        for axis, name in enumerate("xyz"):
-            low, high = room[name]
-            assert low - 1e-9 <= corners[:, axis].min()
-            assert corners[:, axis].max() <= high
-        for box in boxes:
-            near = np.abs(box.triangles.reshape(-1, 3)[:, 2] - room["z"][0]).min()
-            assert near < 1e-9
-        furnished = replace(world, room=(*world.room, *boxes))
-        # Raises if something stands in the cone or the view: another test of rays than the one that drew the boxes.
-        with_parameters(furnished, {"spot.power": 0.1, "camera.view.x": 1e-6})
-        assert _distance(corners, place) > 0.2
-    again = unknown_furniture(Furniture(boxes=(2, 4)), scene, world, place, np.random.default_rng(39))
-    np.testing.assert_array_equal(again[0].triangles, boxes[0].triangles)
+@pytest.mark.slow
+def test_by_command(command, scene_file, tmp_path):
+    """Made, continued, and refused: with what the scene lacks, and what is another uncertainty."""
+    for name, names in (("good", '["spot.aim.x", "target.size"]'), ("other", '["spot.aim.z", "target.size"]')):
+        (tmp_path / f"{name}.toml").write_text(f"version = 1\nnames = {names}\ndeviation = [0.02, 0.1]\n")
+    (tmp_path / "none.toml").write_text('version = 1\nnames = ["ambient"]\ndeviation = [0.1]\n')
+    words = ("--pictures", "9", "--resolution", "8", "--no-probe", "--workers", "1")
 
+    def made(stated):
+        path = tmp_path / "set"
+        return command("generator", "bulk", scene_file, "-o", path, *words, "--uncertain", tmp_path / stated)
 
-def test_furniture_needs_a_room_and_space():
-    world, place, rng = _room_world(), np.array([1.0, 1.2, -0.5]), np.random.default_rng(0)
-    with pytest.raises(NlosError, match="finds no place in the room"):
-        unknown_furniture(Furniture(boxes=(1, 1), width=(5.0, 6.0)), ROOM, world, place, rng)
-    with pytest.raises(NlosError, match="needs a room to stand in"):
-        unknown_furniture(Furniture(), {}, world, place, rng)
-
-
-def _room_world() -> World:
-    """A sphere of 0.2 m above the floor of `ROOM`."""
-    floor = worlds.quad((-2.0, 0.0, -1.4), (4.0, 0.0, 0.0), (0.0, 4.0, 0.0), 0.5)
-    return worlds.world(Sphere(np.zeros(3), 0.2, np.ones(3)), room=(floor,))
-
-
-def _distance(points, place) -> float:
-    return float(np.linalg.norm(points - place, axis=1).min())
+    refused = made("none.toml")
+    assert refused.returncode == 2
+    assert "has no ambient light" in refused.stderr
+    assert not (tmp_path / "set" / "bulk.toml").exists()
+    assert made("good.toml").returncode == 0
+    assert "nothing to do" in made("good.toml").stdout
+    other = made("other.toml")
+    assert (other.returncode, "what is uncertain is not the same there" in other.stderr) == (2, True)
+    assert command("generator", "verify", tmp_path / "set").returncode == 0

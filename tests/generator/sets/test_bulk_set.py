@@ -348,7 +348,7 @@ def test_an_unwritable_folder_is_one_sentence(tmp_path):
 @pytest.mark.parametrize(
     ("change", "words"),
     [
-        (("format = 3", "format = 5"), "has bulk format 5; this software reads up to 4"),
+        (("format = 3", "format = 6"), "has bulk format 6; this software reads up to 5"),
         (("format = 3", ""), "lacks the field 'format'"),
         (("channels = 1", "channels = 2"), "channels 1 or 3"),
         (("channels = 1", ""), "lacks the field 'channels'"),
