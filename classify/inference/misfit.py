@@ -154,7 +154,7 @@ def doubt_of_backgrounds(probabilities: Array) -> str:
     if not len(probabilities) or np.median(probabilities) >= _CHANCE:
         return ""
     return (
-        f"the measured background differs from the atlas' by more than what was stated as uncertain (p = "
-        f"{np.median(probabilities):.1g}): lamp, view or room are others, and stated probabilities and "
+        f"the measured background differs from the atlas' by more than what was stated as uncertain (p < "
+        f"{_CHANCE:g}): lamp, view or room are others, and stated probabilities and "
         "regions cannot be relied on"
     )

@@ -40,6 +40,9 @@ from generator.sets.bulk_settings import Settings
 from generator.sets.manifest import SCENE, scene_hash
 from generator.sets.unknown_objects import unknown_object
 from generator.transport import Transport, World
+from generator.transport.parameters import with_parameters
+
+_SLIGHT = 1e-6
 
 
 def plan(
@@ -93,6 +96,7 @@ def plan(
     _refuse_gains(scene, source, world, settings)
     if settings.uncertain:
         settings.uncertain.check(to_dict(described))
+        with_parameters(world, dict.fromkeys(settings.uncertain.names, -_SLIGHT))  # raises now, and not later
     doubts = misgivings.look(scene)
     if not force:
         misgivings.refuse(doubts)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import argparse
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from generator.cli.answer import Answer, json_object
 from generator.cli.options import Commands, add_links_option, add_setting
@@ -12,7 +12,9 @@ from generator.files.toml import dump_toml
 from generator.model.described import described
 from generator.model.errors import NlosError
 from generator.model.quantities import parse_resolution
-from generator.sets.description import Description
+
+if TYPE_CHECKING:
+    from generator.sets.description import Description
 
 
 def add_parsers(commands: Commands) -> None:
@@ -72,4 +74,4 @@ def _described(options: argparse.Namespace) -> Description:
     scene = blend_file.open_file(options.scene)
     figures = read_scene(scene, size)
     plain = described_scene(scene, figures)["scene"]
-    return Description(plain, figures.reference_radiance, colour_space())
+    return description.Description(plain, figures.reference_radiance, colour_space())

@@ -43,7 +43,8 @@ def check_same(dataset: HasSettings, scene: Path, chosen: Mapping[str, Any]) -> 
         if name in Sweep.idle(settings["engine"]) and chosen.get("engine", AUTO) != AUTO:
             differences.append(f"{name} means nothing to its engine {settings['engine']!r}")
         if name in settings and settings[name] != value:
-            differences.append(f"{name} is {settings[name]} there and {value} here")
+            told = f"{name} is {settings[name]} there and {value} here"
+            differences.append("what is uncertain is not the same there" if name == "uncertain" else told)
         elif name == "frames" and name not in settings:
             differences.append("its poses lie in voxels, not on a trajectory")
         elif name in ("poses", "inside") and name not in settings and "frames" in settings:

@@ -79,3 +79,26 @@ def test_a_scene_without_room_for_the_target_is_drawn_again(tmp_path):
 def test_what_a_drawn_scene_does_not_go_with_is_refused(more, words):
     with pytest.raises(NlosError, match=words):
         Settings(pictures=9, uncertain=STATED, **more)
+
+
+@pytest.mark.slow
+def test_by_command(command, scene_file, tmp_path):
+    """Made, continued, and refused: with what the scene lacks, and what is another uncertainty."""
+    for name, names in (("good", '["spot.aim.x", "target.size"]'), ("other", '["spot.aim.z", "target.size"]')):
+        (tmp_path / f"{name}.toml").write_text(f"version = 1\nnames = {names}\ndeviation = [0.02, 0.1]\n")
+    (tmp_path / "none.toml").write_text('version = 1\nnames = ["ambient"]\ndeviation = [0.1]\n')
+    words = ("--pictures", "9", "--resolution", "8", "--no-probe", "--workers", "1")
+
+    def made(stated):
+        path = tmp_path / "set"
+        return command("generator", "bulk", scene_file, "-o", path, *words, "--uncertain", tmp_path / stated)
+
+    refused = made("none.toml")
+    assert refused.returncode == 2
+    assert "has no ambient light" in refused.stderr
+    assert not (tmp_path / "set" / "bulk.toml").exists()
+    assert made("good.toml").returncode == 0
+    assert "nothing to do" in made("good.toml").stdout
+    other = made("other.toml")
+    assert (other.returncode, "what is uncertain is not the same there" in other.stderr) == (2, True)
+    assert command("generator", "verify", tmp_path / "set").returncode == 0
