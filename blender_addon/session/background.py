@@ -159,9 +159,9 @@ def drop_steps(topic: str | None = None) -> list[str]:
     return dropped
 
 
-def is_stepping() -> bool:
-    """Return whether any work is being done stepwise."""
-    return bool(_stepping)
+def is_stepping(topic: str = "") -> bool:
+    """Return whether work is being done stepwise, on a topic or, if that is empty, any."""
+    return topic in _stepping if topic else bool(_stepping)
 
 
 def _poll() -> float | None:

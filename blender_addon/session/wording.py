@@ -61,7 +61,7 @@ _FIELDS = {
 }
 """Labels of the panels, by the name in a scene file."""
 
-_IDLE = re.compile(r"\b(samples|accuracy)(?=:? means nothing to)")
+_IDLE = re.compile(r"(?:--|\b)(samples|accuracy)(?=:? means nothing to)")
 _FIELD = re.compile(r"(?<![\w./])(" + "|".join(map(re.escape, _FIELDS)) + r")(?![\w.]\w)")
 _OPTION = re.compile(r"(?<![\w-])--[a-z][a-z-]*")
 

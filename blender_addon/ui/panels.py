@@ -7,6 +7,7 @@ from collections.abc import Iterable
 from typing import Any
 
 import bpy
+import numpy as np
 from bl_ui.utils import PresetPanel
 
 from generator.blender.finding import ERROR, FIXES, GOOD, NOTE, WARNING, Finding
@@ -15,7 +16,7 @@ from generator.model.engines import AUTO, traits_of
 
 from ..operators import dataset
 from ..operators import environment as environments
-from ..session import environment, state
+from ..session import background, environment, state
 from ..view import differs, images, live, target_file, views
 from ..view.sentences import sentence
 from . import choices, menus
@@ -164,7 +165,8 @@ class NLOS_PT_roles(_Tab, bpy.types.Panel):
                 ).name = players[0].name
             else:
                 row.label(text="nobody yet" if not players else f"{len(players)} objects", icon="ERROR")
-                choices.draw(layout, "keep", [player.name_full for player in players])
+                if players:  # an empty row would move those below
+                    choices.draw(layout, "keep", [player.name_full for player in players])
         row = layout.row(align=True)
         for role in ("room", "partition", "none"):
             row.operator("nlos.adopt", text="No Role" if role == "none" else role.title()).role = role
@@ -368,6 +370,8 @@ class NLOS_PT_dataset(_OfScene, bpy.types.Panel):
             layout.progress(factor=job.share)
             sentence(context, layout, job.status())
             layout.operator("nlos.sweep_cancel", icon="CANCEL")
+        elif background.is_stepping("start"):
+            sentence(context, layout, "Looking at the scene ...", "SORTTIME")
         else:
             row = layout.row(align=True)
             row.scale_y = 1.4
@@ -401,6 +405,8 @@ class NLOS_PT_answer(_OfScene, bpy.types.Panel):
             likely = sorted(state.answer.items(), key=lambda item: -item[1])[:_MOST_LIKELY]
             for label, probability in likely:
                 column.progress(factor=probability, text=f"{label}  {probability:.0%}")
+            if stands := _stands(context.scene):
+                sentence(context, layout, stands)
             layout.operator("nlos.forget_answer", icon="X")
         if not environment.named():
             sentence(
@@ -412,6 +418,17 @@ class NLOS_PT_answer(_OfScene, bpy.types.Panel):
             environments.draw(context, layout)
         if state.environment_words:
             sentence(context, layout, state.environment_words)
+
+
+def _stands(scene: Any) -> str:
+    """Return where the object's origin is, as of a moment ago: what an answer is to be compared with."""
+    described, players = differs.described(), roles.players(scene, "target")
+    if described is None or len(players) != 1:
+        return ""
+    place, grid = np.array(players[0].matrix_world.translation), described.grid
+    if ((place < grid.lo) | (place > grid.hi)).any():
+        return "The object stands outside the voxels now"
+    return f"The object stands in {grid.labels[grid.voxel(place)]} now"
 
 
 _MOST_LIKELY = 5

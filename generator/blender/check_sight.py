@@ -196,7 +196,7 @@ def _one_light(
         visible = scene.world is None or scene.world.cycles_visibility.diffuse
         if not visible or not any(layer.use_sky for layer in layers):
             return None
-        return NOTE, "of the world is in every picture, and in its background"
+        return NOTE, "is in every picture and in its background; World > Surface > Strength 0 leaves it out"
     if alike[0].role == "target":
         return WARNING, "moves with the hidden object, which is then seen without the lit patch"
     if alike[0].role == "relay_wall":

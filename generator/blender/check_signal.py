@@ -91,7 +91,8 @@ class Probe:
         if self.error:
             adds = f"The object adds {_uncertain(self.share, self.error)} to the picture (95 %)"
         if self.hidden:
-            return Finding(WARNING, f"{adds}, which the noise of {self.engine!r} hides; more samples would tell")
+            seen = "in no single pixel above" if abs(self.share) > self.error > 0.0 else "hidden by"
+            return Finding(WARNING, f"{adds}, {seen} the noise of {self.engine!r}; more samples would tell")
         if self.missed:
             return Finding(WARNING, f"{adds}, but {missed}; take many more{more}")
         if not ENGINES[self.engine].noisy:

@@ -156,4 +156,4 @@ def _unfit(found: survey.Survey) -> list[str]:
         return missing
     if COMPILED:
         return []
-    return ["surfel takes minutes for a room's own light where numba is missing, as in Blender's own Python"]
+    return ["surfel takes minutes for a room's own light in Blender's own Python, which has no numba"]

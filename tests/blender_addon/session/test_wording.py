@@ -31,6 +31,11 @@ ELSEWHERE = {
     "classify/inference/atlas_build.py": "making an atlas",
     "classify/inference/two_objects.py": "atlases of two objects, which no panel asks",
     "classify/pictures/sensor.py": "sensors, which no panel sets",
+    **dict.fromkeys(
+        (f"classify/pictures/{name}.py" for name in ("burst", "importing", "photon_transfer", "recipe", "rectify")),
+        "a camera's pictures, which no panel takes in",
+    ),
+    "generator/sets/measured.py": "sets of a camera's pictures",
     "classify/pictures/leak.py": "a test set of its own, which no panel names",
 }
 """Modules whose messages no panel can show, and what they are about."""
@@ -42,6 +47,8 @@ ELSEWHERE_SAID = (
     "--sensor",
     "--no-paired",  # nothing varies
     "one with --frames",  # atlases of several frames
+    "make it with --frames",
+    "of an uncertain scene",
     "fewer, or keep all of each",  # several objects
 )
 ONLY_IN_A_SHELL = {"atlas", "bulk", "verify", "sweep"}
@@ -90,6 +97,10 @@ def test_no_message_of_the_panels_names_an_option() -> None:
             "(--inside centre) (a mesh's unit is the metre; target.size scales it)",
             "take a smaller target, or larger voxels, or only its centre inside (Data Set > Inside > Its Centre) (a "
             "mesh's unit is the metre; Target > Size scales it)",
+        ),
+        (
+            "--accuracy means nothing to it",
+            "Accuracy means nothing to it",
         ),
         (
             "accuracy: means nothing to the engine 'patch'; leave it out",

@@ -524,7 +524,7 @@ BACK, UP = (math.pi / 2.0, 0.0, 0.0), (math.pi, 0.0, 0.0)
         (
             lambda s: s.world.node_tree.nodes["Background"].inputs["Strength"].__setattr__("default_value", 0.1),
             NOTE,
-            "'NLOS world' of the world is in every picture",
+            "'NLOS world' is in every picture",
         ),
         (
             lambda s: lamp("POINT", (1.0, 1.0, 1.0)).__setattr__("parent", roles.find(s, "target")),
@@ -632,7 +632,7 @@ def test_an_object_that_the_noise_hides_changes_what_surfel_says(scale, engine, 
         (
             {"share": 8e-4, "error": 1e-3, "hidden": True},
             WARNING,
-            "adds 0.08 % ± 0.10 % to the picture (95 %), which",
+            "adds 0.08 % ± 0.10 % to the picture (95 %), hidden by",
         ),
         ({"share": -2e-4, "error": 1.26e-3, "hidden": True}, WARNING, "adds -0.02 % ± 0.13 % to the picture"),
         (
@@ -666,7 +666,7 @@ def test_where_surfel_cannot_be_asked_a_range_is_told():
     found = check_signal.probe(scene, Sweep(engine="patch", **PROBED))
     [signal, _] = found.findings()
     assert signal.level == WARNING
-    assert "(95 %), which the noise of 'patch' hides; more samples would tell" in signal.text
+    assert "(95 %), hidden by the noise of 'patch'; more samples would tell" in signal.text
     assert "surfel" not in signal.text
     assert abs(found.share - (wall - without).mean() / wall.mean()) < 5.0 * found.error  # 1 in 10^6 by chance
 
