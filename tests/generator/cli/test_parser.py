@@ -69,7 +69,7 @@ def test_the_commands_on_the_pages_are_right():
     ("line", "words"),
     [
         ("nlos-generate swep room.blend", "command 'swep': there is none; did you mean sweep?"),
-        ("nlos-generate render room.blend", "command 'render': there is none; choose from scene, check, sweep,"),
+        ("nlos-generate render room.blend", "command 'render': there is none; choose from scene, check, describe,"),
         ("nlos-generate sweep r.blend --ouput set/", "--ouput: there is no such option; did you mean --output?"),
         ("nlos-generate sweep r.blend -o s --engine pach", "--engine 'pach': there is none; did you mean patch?"),
         ("nlos-generate sweep r.blend -o s --poses x", "--poses 'x': must be a whole number"),
