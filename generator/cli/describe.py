@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import argparse
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from generator.cli.answer import Answer, json_object
 from generator.cli.options import Commands, add_links_option, add_setting
@@ -12,7 +12,9 @@ from generator.files.toml import dump_toml
 from generator.model.described import described
 from generator.model.errors import NlosError
 from generator.model.quantities import parse_resolution
-from generator.sets.description import Description
+
+if TYPE_CHECKING:
+    from generator.sets.description import Description
 
 
 def add_parsers(commands: Commands) -> None:
@@ -67,6 +69,7 @@ def _described(options: argparse.Namespace) -> Description:
     from generator.blender.scene import blend_file
     from generator.blender.scene.description import read_scene
     from generator.blender.sweep_worker import colour_space, described_scene
+    from generator.sets.description import Description
 
     size = None if options.resolution is None else parse_resolution(options.resolution)
     scene = blend_file.open_file(options.scene)
