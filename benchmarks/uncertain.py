@@ -119,7 +119,8 @@ def _answered(atlas: Atlas, bulk: Bulk, count: int) -> tuple[str, ...]:
     answers = evaluation.run(atlas, SimulatedSet(bulk, count), empty=0)
     *_, (_, _, right, error, held, _) = answers.by_voxel()
     sure = 100.0 * float(np.median([place.voxels.max() for place in answers.places]))
-    doubt = "yes" if any("do not fit" in words or "do not rely" in words for words in answers.doubts) else "no"
+    warnings = ("do not fit", "do not rely", "cannot be relied on")
+    doubt = "yes" if any(warning in words for words in answers.doubts for warning in warnings) else "no"
     return right.percent(), held.percent(), error.centimetres(), f"{sure:.0f}", doubt
 
 

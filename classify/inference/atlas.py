@@ -263,7 +263,13 @@ class Atlas:
         return replace(self, **fields, hiding=hiding, uncertain=uncertain)
 
     def given(self, background: Picture | None) -> Atlas:
-        """Return the atlas of what is left uncertain, given a measured background (as of `difference`)."""
+        """Return the atlas of what is left uncertain, given a measured background.
+
+        Parameters
+        ----------
+        background : ndarray of shape (height, width, 3), optional
+            As of `difference`, exposed to be as bright as the atlas' own (`classify.pictures.sensor.factor_between`).
+        """
         if self.uncertain is None or background is None:
             return self
         places = self.uncertain.told(self.shift(background)).astype(np.float32)

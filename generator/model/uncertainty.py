@@ -49,7 +49,7 @@ class Furniture:
     """Boxes on the floor that nobody knows: number, edges, places and albedos are drawn at random."""
 
     boxes: tuple[int, int] = described(
-        "least and largest number of boxes; each number is as likely", (0, 3), lo=0, hi=20
+        "least and largest number of boxes; each number is as likely", (0, 2), lo=0, hi=20
     )
     width: Range = described("least and largest horizontal edge, metres; log-uniform", (0.2, 1.0), lo=0.01, hi=100.0)
     height: Range = described("least and largest height, metres; log-uniform", (0.2, 1.2), lo=0.01, hi=100.0)

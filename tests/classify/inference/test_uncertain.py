@@ -10,7 +10,7 @@ import worlds
 from classify_helpers import make_bulk, plain_atlas
 from scipy import stats
 
-from classify.inference import atlas_build, atlas_file, evaluation
+from classify.inference import answerer, atlas_build, atlas_file, evaluation
 from classify.inference.posterior import REACH, holds, locate
 from classify.inference.tracker import Filter
 from classify.inference.uncertain import Backgrounds, Uncertain, fitted
@@ -153,3 +153,25 @@ def test_a_background_of_another_room_is_told(drawn, tmp_path):
     other = make_bulk(tmp_path / "other", pictures=12, seed=3, room=(half,))
     answers = evaluation.run(atlas_build.build(drawn[0], Sensor(frames=10)), SimulatedSet(other), empty=0)
     assert any("more than what was stated as uncertain" in words for words in answers.doubts)
+
+
+@pytest.mark.slow
+def test_a_live_look_answers_as_locate_does(drawn, tmp_path):
+    """Also of a scene that is twice as bright, which is exposed half as long."""
+    simulated, asked, _ = drawn
+    atlas_file.save(tmp_path / "a.atlas", atlas_build.build(simulated, Sensor(frames=10)))
+    atlas, found = atlas_file.load(tmp_path / "a.atlas"), SimulatedSet(asked)
+    live = answerer.opened(tmp_path / "a.atlas")
+    answers = []
+    for factor in (1.0, 2.0):
+        for record in found.records[:5]:
+            background, picture = (np.float32(factor) * one(record) for one in (found.background_of, found.picture))
+            live.look_at(
+                answerer.Seen(background=background, grid=asked.grid, target="sphere", colour_space="Rec.709")
+            )
+            assert live.doubts == []
+            said = live.answer(picture - background)
+            expected = locate(atlas.given(said.background), atlas.code(said.picture, said.background))
+            np.testing.assert_allclose(said.place.position, expected.position, rtol=1e-6)
+            answers.append(said.place.position)
+    np.testing.assert_allclose(answers[:5], answers[5:], atol=0.02)
