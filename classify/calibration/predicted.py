@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import OrderedDict
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -63,12 +63,21 @@ class Predicted:
         The scene as it is thought to be.
     places : sequence of Placed
         Of the pictures with the object; the first picture is always the empty scene's.
-    accuracy : float, default=2e-4
+    accuracy : float, default=1e-3
         Relative accuracy of the engine.
+    seen : callable, optional
+        Returns pictures (n, height, width) as the lens gives them, as `Sensor.blurred` does.
     """
 
-    def __init__(self, world: World, places: Sequence[Placed] = (), *, accuracy: float = 2e-4) -> None:
-        self.world, self.places, self._accuracy = world, tuple(places), accuracy
+    def __init__(
+        self,
+        world: World,
+        places: Sequence[Placed] = (),
+        *,
+        accuracy: float = 1e-3,
+        seen: Callable[[Array], Array] = lambda pictures: pictures,
+    ) -> None:
+        self.world, self.places, self._accuracy, self._seen = world, tuple(places), accuracy, seen
         self._lights: OrderedDict[object, _Light] = OrderedDict()
         self._engines: OrderedDict[object, Transport] = OrderedDict()
         # With three reflections of one lamp, radiance is a product of albedos along each path.
@@ -101,8 +110,8 @@ class Predicted:
             The scene cannot be so (`with_parameters`), or the object cannot stand there.
         """
         factors = self._albedos(self.changed(offsets))
-        seen = np.stack([self._pictured(offsets, factors, k) for k in range(1 + len(self.places))])
-        made: Array = self._shade(offsets) * seen + offsets.get("black", 0.0) * self._mean
+        light = np.stack([self._pictured(offsets, factors, k) for k in range(1 + len(self.places))])
+        made: Array = self._shade(offsets) * self._seen(light) + offsets.get("black", 0.0) * self._mean
         return made
 
     def slopes(self, offsets: Offsets, deviations: Mapping[str, float]) -> Array:

@@ -158,7 +158,7 @@ def run_calibrate(options: argparse.Namespace) -> Answer:
         file = Path(folder) / "world.npz"
         told = _asked(ReadWorld(scene=scene.absolute(), file=file, resolution=(width, height), trust_links=False))
         world = load_world(file)
-    predicted = Predicted(world, seen.places, accuracy=options.accuracy)
+    predicted = Predicted(world, seen.places, accuracy=options.accuracy, seen=seen.sensor.blurred)
     prior = _prior(options, told["described"], predicted)
     before, correlation = _with_own(options, prior, predicted)
     with progress_bar("fitting", "slopes") as progress:
