@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections import OrderedDict
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
@@ -20,6 +21,8 @@ the middle."""
 
 _STEP = 0.5
 """Steps of central differences, in standard deviations of what is known beforehand."""
+_MOST = 0.99
+"""Largest share of a value that can be missing."""
 _KEPT = 100
 """Pictures whose light is remembered."""
 _ENGINES = 3
@@ -96,6 +99,22 @@ class Predicted:
         missing |= {"target.albedo"} if self.world.is_glossy else set()
         scene = [name for name in OFFSETS if name not in missing]
         return (*scene, *CAMERA, *(f"place.{k + 1}.{axis}" for k in range(len(self.places)) for axis in "xyz"))
+
+    def bounds(self, name: str) -> tuple[float, float]:
+        """Return the least and the largest offset of a value that can be."""
+        world = self.world
+        surfaces = {"room.albedo": world.room, "target.albedo": world.target}
+        if name == "wall.albedo":
+            wall = world.watched.albedo
+            return -_MOST * float(wall.mean()), float(wall.mean() * (1.0 / wall.max() - 1.0))
+        if name in surfaces:
+            mean, largest = mean_albedo(surfaces[name]), max(float(body.albedo.max()) for body in surfaces[name])
+            return -_MOST * mean, mean * (1.0 / largest - 1.0)
+        if name in ("spot.power", "target.size", "ambient", "level"):
+            return -_MOST, math.inf
+        if name == "spot.half_angle":
+            return -_MOST * math.degrees(math.acos(world.patch.cos_outer)), math.inf
+        return (-math.inf, _MOST) if name == "vignetting" else (-math.inf, math.inf)
 
     def changed(self, offsets: Offsets) -> World:
         """Return the scene with what is off in it."""
