@@ -29,12 +29,22 @@ from generator.transport.parameters import OFFSETS, with_parameters
 
 RESULTS = {
     "calibration": (
-        *("value", "deviation before", "deviation stated (median)", "error (rms)", "mean of z"),
-        *("standard deviation of z", "p (Kolmogorov and Smirnov)"),
+        "value",
+        "deviation before",
+        "deviation stated (median)",
+        "error (rms)",
+        "mean of z",
+        "standard deviation of z",
+        "p (Kolmogorov and Smirnov)",
     ),
     "calibration-fits": (
-        *("rooms", "fitted to", "noise by the verdict", "p of all verdicts (Kolmogorov and Smirnov)"),
-        *("variance left (median)", "slopes computed", "seconds (median)"),
+        "rooms",
+        "fitted to",
+        "noise by the verdict",
+        "p of all verdicts (Kolmogorov and Smirnov)",
+        "variance left (median)",
+        "slopes computed",
+        "seconds (median)",
     ),
 }
 BEFORE = {
