@@ -167,8 +167,9 @@ def main() -> None:
     options = parser.parse_args()
     fits, seconds, z = [], [], {name: [] for name in BEFORE}
     errors: dict[str, list[float]] = {name: [] for name in BEFORE}
-    cases = [(seed, room(seed), options.accuracy, 12) for seed in range(1000, 1000 + options.unmodelled)]
-    cases += [(seed, room(seed), options.accuracy, 3) for seed in range(options.rooms)]
+    seeds = [(seed, 3) for seed in range(options.rooms)] + [(1000 + k, 12) for k in range(options.unmodelled)]
+    # All of them first: while Blender opens a file, it has its own module __main__, and nothing can be pickled.
+    cases = [(seed, room(seed), options.accuracy, order) for seed, order in seeds]
     until, made = time.monotonic() + 60.0 * options.minutes, []
     with ProcessPoolExecutor(options.jobs, mp_context=get_context("spawn")) as pool:
         for future in [pool.submit(calibrated, case) for case in cases]:
@@ -177,7 +178,7 @@ def main() -> None:
             except TimeoutError:
                 pool.shutdown(wait=False, cancel_futures=True)
                 break
-    wrong, right = made[: options.unmodelled], made[options.unmodelled :]
+    right, wrong = made[: options.rooms], made[options.rooms :]
     for off, found, took in right:
         fits.append(found)
         seconds.append(took)
@@ -192,7 +193,7 @@ def main() -> None:
     rows.append(["all", "", "", "", *_shape([value for values in z.values() for value in values])])
     results.write(options.output, "calibration", RESULTS["calibration"], rows)
     told = [_told("three reflections", fits, seconds)]
-    if options.unmodelled:
+    if wrong:
         told.append(_told("twelve reflections", [found for _, found, _ in wrong], [took for *_, took in wrong]))
     results.write(options.output, "calibration-fits", RESULTS["calibration-fits"], told)
 
