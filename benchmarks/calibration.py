@@ -29,12 +29,22 @@ from generator.transport.parameters import OFFSETS, with_parameters
 
 RESULTS = {
     "calibration": (
-        *("value", "deviation before", "deviation stated (median)", "error (rms)", "mean of z"),
-        *("standard deviation of z", "p (Kolmogorov and Smirnov)"),
+        "value",
+        "deviation before",
+        "deviation stated (median)",
+        "error (rms)",
+        "mean of z",
+        "standard deviation of z",
+        "p (Kolmogorov and Smirnov)",
     ),
     "calibration-fits": (
-        *("rooms", "fitted to", "noise by the verdict", "p of all verdicts (Kolmogorov and Smirnov)"),
-        *("variance left (median)", "slopes computed", "seconds (median)"),
+        "rooms",
+        "fitted to",
+        "noise by the verdict",
+        "p of all verdicts (Kolmogorov and Smirnov)",
+        "variance left (median)",
+        "slopes computed",
+        "seconds (median)",
     ),
 }
 BEFORE = {
@@ -152,15 +162,24 @@ def main() -> None:
     parser.add_argument("--accuracy", type=float, default=1e-3, help="of the fit's engine; a tenth for truth")
     parser.add_argument("--unmodelled", type=int, default=5, help="rooms of all reflections, fitted with three")
     parser.add_argument("-o", "--output", type=Path, required=True)
+    parser.add_argument("--minutes", type=float, default=600.0, help="after which no more rooms are waited for")
     parser.add_argument("--jobs", type=int, default=1, help="processes")
     options = parser.parse_args()
     fits, seconds, z = [], [], {name: [] for name in BEFORE}
     errors: dict[str, list[float]] = {name: [] for name in BEFORE}
+    seeds = [(seed, 3) for seed in range(options.rooms)] + [(1000 + k, 12) for k in range(options.unmodelled)]
+    # All of them first: while Blender opens a file, it has its own module __main__, and nothing can be pickled.
+    cases = [(seed, room(seed), options.accuracy, order) for seed, order in seeds]
+    until, made = time.monotonic() + 60.0 * options.minutes, []
     with ProcessPoolExecutor(options.jobs, mp_context=get_context("spawn")) as pool:
-        cases = [(seed, room(seed), options.accuracy, 3) for seed in range(options.rooms)]
-        cases += [(seed, room(seed), options.accuracy, 12) for seed in range(1000, 1000 + options.unmodelled)]
-        results_of = list(pool.map(calibrated, cases))
-    for off, found, took in results_of[: options.rooms]:
+        for future in [pool.submit(calibrated, case) for case in cases]:
+            try:
+                made.append(future.result(timeout=max(0.0, until - time.monotonic())))
+            except TimeoutError:
+                pool.shutdown(wait=False, cancel_futures=True)
+                break
+    right, wrong = made[: options.rooms], made[options.rooms :]
+    for off, found, took in right:
         fits.append(found)
         seconds.append(took)
         for name, deviation in zip(found.names, found.deviations, strict=True):
@@ -174,8 +193,7 @@ def main() -> None:
     rows.append(["all", "", "", "", *_shape([value for values in z.values() for value in values])])
     results.write(options.output, "calibration", RESULTS["calibration"], rows)
     told = [_told("three reflections", fits, seconds)]
-    if options.unmodelled:
-        wrong = results_of[options.rooms :]
+    if wrong:
         told.append(_told("twelve reflections", [found for _, found, _ in wrong], [took for *_, took in wrong]))
     results.write(options.output, "calibration-fits", RESULTS["calibration-fits"], told)
 

@@ -20,8 +20,10 @@ from generator.model.errors import NlosError
 _MOST_STEPS = 8
 """Times that slopes are computed."""
 _WITH_ONE_SLOPE = 10
-_SETTLED = 0.02
+_SETTLED = 0.1
 """The fit has settled where a step is less than this share of what remains unknown, root mean square."""
+_FREE = 1e-3
+"""Damping below which a short step says that the fit has settled."""
 _NEAR = 1.0
 """Slopes count as those of the fit where the fit is no farther from where they were computed, in the same unit."""
 UNDETERMINED = 0.9
@@ -108,7 +110,9 @@ class Calibration:
         Measured minus expected, in standard deviations of the noise.
     verdict : Verdict
     steps : int
-        Number of steps.
+        How often slopes were computed.
+    settled : bool
+        Whether the fit has settled.
     """
 
     names: tuple[str, ...]
@@ -119,6 +123,7 @@ class Calibration:
     residuals: Array
     verdict: Verdict
     steps: int
+    settled: bool = True
 
     @property
     def deviations(self) -> Array:
@@ -200,38 +205,54 @@ def fit(
         return float(((measured - pictures) ** 2 / noise).sum() + offsets @ prior @ offsets)
 
     offsets, steps = np.zeros(len(names)), 0
+    low, high = np.array([predicted.bounds(name) for name in names]).T
     while True:
         steps += 1
         slopes = predicted.slopes(dict(zip(names, offsets.tolist(), strict=True)), before).reshape(len(names), -1)
         noise = variance(expected)
         weighted = slopes / noise.reshape(1, -1)
         normal = weighted @ slopes.T + prior
-        start, damping = offsets, 0.0
+        start, damping, settled = offsets, 0.0, False
         # Slopes take most of the time, and hardly change: they serve until the fit settles.
         for _ in range(_WITH_ONE_SLOPE):
             pull = weighted @ (measured - expected).ravel() - prior @ offsets
-            step = np.linalg.solve(normal + damping * np.diag(np.diag(normal)), pull)
+            step = _within(normal + damping * np.diag(np.diag(normal)), pull, low - offsets, high - offsets)
             try:
                 pictures = predicted.pictures(dict(zip(names, (offsets + step).tolist(), strict=True)))
                 better = misfit(offsets + step, pictures, noise) < misfit(offsets, expected, noise)
             except NlosError:  # a scene that cannot be
                 better = False
+            settled = damping < _FREE and float(step @ normal @ step) < _SETTLED**2 * len(names)
             if better:
                 offsets, expected, damping = offsets + step, pictures, 0.1 * damping
             else:
                 damping = max(10.0 * damping, 1e-2)
-            if float(step @ normal @ step) < _SETTLED**2 * len(names):
+            if settled:
                 break
         progress(steps, _MOST_STEPS)
         moved = offsets - start
-        if float(moved @ normal @ moved) < _NEAR**2 * len(names) or steps == _MOST_STEPS:
+        settled = settled and float(moved @ normal @ moved) < _NEAR**2 * len(names)
+        if settled or steps == _MOST_STEPS:
             break
     noise = variance(expected)
     residuals = (measured - expected) / np.sqrt(noise)
     covariance = np.linalg.inv(normal)
     scaled = slopes / np.sqrt(noise).reshape(1, -1)
     verdict = judge(residuals, scaled, covariance)
-    return Calibration(names, deviations, offsets, covariance, expected, residuals, verdict, steps)
+    return Calibration(names, deviations, offsets, covariance, expected, residuals, verdict, steps, settled)
+
+
+def _within(normal: Array, pull: Array, low: Array, high: Array) -> Array:
+    """Return the step (n,) that solves ``normal @ step = pull``; what would leave its bounds is held at them."""
+    step, free = np.zeros(len(pull)), np.ones(len(pull), dtype=bool)
+    while free.any():
+        rest = pull[free] - normal[np.ix_(free, ~free)] @ step[~free]
+        step[free] = np.linalg.solve(normal[np.ix_(free, free)], rest)
+        out = free & ((step < low) | (step > high))
+        if not out.any():
+            break
+        step[out], free = np.clip(step, low, high)[out], free & ~out
+    return step
 
 
 def judge(residuals: Array, slopes: Array, covariance: Array) -> Verdict:

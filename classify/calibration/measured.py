@@ -39,10 +39,15 @@ class Measured:
     frames: tuple[int, ...]
 
     def variance(self, expected: Array) -> Array:
-        """Return the noise's variance of expected pictures, of their shape, (W/m^2/sr)^2."""
+        """Return the noise's variance of expected pictures, of their shape, (W/m^2/sr)^2.
+
+        The fixed pattern of the pixels counts as noise of each picture, which frames do not average.
+        """
         pairs = zip(expected, self.frames, strict=True)
         seen = [self.sensor.variance(np.repeat(one[..., None], 3, axis=2), frames=n) for one, n in pairs]
-        return np.stack(seen)
+        gain, offset = self.sensor.gain_spread, self.sensor.offset_spread / self.sensor.exposure
+        variance: Array = np.stack(seen) + (gain * expected) ** 2 + offset**2
+        return variance
 
 
 def place(text: str) -> tuple[Path, Placed | None]:

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+import math
 from collections import OrderedDict
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -20,6 +21,8 @@ the middle."""
 
 _STEP = 0.5
 """Steps of central differences, in standard deviations of what is known beforehand."""
+_MOST = 0.99
+"""Largest share of a value that can be missing."""
 _KEPT = 100
 """Pictures whose light is remembered."""
 _ENGINES = 3
@@ -63,12 +66,21 @@ class Predicted:
         The scene as it is thought to be.
     places : sequence of Placed
         Of the pictures with the object; the first picture is always the empty scene's.
-    accuracy : float, default=2e-4
+    accuracy : float, default=1e-3
         Relative accuracy of the engine.
+    seen : callable, optional
+        Returns pictures (n, height, width) as the lens gives them, as `Sensor.blurred` does.
     """
 
-    def __init__(self, world: World, places: Sequence[Placed] = (), *, accuracy: float = 2e-4) -> None:
-        self.world, self.places, self._accuracy = world, tuple(places), accuracy
+    def __init__(
+        self,
+        world: World,
+        places: Sequence[Placed] = (),
+        *,
+        accuracy: float = 1e-3,
+        seen: Callable[[Array], Array] = lambda pictures: pictures,
+    ) -> None:
+        self.world, self.places, self._accuracy, self._seen = world, tuple(places), accuracy, seen
         self._lights: OrderedDict[object, _Light] = OrderedDict()
         self._engines: OrderedDict[object, Transport] = OrderedDict()
         # With three reflections of one lamp, radiance is a product of albedos along each path.
@@ -88,6 +100,22 @@ class Predicted:
         scene = [name for name in OFFSETS if name not in missing]
         return (*scene, *CAMERA, *(f"place.{k + 1}.{axis}" for k in range(len(self.places)) for axis in "xyz"))
 
+    def bounds(self, name: str) -> tuple[float, float]:
+        """Return the least and the largest offset of a value that can be."""
+        world = self.world
+        surfaces = {"room.albedo": world.room, "target.albedo": world.target}
+        if name == "wall.albedo":
+            wall = world.watched.albedo
+            return -_MOST * float(wall.mean()), float(wall.mean() * (1.0 / wall.max() - 1.0))
+        if name in surfaces:
+            mean, largest = mean_albedo(surfaces[name]), max(float(body.albedo.max()) for body in surfaces[name])
+            return -_MOST * mean, mean * (1.0 / largest - 1.0)
+        if name in ("spot.power", "target.size", "ambient", "level"):
+            return -_MOST, math.inf
+        if name == "spot.half_angle":
+            return -_MOST * math.degrees(math.acos(world.patch.cos_outer)), math.inf
+        return (-math.inf, _MOST) if name == "vignetting" else (-math.inf, math.inf)
+
     def changed(self, offsets: Offsets) -> World:
         """Return the scene with what is off in it."""
         return with_parameters(self.world, {name: x for name, x in offsets.items() if name in OFFSETS})
@@ -101,8 +129,8 @@ class Predicted:
             The scene cannot be so (`with_parameters`), or the object cannot stand there.
         """
         factors = self._albedos(self.changed(offsets))
-        seen = np.stack([self._pictured(offsets, factors, k) for k in range(1 + len(self.places))])
-        made: Array = self._shade(offsets) * seen + offsets.get("black", 0.0) * self._mean
+        light = np.stack([self._pictured(offsets, factors, k) for k in range(1 + len(self.places))])
+        made: Array = self._shade(offsets) * self._seen(light) + offsets.get("black", 0.0) * self._mean
         return made
 
     def slopes(self, offsets: Offsets, deviations: Mapping[str, float]) -> Array:

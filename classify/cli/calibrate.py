@@ -123,6 +123,7 @@ class Calibrated:
     fitted: list[Fitted] = described("the values")
     undetermined: list[str] = described("names of those that the pictures say nothing about; they stay as uncertain")
     verdict: Judged = described("whether what is left is noise")
+    settled: bool = described("whether the fit has settled")
     slopes: int = described("how often derivatives were computed")
     words: list[str] = described("the same in sentences")
     files: list[Path] = described("files that were written")
@@ -158,7 +159,7 @@ def run_calibrate(options: argparse.Namespace) -> Answer:
         file = Path(folder) / "world.npz"
         told = _asked(ReadWorld(scene=scene.absolute(), file=file, resolution=(width, height), trust_links=False))
         world = load_world(file)
-    predicted = Predicted(world, seen.places, accuracy=options.accuracy)
+    predicted = Predicted(world, seen.places, accuracy=options.accuracy, seen=seen.sensor.blurred)
     prior = _prior(options, told["described"], predicted)
     before, correlation = _with_own(options, prior, predicted)
     with progress_bar("fitting", "slopes") as progress:
@@ -182,7 +183,9 @@ def run_calibrate(options: argparse.Namespace) -> Answer:
         for one in values.fitted
     ]
     table = Table(f"{scene}: what is off", ["value", "known to", "offset", "now known to", "determined"], rows)
-    return Answer(values, [table, *values.words, *map(str, values.files)], 0 if found.verdict.is_noise else 1)
+    return Answer(
+        values, [table, *values.words, *map(str, values.files)], 0 if found.verdict.is_noise and found.settled else 1
+    )
 
 
 def _asked(request: Any) -> dict[str, Any]:
@@ -233,6 +236,10 @@ def _values(found: Calibration) -> Calibrated:
     rows = zip(found.names, found.before.tolist(), found.offsets.tolist(), found.deviations.tolist(), strict=True)
     undetermined = list(found.undetermined)
     words = [verdict.words]
+    if not found.settled:
+        words.append(
+            "the fit has not settled: the pictures are far from those of this scene; correct it by hand first"
+        )
     if undetermined:
         words.append(f"the pictures say nothing, or hardly anything, about {', '.join(undetermined)}")
     words += found.bound_together()
@@ -251,6 +258,7 @@ def _values(found: Calibration) -> Calibrated:
             blocks=verdict.blocks,
             p_blocks=verdict.p_blocks,
         ),
+        settled=found.settled,
         slopes=found.steps,
         words=words,
         files=[],

@@ -69,7 +69,6 @@ def _described(options: argparse.Namespace) -> Description:
     from generator.blender.scene import blend_file
     from generator.blender.scene.description import read_scene
     from generator.blender.sweep_worker import colour_space, described_scene
-    from generator.sets.description import Description
 
     size = None if options.resolution is None else parse_resolution(options.resolution)
     scene = blend_file.open_file(options.scene)

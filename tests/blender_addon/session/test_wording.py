@@ -32,10 +32,14 @@ ELSEWHERE = {
     "classify/inference/two_objects.py": "atlases of two objects, which no panel asks",
     "classify/pictures/sensor.py": "sensors, which no panel sets",
     **dict.fromkeys(
-        (f"classify/pictures/{name}.py" for name in ("burst", "importing", "photon_transfer", "recipe", "rectify")),
+        (
+            f"classify/pictures/{name}.py"
+            for name in ("burst", "importing", "photon_transfer", "recipe", "rectify", "sensor_file")
+        ),
         "a camera's pictures, which no panel takes in",
     ),
     "generator/sets/measured.py": "sets of a camera's pictures",
+    "generator/sets/description.py": "sets of a camera's pictures",
     "classify/pictures/leak.py": "a test set of its own, which no panel names",
 }
 """Modules whose messages no panel can show, and what they are about."""
@@ -49,6 +53,7 @@ ELSEWHERE_SAID = (
     "one with --frames",  # atlases of several frames
     "make it with --frames",
     "of an uncertain scene",
+    "not known where the object stood",  # sets of a camera's pictures
     "fewer, or keep all of each",  # several objects
 )
 ONLY_IN_A_SHELL = {"atlas", "bulk", "verify", "sweep"}

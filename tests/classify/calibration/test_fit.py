@@ -22,10 +22,14 @@ class Linear:
 
     def __init__(self, rng, names=3, shape=(2, 8, 9)):
         self.names = tuple(f"v{k}" for k in range(names))
+        self.limits = {}
         self.zero, self.parts = rng.normal(size=shape), rng.normal(size=(names, *shape))
 
     def pictures(self, offsets):
         return self.zero + sum(offsets.get(n, 0.0) * part for n, part in zip(self.names, self.parts, strict=True))
+
+    def bounds(self, name):
+        return self.limits.get(name, (-np.inf, np.inf))
 
     def slopes(self, offsets, deviations):
         return np.stack([self.parts[self.names.index(name)] for name in deviations])
@@ -50,6 +54,33 @@ def test_a_linear_model_has_the_posterior_of_its_closed_form():
     np.testing.assert_allclose(found.covariance, expected, rtol=1e-8, atol=1e-12)
     mean = expected @ design.T @ (measured - model.zero).ravel() / noise**2
     np.testing.assert_allclose(found.offsets, mean, rtol=1e-6)
+
+
+def test_what_would_be_impossible_is_held_at_its_bound_and_the_rest_is_fitted():
+    """With v0 at its bound, the others are those of the closed form in which it is known."""
+    rng = np.random.default_rng(4)
+    model, before = Linear(rng), {"v0": 1.0, "v1": 1.0, "v2": 1.0}
+    measured = model.pictures({"v0": 0.8, "v1": -0.5, "v2": 0.3})
+    model.limits = {"v0": (-1.0, 0.4)}
+    found = fit(model, measured, white(0.5), before)
+    design, left = model.parts[1:].reshape(2, -1).T, (measured - model.pictures({"v0": 0.4})).ravel()
+    expected = np.linalg.solve(design.T @ design / 0.25 + np.eye(2), design.T @ left / 0.25)
+    assert found.settled
+    assert found.value("v0") == 0.4
+    np.testing.assert_allclose(found.offsets[1:], expected, rtol=1e-6)
+
+
+def test_a_white_object_is_fitted_although_no_albedo_is_above_1():
+    world = room()
+    world = with_parameters(world, {"target.albedo": 0.35})
+    off = {"target.albedo": 0.04, "spot.aim.x": 0.03, "room.albedo": -0.2}
+    picture = Predicted(with_parameters(world, off), PLACES, accuracy=1e-4).pictures({})
+    noise = 1e-3 * picture
+    before = {"target.albedo": 0.2, "spot.aim.x": 0.02, "room.albedo": 0.1, "target.size": 0.1}
+    found = fit(Predicted(world, PLACES), picture, lambda p: noise**2, before)
+    assert found.settled
+    assert found.value("spot.aim.x") == pytest.approx(0.03, abs=4.0 * found.deviations[1])
+    assert np.abs(found.residuals).max() < 3.0
 
 
 def test_stated_deviations_and_p_values_are_those_of_repeated_draws():

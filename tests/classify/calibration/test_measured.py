@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from classify.calibration.measured import place, read
+from classify.calibration.measured import Measured, place, read
 from classify.pictures.sensor import Sensor
 from generator.files.pictures import write_picture
 from generator.model.errors import NlosError
@@ -43,6 +43,14 @@ def test_empty_pictures_are_averaged_and_count_their_frames(folder):
     assert variance[0].mean() / variance[1].mean() == pytest.approx(
         0.1 * seen.pictures[0].mean() / seen.pictures[1].mean(), rel=1e-2
     )
+
+
+def test_the_fixed_pattern_is_not_averaged():
+    picture = np.full((1, 3, 3), 2.0)
+    sensor = Sensor(exposure=1000.0, gain_spread=0.01, offset_spread=3.0)
+    seen = [Measured(picture, (), sensor, (frames,)).variance(picture)[0, 0, 0] for frames in (100, 10**9)]
+    assert seen[1] == pytest.approx(0.02**2 + 0.003**2, rel=1e-4)
+    assert seen[0] - seen[1] == pytest.approx(2.0 / 1000.0 / 100, rel=0.02)
 
 
 @pytest.mark.parametrize(
