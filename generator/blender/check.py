@@ -48,7 +48,7 @@ def mend(scene: bpy.types.Scene, fix: str, choice: str = "") -> None:
     elif fix == "reflections":
         roles.limit_reflections(scene, MAX_ORDER)
     elif fix == "voxels":
-        adopt.fit_grid(scene, free=True)
+        adopt.fit_grid(scene)
     elif fix == "show":
         roles.show(scene, roles.find(scene, "target"))
     elif fix == "keep":

@@ -139,6 +139,7 @@ def test_every_module_of_the_extension_and_what_it_draws(bare, tmp_path):
         assert bpy.ops.nlos.build_scene() == {"FINISHED"}
         manager.nlos.look = True
         end = time.monotonic() + 120.0
+        live._ask()  # reads the scene
         live._ask()
         while live.waits() and not live._look.resident.ended and time.monotonic() < end:
             live._show()

@@ -181,7 +181,7 @@ def align(scene: bpy.types.Scene) -> None:
     _transform(scene, Matrix(transform.tolist()))
 
 
-def fit_grid(scene: bpy.types.Scene, shape: tuple[int, int, int] = (3, 3, 1), *, free: bool = False) -> VoxelGrid:
+def fit_grid(scene: bpy.types.Scene, shape: tuple[int, int, int] = (3, 3, 1)) -> VoxelGrid:
     """Lay voxels around the target, each large enough for it to turn inside, and store them in the scene.
 
     They keep within walls, off all objects, out of the lamp's cone and the camera's view, and in their shadow if the
@@ -193,14 +193,10 @@ def fit_grid(scene: bpy.types.Scene, shape: tuple[int, int, int] = (3, 3, 1), *,
     shape : (int, int, int)
         Most voxels along each axis.
 
-    free : bool
-        Whether to lay none where not even one voxel is free of objects; else they are laid around the target all the
-        same, as far as it would take, which Check tells.
-
     Raises
     ------
     NlosError
-        There is not exactly one target, or it has no surface; or no voxel is free, if one has to be.
+        There is not exactly one target, or it has no surface.
     """
     seen = geometry.snapshot(scene)
     hull = geometry.hull(scene, seen)
@@ -210,15 +206,7 @@ def fit_grid(scene: bpy.types.Scene, shape: tuple[int, int, int] = (3, 3, 1), *,
     size = _ROOMY * diameter * np.array(shape)
     least = np.full(3, _LEAST * diameter)
     found = (free_box.free_box(scene, seen, around, least, size) for around in (place, (low + high) / 2.0))
-    box = next((box for box in found if box is not None), None)
-    if free and box is None:
-        name = roles.find(scene, "target").name
-        raise NlosError(
-            f"No voxels can be laid around {name!r} where it stands: one in which it can turn has edges of "
-            f"{least[0]:.2g} m, and something stands in that, or lamp or camera points into it; move {name!r} away "
-            "from walls and objects, or take a smaller one"
-        )
-    lo, hi = box or (place - size / 2.0, place + size / 2.0)
+    lo, hi = next((box for box in found if box is not None), (place - size / 2.0, place + size / 2.0))
     lo[1] = max(lo[1], _LEFT_OVER * size[2])
     counts = np.clip(np.floor((hi - lo) / (_ROOMY * diameter) + _SLACK), 1, shape).astype(int)
     grid = VoxelGrid(lo=_rounded(lo), hi=_rounded(hi), shape=(int(counts[0]), int(counts[1]), int(counts[2])))
