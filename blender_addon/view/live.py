@@ -297,7 +297,7 @@ def _ask() -> float | None:
                     return _REST
                 _look.pose = place, turn  # a scene that cannot be read is not tried again until the pose changes
                 _read(scene)
-                return 0.0 if _look.world is not None else None  # the window goes on between reading and asking
+                return 0.0  # the window goes on between reading and asking
             if _look.world is None or (place, turn) == _look.pose:
                 return None
             _look.pose, _look.asked = (place, turn), _look.asked + 1

@@ -87,14 +87,13 @@ def _watch(options: argparse.Namespace, atlas: Atlas, dataset: PictureSet) -> To
 def _told(options: argparse.Namespace, answers: Answers, lines: list[str]) -> Told[Answers]:
     from generator.files.writing import write_text
 
-    seconds = float(np.median([found.seconds for found in answers.found]))
     lines.append(f"something is found in {answers.detected().percent()} of {len(answers.found)} pictures")
     if accuracy := answers.accuracy():
         lines.append(f"right voxel in {accuracy.percent()} of those whose voxel is known")
     error, covered = answers.error(), answers.covered()
     if error and covered:
         lines.append(f"off by {error.centimetres()} (median), within the 95 % region {covered.percent()}")
-    lines += [f"an answer takes {1000.0 * seconds:.1f} ms (median)", *answers.doubts]
+    lines += [f"an answer takes {1000.0 * answers.seconds:.1f} ms (median)", *answers.doubts]
     files: list[Path] = []
     if options.output:
         files = [options.output / "answers.csv"]

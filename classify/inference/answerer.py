@@ -33,9 +33,6 @@ from generator.sets.readable import check_colours
 
 _SEED = 0
 _Measured = tuple[dict[str, float], Place | None, float | None]
-_SAME_PLACE = 1e-4
-"""Share of the volume's size by which two grids may differ: a scene keeps its numbers in single precision."""
-
 _ROUNDED = 0.5
 """Pixels by which the height of a picture of the same shape may differ, since it is a whole number."""
 
@@ -130,9 +127,7 @@ class Answerer(ABC):
         NlosError
             It has other voxels, another colour space, or pictures that cannot be brought to the right size.
         """
-        size = np.subtract(self._grid.hi, self._grid.lo)
-        ends = (np.subtract(getattr(seen.grid, end), getattr(self._grid, end)) for end in ("lo", "hi"))
-        if seen.grid.shape != self._grid.shape or any((np.abs(end) > _SAME_PLACE * size).any() for end in ends):
+        if seen.grid.shape != self._grid.shape or not self._grid.covers_same(seen.grid):
             raise NlosError(
                 f"{self._path.name}: has other voxels than this scene; choose another, made for this scene"
             )
@@ -274,8 +269,7 @@ class ByAtlas(Answerer):
     def _doubts(self, target: str, level: float, mismatch: float) -> list[str]:
         if self._atlas.uncertain is None:
             return doubts(self._atlas, target, level=level, mismatch=mismatch)
-        shift = self._atlas.shift(self._clean * np.float32(level))
-        strange = doubt_of_backgrounds(np.array([self._atlas.uncertain.misfit(shift)]))
+        strange = doubt_of_backgrounds(np.array([self._atlas.strangeness(self._clean * np.float32(level))]))
         return [*([strange] if strange else []), *doubts(self._atlas, target, level=1.0, mismatch=0.0)]
 
 

@@ -275,6 +275,11 @@ class Atlas:
         places = self.uncertain.told(self.shift(background)).astype(np.float32)
         return replace(self, codes=self.codes + np.tensordot(self.uncertain.slopes, places, axes=(1, 0)))
 
+    def strangeness(self, background: Picture) -> float:
+        """Return the probability that a background of the stated scene differs as much from the atlas'; 1 of a known
+        scene."""
+        return 1.0 if self.uncertain is None else self.uncertain.misfit(self.shift(background))
+
     def shift(self, background: Picture) -> Array:
         """Return how a measured background differs from the atlas', on the scale of unit noise, (height * width,)."""
         self._check(background, "background")
@@ -314,9 +319,8 @@ class Atlas:
             raise NlosError(f"{name}: the atlas is of an uncertain scene, so its measured background is needed too")
         if background is not None:
             self._check(background, f"{name}: its background")
-            empty = self.sensor.stabilised_mean(
-                background, measured=True
-            )  # averages so many frames that it counts as known
+            # It averages so many frames that it counts as known.
+            empty = self.sensor.stabilised_mean(background, measured=True)
         self._check(picture, name)
         difference: Array = (self.sensor.stabilised(picture) - empty).ravel()
         return difference

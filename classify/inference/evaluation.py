@@ -19,7 +19,6 @@ from classify.inference.posterior import REACH, Place, holds, locate
 from classify.intervals import Interval, exceedance, median, share
 from classify.pictures.leak import refuse_shared
 from classify.pictures.sensor import Camera
-from generator.files.pictures import Picture
 from generator.files.writing import csv_text
 from generator.measure import figures
 from generator.model.arrays import Array
@@ -259,11 +258,6 @@ def doubts(atlas: Atlas, kind: str, *, level: float, mismatch: float) -> list[st
     return sentences
 
 
-def _strange(atlas: Atlas, background: Picture) -> float:
-    """Return the probability that a background of the stated scene differs as much from the atlas'."""
-    return 1.0 if atlas.uncertain is None else atlas.uncertain.misfit(atlas.shift(background))
-
-
 def run(
     atlas: Atlas,
     dataset: PictureSet,
@@ -325,12 +319,12 @@ def run(
     misfit, misfits = Misfits(atlas, seed=seed), []
     codes, places, seconds = [], [], []
     shared = [] if dataset.own_backgrounds else measured
-    given, strange = [atlas.given(one) for one in shared], [_strange(atlas, one) for one in shared]
+    given, strange = [atlas.given(one) for one in shared], [atlas.strangeness(one) for one in shared]
     for done, record in enumerate(records):
         background = camera.background_of(record) if dataset.own_backgrounds else measured[draws[done]]
         conditioned = given[draws[done]] if given else atlas.given(background)
         if dataset.own_backgrounds:
-            strange.append(_strange(atlas, background))
+            strange.append(atlas.strangeness(background))
         picture = camera.picture(record)
         start = time.perf_counter()
         difference = atlas.difference(picture, background, name=str(dataset.path / record.file))

@@ -33,8 +33,6 @@ from generator.sets.readable import PictureSet, check_colours
 
 _SAME_SHAPE = 0.02
 """Relative difference in shape of two empty scenes from which on they are different scenes."""
-_SAME_PLACE = 1e-4
-"""Share of the volume's size by which two grids may differ: a scene keeps its numbers in single precision."""
 
 
 @dataclass(frozen=True)
@@ -146,6 +144,11 @@ class Answers:
         inside = [holds(f.place, r.position) for r, f in self._both() if r.placed]
         return wilson(sum(inside), len(inside)) if inside else None
 
+    @property
+    def seconds(self) -> float:
+        """Median time of an answer, seconds."""
+        return float(np.median([found.seconds for found in self.found]))
+
     def detected(self) -> Interval:
         """Return the share of pictures in which an object is found."""
         return wilson(sum(f.detected for f in self.found), len(self.found))
@@ -184,9 +187,7 @@ def prepared(atlas: Atlas, dataset: PictureSet, seed: int = 0) -> tuple[Taken | 
     NlosError
         Voxels or colours are others, or the pictures cannot be compared with the atlas (`Taken`, `Atlas.seen_by`).
     """
-    size = np.subtract(atlas.grid.hi, atlas.grid.lo)
-    ends = [np.subtract(getattr(dataset.grid, end), getattr(atlas.grid, end)) for end in ("lo", "hi")]
-    if any((np.abs(end) > _SAME_PLACE * size).any() for end in ends):
+    if not atlas.grid.covers_same(dataset.grid):
         raise NlosError(f"{dataset.path}: has another voxel grid than the atlas; make both of one scene")
     check_colours(dataset.path, dataset.colour_space, atlas.colour_space, "the atlas")
     if not has_own_noise(dataset):
@@ -195,7 +196,7 @@ def prepared(atlas: Atlas, dataset: PictureSet, seed: int = 0) -> tuple[Taken | 
     taken = Taken(dataset, atlas.background)
     seen = atlas.seen_by(taken.sensor)
     if seen.uncertain is not None:
-        strange = doubt_of_backgrounds(np.array([seen.uncertain.misfit(seen.shift(taken.background()))]))
+        strange = doubt_of_backgrounds(np.array([seen.strangeness(taken.background())]))
         return taken, seen, [strange] if strange else []
     doubts = []
     # Noise of the measured background is no difference of scenes.
@@ -230,9 +231,7 @@ def answers(
     for record in records:
         found.append(answering(taken.picture(record), str(dataset.path / record.file)))
         progress(len(found), len(records))
-    if (
-        dataset.grid.shape != atlas.grid.shape
-    ):  # the same volume, divided into other voxels: only positions tell which
+    if dataset.grid.shape != atlas.grid.shape:  # the same volume, cut into others: only positions tell which
         records = [_recut(record, atlas) for record in records]
     doubts += filter(None, [doubt(np.array([f.misfit for f in found]))])
     return Answers(records, found, tuple(atlas.grid.labels), taken.level, taken.mismatch, tuple(doubts))

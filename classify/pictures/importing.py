@@ -24,7 +24,7 @@ from scipy.sparse import coo_matrix, csr_matrix
 from classify.pictures import frames, rectify
 from classify.pictures.frames import Frame
 from classify.pictures.recipe import FILE, Recipe, check_gamma, linear, size_words, without
-from classify.pictures.sensor import Sensor, level_between
+from classify.pictures.sensor import Sensor, level_between, nearest
 from generator.files.pictures import Picture
 from generator.model.arrays import Array
 from generator.model.errors import NlosError
@@ -497,8 +497,8 @@ class _Work:
             return
         powers = np.exp(np.linspace(math.log(0.3), math.log(3.5), 121))
         relative = empty / empty.max()
-        misses = [_unlike(relative**power, wanted.ravel()) for power in powers]
-        best, plain = int(np.argmin(misses)), _unlike(relative, wanted.ravel())
+        misses = [nearest(relative**power, wanted.ravel())[1] for power in powers]
+        best, plain = int(np.argmin(misses)), nearest(relative, wanted.ravel())[1]
         bent = abs(math.log(powers[best])) > _BENT
         if plain > _SAME_SHAPE and bent and plain > _CURVED * misses[best] and self.treatment.gamma is None:
             raise NlosError(
@@ -512,8 +512,7 @@ class _Work:
         wanted = self._model_background()
         if self.background is not None and wanted is not None:
             own = self.background.reshape(wanted.shape)
-            self.level = float((own * wanted).sum() / max(float((own * own).sum()), 1e-300))
-            self.mismatch = _unlike(own.ravel(), wanted.ravel())
+            self.level, self.mismatch = nearest(own, wanted)
             if level_between(own, wanted)[1]:
                 self.notes.append(
                     f"the empty scene differs from that of the model by {self.mismatch:.1%} in shape: room, lamp, "
@@ -586,12 +585,6 @@ class _Work:
             if len(groups) == 20:
                 break
         return groups
-
-
-def _unlike(own: Array, wanted: Array) -> float:
-    """Relative root mean square by which two pictures differ in shape."""
-    factor = float((own * wanted).sum() / max(float((own * own).sum()), 1e-300))
-    return float(np.sqrt(((factor * own - wanted) ** 2).mean() / (wanted**2).mean()))
 
 
 def _between(photons: Array, readout: Array, *groups: Sequence[Array]) -> tuple[float, float, float] | None:

@@ -582,10 +582,28 @@ class Camera:
         return self.sensor.measure(clean, rng, pattern=self._seed)
 
 
-def factor_between(own: Array, wanted: Array) -> float:
-    """Return the factor by which a picture (height, width) is as bright as another, by least squares."""
+def factor_between(own: Array, wanted: Array, dark: float = 1.0) -> float:
+    """Return the factor by which a picture is as bright as another, by least squares; ``dark`` if it has no light."""
     square = float((own * own).sum())
-    return float((own * wanted).sum()) / square if square > 0.0 else 1.0
+    return float((own * wanted).sum()) / square if square > 0.0 else dark
+
+
+def nearest(own: Array, wanted: Array) -> tuple[float, float]:
+    """Return the factor that brings a picture nearest to another, 0 of one without light, and what is left.
+
+    Parameters
+    ----------
+    own, wanted : ndarray of the same shape
+        W/m^2/sr.
+
+    Returns
+    -------
+    factor : float
+    mismatch : float
+        Relative root mean square by which they differ in shape.
+    """
+    factor = factor_between(own, wanted, dark=0.0)
+    return factor, float(np.sqrt(((factor * own - wanted) ** 2).mean() / (wanted**2).mean()))
 
 
 def level_between(own: Array, wanted: Array) -> tuple[float, float]:
@@ -605,8 +623,7 @@ def level_between(own: Array, wanted: Array) -> tuple[float, float]:
     """
     if own.shape != wanted.shape or not (own.any() and wanted.any()):
         return 1.0, 0.0
-    factor = factor_between(own, wanted)
-    error = float(np.sqrt(((factor * own - wanted) ** 2).mean() / (wanted**2).mean()))
+    factor, error = nearest(own, wanted)
     if error >= _SAME_SHAPE:
         return 1.0, error
     return factor if abs(factor - 1.0) > _SAME_LEVEL else 1.0, 0.0

@@ -7,7 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from classify.pictures.sensor import Sensor
+from classify.pictures.sensor import Sensor, nearest
 from generator.files.pictures import Picture
 from generator.files.toml import from_dict
 from generator.model.arrays import Array
@@ -35,11 +35,10 @@ def level_of(own: Array, wanted: Array) -> tuple[float, float]:
     NlosError
         One of them holds no light.
     """
-    light, wanted_light = float((own * own).sum()), float((wanted * wanted).sum())
-    level = float((own * wanted).sum()) / light if light > 0.0 else 0.0
-    if not (wanted_light > 0.0 and 0.0 < level < math.inf):
+    level, mismatch = nearest(own, wanted) if wanted.any() else (0.0, 0.0)
+    if not 0.0 < level < math.inf:
         raise NlosError("the empty scene, measured or of the model, holds no light, so brightness cannot be compared")
-    return level, float(np.sqrt(((level * own - wanted) ** 2).sum() / wanted_light))
+    return level, mismatch
 
 
 class Taken:

@@ -13,6 +13,9 @@ from generator.model.arrays import Array, Vector
 from generator.model.described import described, documented
 from generator.model.errors import require
 
+_SAME_VOLUME = 1e-4
+"""Share of its size by which a volume may differ from itself: a scene keeps its numbers in single precision."""
+
 
 @documented
 @dataclass(frozen=True, kw_only=True)
@@ -50,6 +53,12 @@ class VoxelGrid:
     def labels(self) -> list[str]:
         """Names of the voxels in order: A, B, ... Z, AA, AB, ..., like the columns of a spreadsheet."""
         return [voxel_label(i) for i in range(self.n_voxels)]
+
+    def covers_same(self, other: VoxelGrid) -> bool:
+        """Whether another grid covers the same volume, however it cuts it."""
+        size = np.subtract(self.hi, self.lo)
+        ends = (np.subtract(getattr(other, end), getattr(self, end)) for end in ("lo", "hi"))
+        return not any((np.abs(end) > _SAME_VOLUME * size).any() for end in ends)
 
     def cell(self, voxel: int) -> tuple[int, int, int]:
         """Indices of a voxel along x, y, z."""
