@@ -102,7 +102,7 @@ def test_it_is_written_whole_or_not_at_all(tmp_path):
     made = MeasuredSet.create(tmp_path / "set", {"measured": {"noise": True}}, pictures(3), None, {})
     assert made.verify() == []
     with pytest.raises(NlosError, match="names no scene"):
-        made.grid  # noqa: B018
+        made.grid  # noqa: B018 (the property raises)
     with pytest.raises(NlosError, match="holds other files"):
         MeasuredSet.create(tmp_path / "set", {"measured": {"noise": True}}, pictures(3), None, {})
 
